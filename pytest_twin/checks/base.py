@@ -1,0 +1,144 @@
+"""What a kind of golden is made of. A new kind is one class and one entry point."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[float], None]
+"""Called with the fraction done, 0 to 1, by checks that take long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Series on one independent axis; what stands beside a spec and what a plot shows.
+
+    Attributes:
+        axis: (name, unit), such as ``("time", "s")`` or ``("frequency", "Hz")``.
+        x: (n,) values of the axis, strictly increasing.
+        columns: name -> (unit, (n,) values), such as ``{"position:elbow": ("rad", ...)}``.
+    """
+
+    axis: tuple[str, str]
+    x: FloatArray
+    columns: Mapping[str, tuple[str, FloatArray]]
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What a stimulus brought out of a realization.
+
+    Attributes:
+        values: JSON-able results; lists, not arrays; SI units.
+        trace: series, where the kind has them.
+        reference: results of the independent computation (Pinocchio, coal), same keys as
+            ``values``, where the kind has one.
+    """
+
+    values: Mapping[str, Any]
+    trace: Trace | None = None
+    reference: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One number held against its tolerance.
+
+    Attributes:
+        name: what was measured, a key of the golden's ``tolerance``.
+        subject: the joint, frame, pair or sample that it belongs to.
+        measured, golden: values in ``unit``; ``golden`` is the stored or reference value.
+        error: what the tolerance bounds, in ``unit``, not negative; NaN never passes.
+        tolerance: bound on ``error``, in ``unit``.
+        unit: SI unit.
+        against: ``golden``, ``pinocchio``, ``coal``, ``declared`` or ``recording``.
+        time: when the worst sample was, in s, or None.
+    """
+
+    name: str
+    subject: str
+    measured: float
+    golden: float
+    error: float
+    tolerance: float
+    unit: str
+    against: str = "golden"
+    time: float | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is finite and within the tolerance."""
+        return bool(self.error <= self.tolerance)
+
+    @property
+    def margin(self) -> float:
+        """Tolerance minus error, in ``unit``; negative is a failure."""
+        return self.tolerance - self.error
+
+
+class Check(ABC):
+    """One kind of golden.
+
+    The modules of checks are imported while pytest collects: they import no simulator at the
+    top, only where it is used.
+
+    Class attributes:
+        kind: the name in the spec.
+        version: raised when the same spec would give other numbers.
+        libraries: distributions whose version the result rests on.
+        tolerances: name -> the SI unit of the tolerance.
+        required_tolerances: those that a spec must state.
+        schema: JSON Schema of ``target`` and ``stimulus``: ``{"target": {...}, "stimulus": {...}}``.
+    """
+
+    kind: ClassVar[str]
+    version: ClassVar[int] = 1
+    libraries: ClassVar[tuple[str, ...]] = ("numpy",)
+    tolerances: ClassVar[Mapping[str, str]]
+    required_tolerances: ClassVar[frozenset[str]] = frozenset()
+    schema: ClassVar[Mapping[str, Any]]
+
+    @abstractmethod
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """Ids of the realization's parts that can move the result (``Structure`` has helpers)."""
+
+    @abstractmethod
+    def observe(
+        self, golden: Golden, realization: Realization, progress: Progress
+    ) -> Observation:
+        """Run the stimulus on a realization. Deterministic.
+
+        Raises:
+            SpecError: the spec names something that the realization lacks.
+            SimulationError: the simulation diverged.
+        """
+
+    @abstractmethod
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Hold an observation against the golden's expected values, trace and declarations. Pure."""
+
+    def expect(self, golden: Golden, observation: Observation) -> tuple[Mapping[str, Any], Trace | None]:
+        """What ``--twin-update`` writes as ``expected`` and as the trace beside the spec."""
+        return observation.values, observation.trace
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """First specs of this kind that a robot can have, for ``pytest-twin init``.
+
+        Each is a spec without ``schema`` and ``kind`` and with ``name``, its file name without
+        suffix. Empty where the robot cannot have one.
+        """
+        return []

@@ -1,0 +1,72 @@
+"""A golden: what to do, what to compare, within which tolerance, and who vouched for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from pytest_twin.units import Quantity
+
+Criticality = Literal["critical", "advisory"]
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Who recorded the expected values, when, and on what.
+
+    Attributes:
+        recorded_by: a person or a service.
+        recorded_at: RFC 3339, UTC.
+        realization: the realization that was recorded.
+        simulator: name and version, ``mujoco 4.0.0``.
+        parts: part id -> digest of everything that the golden rested on.
+    """
+
+    recorded_by: str
+    recorded_at: str
+    realization: str
+    simulator: str
+    parts: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class TraceRef:
+    """The trace file beside the spec, and its SHA-256."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Golden:
+    """One validated golden spec.
+
+    Attributes:
+        id: path relative to the twin's root without suffix, ``golden/fk/home``.
+        path: the spec file.
+        kind: the check that runs it.
+        realizations: names from ``twin.yaml`` that it runs on.
+        criticality: ``critical`` blocks a release, ``advisory`` is reported.
+        target, stimulus: as the kind's schema declares them.
+        tolerance: name -> quantity in SI units.
+        expected: recorded values, None until ``--twin-update``.
+        trace: recorded series, None where the kind has none or before ``--twin-update``.
+        provenance: None until ``--twin-update``: such a golden is unproven.
+        lines: dotted field -> 1-based line in ``path``.
+    """
+
+    id: str
+    path: Path
+    kind: str
+    title: str
+    realizations: tuple[str, ...]
+    criticality: Criticality
+    target: Mapping[str, Any]
+    stimulus: Mapping[str, Any]
+    tolerance: Mapping[str, Quantity]
+    expected: Mapping[str, Any] | None = None
+    trace: TraceRef | None = None
+    provenance: Provenance | None = None
+    lines: Mapping[str, int] = field(default_factory=dict)
