@@ -1,0 +1,1 @@
+"""The pytest door: golden specs become items, a session becomes a verdict."""
