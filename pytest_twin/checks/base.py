@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
+from pytest_twin.outcome import Measure
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
+
+__all__ = ["Check", "FloatArray", "Measure", "Observation", "Progress", "Trace"]
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -52,42 +55,6 @@ class Observation:
     reference: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Measure:
-    """One number held against its tolerance.
-
-    Attributes:
-        name: what was measured, a key of the golden's ``tolerance``.
-        subject: the joint, frame, pair or sample that it belongs to.
-        measured, golden: values in ``unit``; ``golden`` is the stored or reference value.
-        error: what the tolerance bounds, in ``unit``, not negative; NaN never passes.
-        tolerance: bound on ``error``, in ``unit``.
-        unit: SI unit.
-        against: ``golden``, ``pinocchio``, ``coal``, ``declared`` or ``recording``.
-        time: when the worst sample was, in s, or None.
-    """
-
-    name: str
-    subject: str
-    measured: float
-    golden: float
-    error: float
-    tolerance: float
-    unit: str
-    against: str = "golden"
-    time: float | None = None
-
-    @property
-    def passed(self) -> bool:
-        """Whether the error is finite and within the tolerance."""
-        return bool(self.error <= self.tolerance)
-
-    @property
-    def margin(self) -> float:
-        """Tolerance minus error, in ``unit``; negative is a failure."""
-        return self.tolerance - self.error
-
-
 class Check(ABC):
     """One kind of golden.
 
@@ -100,7 +67,7 @@ class Check(ABC):
         libraries: distributions whose version the result rests on.
         tolerances: name -> the SI unit of the tolerance.
         required_tolerances: those that a spec must state.
-        schema: JSON Schema of ``target`` and ``stimulus``: ``{"target": {...}, "stimulus": {...}}``.
+        schema: JSON Schema of ``target`` and ``stimulus``, as ``{"target": {}, "stimulus": {}}``.
     """
 
     kind: ClassVar[str]
@@ -115,9 +82,7 @@ class Check(ABC):
         """Ids of the realization's parts that can move the result (``Structure`` has helpers)."""
 
     @abstractmethod
-    def observe(
-        self, golden: Golden, realization: Realization, progress: Progress
-    ) -> Observation:
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Run the stimulus on a realization. Deterministic.
 
         Raises:
@@ -129,9 +94,11 @@ class Check(ABC):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Hold an observation against the golden's expected values, trace and declarations. Pure."""
+        """Hold an observation against the golden's values, trace and declarations. Pure."""
 
-    def expect(self, golden: Golden, observation: Observation) -> tuple[Mapping[str, Any], Trace | None]:
+    def expect(
+        self, golden: Golden, observation: Observation
+    ) -> tuple[Mapping[str, Any], Trace | None]:
         """What ``--twin-update`` writes as ``expected`` and as the trace beside the spec."""
         return observation.values, observation.trace
 
