@@ -1,0 +1,466 @@
+"""A twin: asset, realizations, calibration, fit, controllers, and what no file shows."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.errors import SpecError
+from pytest_twin.formats import yaml
+from pytest_twin.formats.paths import Roots
+from pytest_twin.formats.schema import validate
+
+FILE_NAME = "twin.yaml"
+DEFAULT_TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
+MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
+
+FIT_FAMILIES = ("joint", "actuator", "body", "geom")
+
+Patch = Mapping[str, float | tuple[float, ...]]
+"""Attribute -> value in SI units, as ``schemas/twin.schema.json`` names them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A table, the file that it stands in, and the dotted field in front of its own."""
+
+    data: Mapping[str, Any]
+    path: Path
+    prefix: str
+    lines: Mapping[str, int]
+
+    def error(
+        self,
+        where: str,
+        problem: str,
+        *,
+        value: object = None,
+        unit: str | None = None,
+        expected: str | None = None,
+    ) -> SpecError:
+        """An error at a dotted field of this table, with its line, to be raised."""
+        where = self.prefix + where
+        return SpecError(
+            problem,
+            path=self.path,
+            line=_line(self.lines, where),
+            where=where,
+            value=value,
+            unit=unit,
+            expected=expected,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RealizationRef:
+    """Where one simulator's version of the robot lies."""
+
+    name: str
+    file: Path
+    simulator: str = "mujoco"
+
+
+@dataclass(frozen=True, slots=True)
+class Payload:
+    """A rigid mass on a body.
+
+    Attributes:
+        mass: kg.
+        com: (3,) centre of mass in the body's frame, m.
+        inertia: (6,) ixx iyy izz ixy ixz iyz about that centre, body axes, kg*m^2.
+    """
+
+    mass: float
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
+
+
+@dataclass(frozen=True, slots=True)
+class JointCalibration:
+    """``model = sign * measured + offset``.
+
+    Attributes:
+        offset: rad or m.
+        sign: 1.0 or -1.0.
+    """
+
+    offset: float = 0.0
+    sign: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A frame in another.
+
+    Attributes:
+        position: (3,) m.
+        quaternion: (4,) w x y z, of unit length.
+    """
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Where the robot stands and how its encoders relate to the model.
+
+    Attributes:
+        id: what people call it.
+        transform_world_to_base: the base's pose in the world, None where the model has it.
+        joints: joint -> encoder offset and sign.
+        section: where it stands; ``section.error("joints.elbow", ...)`` is an error there.
+    """
+
+    id: str
+    transform_world_to_base: Pose | None
+    joints: Mapping[str, JointCalibration]
+    section: Section = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Identified parameters over the model.
+
+    Attributes:
+        id: what people call it.
+        patches: ``joint``, ``actuator``, ``body`` or ``geom`` -> element -> attribute -> value.
+        option: ``gravity`` (m/s^2) and ``timestep`` (s), where fitted.
+        section: where it stands; ``section.error("joint.elbow.damping", ...)`` is an error there.
+    """
+
+    id: str
+    patches: Mapping[str, Mapping[str, Patch]]
+    option: Patch
+    section: Section = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Affects:
+    """Which goldens a declared part touches: those that match every tuple that is not empty.
+
+    Attributes:
+        kinds: kinds of golden.
+        goldens: patterns over golden ids, ``*`` and ``?``.
+        joints: goldens that feel one of these joints.
+    """
+
+    kinds: tuple[str, ...] = ()
+    goldens: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredPart:
+    """Something that a result rests on and that no model shows: firmware, table, temperature.
+
+    Attributes:
+        id: version or serial number, ``value`` a number or text, ``file`` a file whose bytes
+            matter; at least one is not None.
+        affects: None where it touches every golden.
+    """
+
+    name: str
+    id: str | None
+    value: str | float | None
+    file: Path | None
+    affects: Affects | None
+
+
+@dataclass(frozen=True, slots=True)
+class ReleasePolicy:
+    """Rules for releases.
+
+    Attributes:
+        valid_days: days until a release expires.
+    """
+
+    valid_days: float = 90.0
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """One validated ``twin.yaml``; every path absolute and inside the declared roots.
+
+    Attributes:
+        path: the file; ``root``: its folder.
+        realizations: name -> file and simulator; ``model:`` is the first, named ``mujoco``.
+        source: the supplier's files.
+        roots: name -> folder outside ``root`` that files may come from.
+        topics: ``state`` and ``command`` -> topic.
+        controllers: id -> actuator -> attribute -> value.
+        payloads: id -> body -> mass.
+        parts: name -> declared part.
+        tcp: named frame of the tool centre point.
+        retired: golden id -> reason.
+        lines: dotted field -> 1-based line in ``path``.
+    """
+
+    path: Path
+    name: str
+    realizations: Mapping[str, RealizationRef]
+    source: tuple[Path, ...] = ()
+    roots: Mapping[str, Path] = field(default_factory=dict)
+    topics: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULT_TOPICS))
+    controllers: Mapping[str, Mapping[str, Patch]] = field(default_factory=dict)
+    payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
+    calibration: Calibration | None = None
+    fit: Fit | None = None
+    parts: Mapping[str, DeclaredPart] = field(default_factory=dict)
+    tcp: str | None = None
+    retired: Mapping[str, str] = field(default_factory=dict)
+    release: ReleasePolicy = field(default_factory=ReleasePolicy)
+    lines: Mapping[str, int] = field(default_factory=dict, repr=False)
+
+    @property
+    def root(self) -> Path:
+        """The twin's folder."""
+        return self.path.parent
+
+    @property
+    def path_roots(self) -> Roots:
+        """Where files of this twin may lie."""
+        return Roots(self.root, tuple(self.roots.values()))
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that this object was made of or points at; models' own includes and meshes
+        are the realization's to list."""
+        found: dict[Path, None] = {self.path: None}
+        for item in (self.calibration, self.fit):
+            if item is not None:
+                found[item.section.path] = None
+        for ref in self.realizations.values():
+            found[ref.file] = None
+        for part in self.parts.values():
+            if part.file is not None:
+                found[part.file] = None
+        found.update(dict.fromkeys(self.source))
+        return tuple(found)
+
+    @property
+    def section(self) -> Section:
+        """The whole file; ``section.error("controllers.kp100", ...)`` is an error at that field."""
+        return Section({}, self.path, "", self.lines)
+
+
+def find_twin(start: Path) -> Path | None:
+    """The ``twin.yaml`` in ``start`` or the nearest folder above it."""
+    start = start.absolute()
+    for folder in (start, *start.parents):
+        candidate = folder / FILE_NAME
+        if candidate.is_file():
+            return candidate
+    return None
+
+
+def load_twin(path: Path) -> Twin:
+    """Read and check a ``twin.yaml``.
+
+    Raises:
+        FormatError: not strict YAML, or beyond its bounds.
+        SpecError: a field that is unknown, missing, or means nothing.
+        PathError: a file that is missing, linked, or outside the twin's folder and its ``roots``.
+    """
+    path = path.absolute()
+    document = yaml.load(path)
+    validate(document, schema(), path)
+    return _Reader(path, document.data, document.lines).twin()
+
+
+@cache
+def schema() -> Mapping[str, Any]:
+    """The JSON Schema of ``twin.yaml`` that ships with the package."""
+    text = resources.files("pytest_twin").joinpath("schemas/twin.schema.json").read_text("utf-8")
+    loaded: Mapping[str, Any] = json.loads(text)
+    return loaded
+
+
+class _Reader:
+    """Turns one validated document into nouns."""
+
+    def __init__(self, path: Path, data: Mapping[str, Any], lines: Mapping[str, int]) -> None:
+        self.path, self.data, self.lines = path, data, lines
+        self.section = Section(data, path, "", lines)
+        self.named_roots = dict(self._roots())
+        self.roots = Roots(path.parent, tuple(self.named_roots.values()))
+
+    def twin(self) -> Twin:
+        data = self.data
+        release = data.get("release", {})
+        return Twin(
+            path=self.path,
+            name=data.get("name") or self.path.parent.name or "twin",
+            realizations=self._realizations(),
+            source=tuple(
+                self._file(name, f"source.{i}") for i, name in enumerate(data.get("source", ()))
+            ),
+            roots=self.named_roots,
+            topics={**DEFAULT_TOPICS, **data.get("topics", {})},
+            controllers={
+                name: {actuator: _patch(patch) for actuator, patch in (actuators or {}).items()}
+                for name, actuators in data.get("controllers", {}).items()
+            },
+            payloads={
+                name: {body: _payload(added) for body, added in bodies.items()}
+                for name, bodies in data.get("payloads", {}).items()
+            },
+            calibration=self._calibration(),
+            fit=self._fit(),
+            parts={name: self._part(name, d) for name, d in data.get("parts", {}).items()},
+            tcp=data.get("tcp"),
+            retired=dict(data.get("retired", {})),
+            release=ReleasePolicy(float(release.get("valid_days", ReleasePolicy().valid_days))),
+            lines=self.lines,
+        )
+
+    def _file(self, reference: str, where: str) -> Path:
+        return self.roots.resolve(reference, at=self.path, line=_line(self.lines, where))
+
+    def _roots(self) -> Iterator[tuple[str, Path]]:
+        declared = self.data.get("roots", {})
+        listed = isinstance(declared, list)
+        seen: set[str] = set()
+        items = enumerate(declared) if listed else declared.items()
+        for key, reference in items:
+            folder = (self.path.parent / reference).resolve()
+            name = folder.name if listed else str(key)
+            if not folder.is_dir():
+                raise self.section.error(
+                    f"roots.{key}", "no such folder", value=reference, expected="a folder"
+                )
+            if name in seen:
+                raise self.section.error(
+                    f"roots.{key}",
+                    "two roots of one name",
+                    value=name,
+                    expected="a table, name: folder",
+                )
+            seen.add(name)
+            yield name, folder
+
+    def _realizations(self) -> dict[str, RealizationRef]:
+        found: dict[str, RealizationRef] = {}
+        if "model" in self.data:
+            found["mujoco"] = RealizationRef("mujoco", self._model(self.data["model"], "model"))
+        for name, declared in self.data.get("realizations", {}).items():
+            where = f"realizations.{name}"
+            if name in found:
+                raise self.section.error(
+                    where,
+                    "'model:' is already the realization of this name",
+                    value=name,
+                    expected="another name",
+                )
+            file = self._model(declared["file"], f"{where}.file")
+            found[name] = RealizationRef(name, file, declared.get("simulator", "mujoco"))
+        return found
+
+    def _model(self, reference: str, where: str) -> Path:
+        if Path(reference).suffix.lower() not in MODEL_SUFFIXES:
+            raise self.section.error(
+                where,
+                "not a kind of model that can be loaded",
+                value=reference,
+                expected="MJCF (.xml, .mjcf) or URDF (.urdf)",
+            )
+        return self._file(reference, where)
+
+    def _beside(self, key: str) -> Section | None:
+        """The table of ``key``: inline, or what its ``file:`` holds."""
+        data = self.data.get(key)
+        if data is None:
+            return None
+        if "file" not in data:
+            return Section(data, self.path, f"{key}.", self.lines)
+        path = self._file(data["file"], f"{key}.file")
+        document = yaml.load(path)
+        validate(document, {**schema()["$defs"][key], "$defs": schema()["$defs"]}, path)
+        return Section(document.data, path, "", document.lines)
+
+    def _calibration(self) -> Calibration | None:
+        section = self._beside("calibration")
+        if section is None:
+            return None
+        base = section.data.get("base")
+        return Calibration(
+            id=str(section.data["id"]),
+            transform_world_to_base=None if base is None else _pose(base, section),
+            joints={
+                joint: JointCalibration(float(d.get("offset", 0.0)), float(d.get("sign", 1.0)))
+                for joint, d in section.data.get("joints", {}).items()
+            },
+            section=section,
+        )
+
+    def _fit(self) -> Fit | None:
+        section = self._beside("fit")
+        if section is None:
+            return None
+        return Fit(
+            id=str(section.data["id"]),
+            patches={
+                family: {
+                    name: _patch(patch) for name, patch in section.data.get(family, {}).items()
+                }
+                for family in FIT_FAMILIES
+            },
+            option=_patch(section.data.get("option", {})),
+            section=section,
+        )
+
+    def _part(self, name: str, data: Mapping[str, Any]) -> DeclaredPart:
+        ident, value, affects = data.get("id"), data.get("value"), data.get("affects")
+        file = data.get("file")
+        return DeclaredPart(
+            name=name,
+            id=None if ident is None else str(ident),
+            value=value,
+            file=None if file is None else self._file(file, f"parts.{name}.file"),
+            affects=None
+            if not affects
+            else Affects(**{key: tuple(names) for key, names in affects.items()}),
+        )
+
+
+def _line(lines: Mapping[str, int], where: str) -> int | None:
+    """The line of a field, or of the nearest one around it."""
+    while where:
+        if where in lines:
+            return lines[where]
+        where = where.rpartition(".")[0]
+    return None
+
+
+def _patch(data: Mapping[str, Any]) -> Patch:
+    return {
+        name: tuple(float(v) for v in value) if isinstance(value, list) else float(value)
+        for name, value in data.items()
+    }
+
+
+def _payload(data: Mapping[str, Any]) -> Payload:
+    x, y, z = (float(v) for v in data.get("com", (0.0, 0.0, 0.0)))
+    inertia = [float(v) for v in data.get("inertia", ())]
+    ixx, iyy, izz, ixy, ixz, iyz = inertia + [0.0] * (6 - len(inertia))
+    return Payload(float(data["mass"]), (x, y, z), (ixx, iyy, izz, ixy, ixz, iyz))
+
+
+def _pose(data: Mapping[str, Any], section: Section) -> Pose:
+    x, y, z = (float(v) for v in data.get("position", (0.0, 0.0, 0.0)))
+    w, a, b, c = (float(v) for v in data.get("quaternion", (1.0, 0.0, 0.0, 0.0)))
+    norm = math.sqrt(w * w + a * a + b * b + c * c)
+    if abs(norm - 1.0) > 1e-3:
+        raise section.error(
+            "base.quaternion",
+            "not a rotation",
+            value=f"length {norm:.6g}",
+            expected="w x y z of length 1",
+        )
+    return Pose((x, y, z), (w / norm, a / norm, b / norm, c / norm))
