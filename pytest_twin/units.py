@@ -31,12 +31,14 @@ _UNITS: dict[str, tuple[str, float]] = {
     "mm/s": ("m/s", 1e-3),
     "rad/s": ("rad/s", 1.0),
     "deg/s": ("rad/s", math.pi / 180.0),
-    "1": ("1", 1.0),
+    "": ("1", 1.0),
     "%": ("1", 1e-2),
     "dB": ("dB", 1.0),
 }
 
-_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z%/*1]+)\s*")
+_QUANTITY = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z%][A-Za-z%/*]*)?\s*"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,20 +53,23 @@ class Quantity:
 
 
 def parse_quantity(text: object, units: tuple[str, ...]) -> Quantity:
-    """Read ``text`` as a quantity in one of the SI ``units``.
+    """Read ``text`` as a quantity in one of the SI ``units``; ``1`` is the dimensionless one.
 
     Raises:
         SpecError: no number, no unit, not finite, or a unit of another dimension.
     """
-    expected = "a number and a unit, such as " + " or ".join(
-        f"'1 {name}'" for name, (si, _) in _UNITS.items() if si in units
-    )
+    examples = (f"'1 {name}'" if name else "'1'" for name, (si, _) in _UNITS.items() if si in units)
+    expected = "a number and a unit, such as " + " or ".join(examples)
+    if isinstance(text, int | float) and not isinstance(text, bool):
+        text = repr(text)
     match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
     if match is None:
         raise SpecError("no quantity with a unit", value=text, expected=expected)
-    unit = _UNITS.get(match[2])
+    written = match[2] or ""
+    unit = _UNITS.get(written)
     if unit is None or unit[0] not in units:
-        raise SpecError(f"unit {match[2]!r} does not fit", value=text, expected=expected)
+        problem = f"unit {written!r} does not fit" if written else "the unit is missing"
+        raise SpecError(problem, value=text, expected=expected)
     value = float(match[1]) * unit[1]
     if not math.isfinite(value):
         raise SpecError("not a finite number", value=text, expected=expected)

@@ -1,0 +1,37 @@
+"""The direction of imports, and the promise that no file of ours reaches into pytest's internals."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parent.parent
+
+
+def test_rooms_import_only_from_below() -> None:
+    result = subprocess.run(
+        [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_nothing_imports_pytest_internals() -> None:
+    internal = re.compile(r"^\s*(from|import)\s+_pytest\b", re.MULTILINE)
+    offenders = [
+        str(path)
+        for folder in ("pytest_twin", "tests", "golden")
+        for path in (PROJECT / folder).rglob("*.py")
+        if internal.search(path.read_text())
+    ]
+    assert offenders == []
+
+
+def test_the_demo_plant_shares_no_code_with_the_package() -> None:
+    for path in (PROJECT / "golden" / "make").glob("*.py"):
+        assert not re.search(r"^\s*(from|import)\s+pytest_twin\b", path.read_text(), re.MULTILINE)
