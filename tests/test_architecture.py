@@ -1,4 +1,4 @@
-"""The direction of imports, and the promise that no file of ours reaches into pytest's internals."""
+"""The direction of imports; no file of ours reaches into pytest's internals."""
 
 from __future__ import annotations
 

@@ -1,14 +1,15 @@
-"""Make the demo arm: meshes, the supplier's URDF and the MuJoCo realization, from one table of links.
+"""Make the demo arm: meshes, the supplier's URDF and the MuJoCo realization, from one table.
 
-Run ``python golden/make/asset.py``; the files that it writes are kept in the repository. It shares no
-code with pytest_twin. Mass properties are exact for the meshes: signed tetrahedra from the origin to
-every face (Mirtich 1996; Tonon 2004), density of each material in kg/m^3.
+Run ``python golden/make/asset.py``; the files that it writes are kept in the repository. It
+shares no code with pytest_twin. Mass properties are exact for the meshes: signed tetrahedra
+from the origin to every face (Mirtich 1996; Tonon 2004), density of each material in kg/m^3.
 
 Units: m, kg, rad, N, N*m. Every link frame is the frame of its joint at zero.
 """
 
 from __future__ import annotations
 
+import itertools
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +40,7 @@ def prism(sections: list[tuple[float, float, float]], axis: int, sides: int) -> 
         ring[:, (axis + 2) % 3] = scale * depth * np.sin(angle)
         rings.append(ring)
     triangles = []
-    for lower, upper in zip(rings[:-1], rings[1:], strict=True):
+    for lower, upper in itertools.pairwise(rings):
         for i in range(sides):
             j = (i + 1) % sides
             triangles += [(lower[i], lower[j], upper[j]), (lower[i], upper[j], upper[i])]

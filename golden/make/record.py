@@ -1,7 +1,8 @@
-"""Record the demo arm's "reality": a plant that is not the twin and shares no code with pytest_twin.
+"""Record the demo arm's "reality": a plant that is not the twin and shares no code with it.
 
-Run ``python golden/make/record.py``; it writes ``golden/recordings/*.mcap``. The plant uses Pinocchio's
-rigid-body terms and its own integrator at 10 kHz, and it has what a drawing leaves out: Stribeck
+Run ``python golden/make/record.py``; it writes ``golden/recordings/*.mcap``. The plant uses
+Pinocchio's rigid-body terms and its own integrator at 10 kHz, and it has what a drawing leaves
+out: Stribeck
 friction (Armstrong-Helouvry et al. 1994), a command latency, a little more armature than the data
 sheet says, encoder counts, noise and jitter of the clock. The twin's replay goldens carry the
 tolerances that its users set for these.
