@@ -27,13 +27,22 @@ Patch = Mapping[str, float | tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class _Section:
     """A table, the file that it stands in, and the dotted field in front of its own."""
 
     data: Mapping[str, Any]
     path: Path
     prefix: str
     lines: Mapping[str, int]
+
+    @property
+    def own_lines(self) -> dict[str, int]:
+        """Lines by the table's own dotted fields."""
+        return {
+            name.removeprefix(self.prefix): line
+            for name, line in self.lines.items()
+            if name.startswith(self.prefix)
+        }
 
     def error(
         self,
@@ -115,13 +124,15 @@ class Calibration:
         id: what people call it.
         transform_world_to_base: the base's pose in the world, None where the model has it.
         joints: joint -> encoder offset and sign.
-        section: where it stands; ``section.error("joints.elbow", ...)`` is an error there.
+        path: the file that holds it.
+        lines: dotted field -> line in ``path``, such as ``joints.elbow.offset``.
     """
 
     id: str
     transform_world_to_base: Pose | None
     joints: Mapping[str, JointCalibration]
-    section: Section = field(repr=False)
+    path: Path
+    lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,13 +143,15 @@ class Fit:
         id: what people call it.
         patches: ``joint``, ``actuator``, ``body`` or ``geom`` -> element -> attribute -> value.
         option: ``gravity`` (m/s^2) and ``timestep`` (s), where fitted.
-        section: where it stands; ``section.error("joint.elbow.damping", ...)`` is an error there.
+        path: the file that holds it.
+        lines: dotted field -> line in ``path``, such as ``joint.elbow.damping``.
     """
 
     id: str
     patches: Mapping[str, Mapping[str, Patch]]
     option: Patch
-    section: Section = field(repr=False)
+    path: Path
+    lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +248,7 @@ class Twin:
         found: dict[Path, None] = {self.path: None}
         for item in (self.calibration, self.fit):
             if item is not None:
-                found[item.section.path] = None
+                found[item.path] = None
         for ref in self.realizations.values():
             found[ref.file] = None
         for part in self.parts.values():
@@ -244,10 +257,18 @@ class Twin:
         found.update(dict.fromkeys(self.source))
         return tuple(found)
 
-    @property
-    def section(self) -> Section:
-        """The whole file; ``section.error("controllers.kp100", ...)`` is an error at that field."""
-        return Section({}, self.path, "", self.lines)
+    def error(
+        self,
+        where: str,
+        problem: str,
+        *,
+        value: object = None,
+        unit: str | None = None,
+        expected: str | None = None,
+    ) -> SpecError:
+        """An error at a dotted field of ``twin.yaml``, with its line, to be raised."""
+        section = _Section({}, self.path, "", self.lines)
+        return section.error(where, problem, value=value, unit=unit, expected=expected)
 
 
 def find_twin(start: Path) -> Path | None:
@@ -287,7 +308,7 @@ class _Reader:
 
     def __init__(self, path: Path, data: Mapping[str, Any], lines: Mapping[str, int]) -> None:
         self.path, self.data, self.lines = path, data, lines
-        self.section = Section(data, path, "", lines)
+        self.section = _Section(data, path, "", lines)
         self.named_roots = dict(self._roots())
         self.roots = Roots(path.parent, tuple(self.named_roots.values()))
 
@@ -372,17 +393,17 @@ class _Reader:
             )
         return self._file(reference, where)
 
-    def _beside(self, key: str) -> Section | None:
+    def _beside(self, key: str) -> _Section | None:
         """The table of ``key``: inline, or what its ``file:`` holds."""
         data = self.data.get(key)
         if data is None:
             return None
         if "file" not in data:
-            return Section(data, self.path, f"{key}.", self.lines)
+            return _Section(data, self.path, f"{key}.", self.lines)
         path = self._file(data["file"], f"{key}.file")
         document = yaml.load(path)
         validate(document, {**schema()["$defs"][key], "$defs": schema()["$defs"]}, path)
-        return Section(document.data, path, "", document.lines)
+        return _Section(document.data, path, "", document.lines)
 
     def _calibration(self) -> Calibration | None:
         section = self._beside("calibration")
@@ -396,7 +417,8 @@ class _Reader:
                 joint: JointCalibration(float(d.get("offset", 0.0)), float(d.get("sign", 1.0)))
                 for joint, d in section.data.get("joints", {}).items()
             },
-            section=section,
+            path=section.path,
+            lines=section.own_lines,
         )
 
     def _fit(self) -> Fit | None:
@@ -412,7 +434,8 @@ class _Reader:
                 for family in FIT_FAMILIES
             },
             option=_patch(section.data.get("option", {})),
-            section=section,
+            path=section.path,
+            lines=section.own_lines,
         )
 
     def _part(self, name: str, data: Mapping[str, Any]) -> DeclaredPart:
@@ -452,7 +475,7 @@ def _payload(data: Mapping[str, Any]) -> Payload:
     return Payload(float(data["mass"]), (x, y, z), (ixx, iyy, izz, ixy, ixz, iyz))
 
 
-def _pose(data: Mapping[str, Any], section: Section) -> Pose:
+def _pose(data: Mapping[str, Any], section: _Section) -> Pose:
     x, y, z = (float(v) for v in data.get("position", (0.0, 0.0, 0.0)))
     w, a, b, c = (float(v) for v in data.get("quaternion", (1.0, 0.0, 0.0, 0.0)))
     norm = math.sqrt(w * w + a * a + b * b + c * c)
