@@ -1,0 +1,137 @@
+"""The JSON Schema of golden specs, put together from what each kind declares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any
+
+from pytest_twin.checks import Check, check_of
+
+SCHEMA_VERSION = 1
+SHIPPED = "schemas/golden.schema.json"
+MODELINE = (
+    "# yaml-language-server: $schema="
+    "https://raw.githubusercontent.com/pytest-twin/pytest-twin/main/pytest_twin/" + SHIPPED
+)
+
+_SHA256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
+_TEXT = {"type": "string", "minLength": 1, "maxLength": 1000}
+
+_COMMON: Mapping[str, Any] = {
+    "schema": {"const": SCHEMA_VERSION, "description": "Version of this schema."},
+    "kind": {**_TEXT, "description": "The check that runs this golden."},
+    "title": {**_TEXT, "description": "One line for people."},
+    "realizations": {
+        "description": "Names from twin.yaml that it runs on; the twin's first one by default.",
+        "type": "array",
+        "items": _TEXT,
+        "minItems": 1,
+        "uniqueItems": True,
+    },
+    "criticality": {
+        "description": "critical blocks a release, advisory is reported.",
+        "enum": ["critical", "advisory"],
+    },
+    "target": {"type": "object", "description": "What of the robot is looked at."},
+    "stimulus": {"type": "object", "description": "What is done to it."},
+    "tolerance": {
+        "description": "Bound on each error, a number and a unit, such as '0.5 mm'.",
+        "type": "object",
+        "additionalProperties": _TEXT,
+    },
+    "expected": {
+        "type": "object",
+        "description": "Recorded values; written by pytest --twin-update.",
+    },
+    "trace": {
+        "description": "Recorded series beside the spec; written by pytest --twin-update.",
+        "type": "object",
+        "properties": {
+            "file": {"type": "string", "pattern": r"^[^/\\]+\.csv$"},
+            "sha256": _SHA256,
+        },
+        "required": ["file", "sha256"],
+        "additionalProperties": False,
+    },
+    "provenance": {
+        "description": "Who recorded it, when and on what; written by pytest --twin-update.",
+        "type": "object",
+        "properties": {
+            "recorded_by": _TEXT,
+            "recorded_at": {
+                "type": "string",
+                "pattern": r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z$",
+            },
+            "realization": _TEXT,
+            "simulator": _TEXT,
+            "parts": {"type": "object", "additionalProperties": _SHA256},
+        },
+        "required": ["recorded_by", "recorded_at", "realization", "simulator", "parts"],
+        "additionalProperties": False,
+    },
+}
+_REQUIRED = ("schema", "kind")
+
+
+@cache
+def schema_of(kind: str) -> Mapping[str, Any]:
+    """The schema of a whole spec of one kind.
+
+    Raises:
+        SpecError: no such kind is installed.
+    """
+    check = check_of(kind)
+    fragment = _fragment(check)
+    return {
+        "type": "object",
+        "properties": {**_COMMON, **fragment["properties"]},
+        "required": [*_REQUIRED, *fragment["required"]],
+        "additionalProperties": False,
+        "$defs": dict(check.schema.get("$defs", {})),
+    }
+
+
+def golden_schema(kinds: Iterable[str]) -> dict[str, Any]:
+    """The schema that editors use: every kind of ``kinds`` in one document."""
+    branches = []
+    definitions: dict[str, Any] = {}
+    for kind in sorted(kinds):
+        check = check_of(kind)
+        definitions.update(check.schema.get("$defs", {}))
+        branches.append(
+            {
+                "if": {"properties": {"kind": {"const": kind}}, "required": ["kind"]},
+                "then": _fragment(check),
+            }
+        )
+    kind_property = {**_COMMON["kind"], "examples": sorted(kinds)}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "pytest-twin golden spec",
+        "type": "object",
+        "properties": {**_COMMON, "kind": kind_property},
+        "required": list(_REQUIRED),
+        "additionalProperties": False,
+        "allOf": branches,
+        "$defs": definitions,
+    }
+
+
+def _fragment(check: Check) -> dict[str, Any]:
+    """What one kind adds: its target and stimulus, the names and units of its tolerances."""
+    properties: dict[str, Any] = {
+        name: check.schema[name] for name in ("target", "stimulus") if name in check.schema
+    }
+    properties["tolerance"] = {
+        "type": "object",
+        "properties": {
+            name: {**_TEXT, "description": f"a quantity in {unit}"}
+            for name, unit in sorted(check.tolerances.items())
+        },
+        "required": sorted(check.required_tolerances),
+        "additionalProperties": False,
+    }
+    required = ["tolerance"] if check.required_tolerances else []
+    required += [name for name in ("target", "stimulus") if properties.get(name, {}).get("required")]
+    return {"properties": properties, "required": required}

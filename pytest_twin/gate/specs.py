@@ -1,0 +1,171 @@
+"""Golden specs of a twin: found, read, checked."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.checks import check_of, kinds
+from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.formats import yaml
+from pytest_twin.formats.schema import validate
+from pytest_twin.gate.schema import schema_of
+from pytest_twin.golden import Golden, Provenance, TraceRef
+from pytest_twin.twin import FILE_NAME, Twin, find_twin
+from pytest_twin.units import Quantity, parse_quantity
+
+GOLDEN_FOLDER = "golden"
+RESERVED_FOLDERS = ("releases", "keys", ".twin")
+# What pytest does not descend into either.
+_SKIPPED_FOLDERS = ("build", "dist", "node_modules", "venv")
+
+
+def is_reserved(folder: Path) -> bool:
+    """Whether ``folder`` holds a twin's own output: releases, keys, caches."""
+    return folder.name in RESERVED_FOLDERS and (folder.parent / FILE_NAME).is_file()
+
+
+def spec_paths(twin: Twin) -> tuple[Path, ...]:
+    """Every golden spec of ``twin``: YAML below a folder ``golden``, but what twin.yaml names."""
+    return tuple(path for path in _files(twin) if path.suffix == ".yaml")
+
+
+def trace_paths(twin: Twin) -> tuple[Path, ...]:
+    """Every trace of ``twin``: CSV below a folder ``golden``, but what twin.yaml names."""
+    return tuple(path for path in _files(twin) if path.suffix == ".csv")
+
+
+def is_spec(path: Path, twin: Twin) -> bool:
+    """Whether the file at ``path``, below the root of ``twin``, is one of its golden specs."""
+    return path.suffix == ".yaml" and _below_golden(path.parent, twin) and path not in _named(twin)
+
+
+def _files(twin: Twin) -> Iterator[Path]:
+    named = _named(twin)
+    for here, folders, files in os.walk(twin.root):
+        folder = Path(here)
+        # A folder with a twin.yaml of its own is another twin.
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".")
+            and name not in _SKIPPED_FOLDERS
+            and not is_reserved(folder / name)
+            and not (folder / name / FILE_NAME).exists()
+        )
+        if _below_golden(folder, twin):
+            yield from (path for name in sorted(files) if (path := folder / name) not in named)
+
+
+def _below_golden(folder: Path, twin: Twin) -> bool:
+    return (
+        twin.root.name == GOLDEN_FOLDER or GOLDEN_FOLDER in folder.relative_to(twin.root).parts
+    )
+
+
+def _named(twin: Twin) -> frozenset[Path]:
+    return frozenset(twin.files)
+
+
+def golden_id(path: Path, twin: Twin) -> str:
+    """The id of the golden at ``path``: relative to the twin's root, without suffix."""
+    return path.relative_to(twin.root).with_suffix("").as_posix()
+
+
+def load_golden(path: Path, twin: Twin) -> Golden:
+    """Read and check one spec.
+
+    Raises:
+        FormatError: not strict YAML, or beyond its bounds.
+        SpecError: a field that is unknown, missing, or means nothing.
+    """
+    document = yaml.load(path)
+    data = document.data
+    lines = document.lines
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if not isinstance(kind, str):
+        raise SpecError(
+            "no golden spec",
+            path=path,
+            line=lines.get("kind", 1),
+            where="kind",
+            value=kind,
+            expected="one of " + ", ".join(kinds()),
+        )
+    try:
+        schema = schema_of(kind)
+    except SpecError as error:
+        raise _placed(error, path, lines, "kind") from None
+    validate(document, schema, path)
+    provenance = data.get("provenance")
+    trace = data.get("trace")
+    return Golden(
+        id=golden_id(path, twin),
+        path=path,
+        kind=kind,
+        title=data.get("title", ""),
+        realizations=_realizations(data, twin, path, lines),
+        criticality=data.get("criticality", "critical"),
+        target=data.get("target", {}),
+        stimulus=data.get("stimulus", {}),
+        tolerance=_tolerance(data.get("tolerance", {}), kind, path, lines),
+        expected=data.get("expected"),
+        trace=None if trace is None else TraceRef(trace["file"], trace["sha256"]),
+        provenance=None if provenance is None else Provenance(**provenance),
+        lines=lines,
+    )
+
+
+def _realizations(
+    data: Mapping[str, Any], twin: Twin, path: Path, lines: Mapping[str, int]
+) -> tuple[str, ...]:
+    declared = tuple(data.get("realizations") or tuple(twin.realizations)[:1])
+    for index, name in enumerate(declared):
+        if name not in twin.realizations:
+            raise SpecError(
+                f"twin {twin.name!r} has no such realization",
+                path=path,
+                line=lines.get(f"realizations.{index}", lines.get("realizations")),
+                where="realizations",
+                value=name,
+                expected="one of " + ", ".join(twin.realizations),
+            )
+    return declared
+
+
+def _tolerance(
+    data: Mapping[str, str], kind: str, path: Path, lines: Mapping[str, int]
+) -> dict[str, Quantity]:
+    units = check_of(kind).tolerances
+    tolerance = {}
+    for name, text in data.items():
+        where = f"tolerance.{name}"
+        try:
+            quantity = parse_quantity(text, (units[name],))
+        except SpecError as error:
+            raise _placed(error, path, lines, where) from None
+        if quantity.value < 0:
+            raise SpecError(
+                "a tolerance below zero lets nothing pass",
+                path=path,
+                line=lines.get(where),
+                where=where,
+                value=text,
+                expected="zero or more",
+            )
+        tolerance[name] = quantity
+    return tolerance
+
+
+def _placed(error: TwinError, path: Path, lines: Mapping[str, int], where: str) -> SpecError:
+    return SpecError(
+        error.problem,
+        path=path,
+        line=lines.get(where),
+        where=where,
+        value=error.value,
+        unit=error.unit,
+        expected=error.expected,
+    )
