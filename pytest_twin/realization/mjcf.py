@@ -1,0 +1,472 @@
+"""MJCF, read and checked as text before MuJoCo sees any of it.
+
+Includes are spliced in here and every referenced file is read here, through the declared roots;
+MuJoCo gets one document and the files' bytes, and so never opens a path.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import mujoco
+
+from pytest_twin.errors import LimitError, ModelError
+from pytest_twin.formats import xml
+from pytest_twin.formats.paths import Roots
+from pytest_twin.realization.limits import LIMITS, ModelLimits
+
+
+@dataclass(slots=True)
+class Node:
+    """One element of a model, with the place that it was read from."""
+
+    tag: str
+    attributes: dict[str, str]
+    path: Path
+    line: int
+    children: list[Node] = field(default_factory=list)
+
+    def walk(self) -> Iterator[Node]:
+        """This element and all below it, in document order."""
+        stack = [self]
+        while stack:
+            node = stack.pop()
+            yield node
+            stack.extend(reversed(node.children))
+
+    @property
+    def label(self) -> str:
+        """How people find it: ``joint 'elbow'``, or the tag alone."""
+        name = self.attributes.get("name")
+        return self.tag if name is None else f"{self.tag} '{name}'"
+
+    def error(self, problem: str, attribute: str | None = None, **details: Any) -> ModelError:
+        """A :class:`ModelError` that points here."""
+        where = self.label if attribute is None else f"{self.label}.{attribute}"
+        return ModelError(problem, path=self.path, line=self.line, where=where, **details)
+
+
+@dataclass(slots=True)
+class Document:
+    """A whole model: one tree, and the bytes of every file that it refers to.
+
+    Attributes:
+        root: the ``mujoco`` element with every include spliced in.
+        assets: name that MuJoCo asks for -> bytes.
+        asset_paths: the same name -> file that the bytes were read from.
+    """
+
+    root: Node
+    assets: dict[str, bytes] = field(default_factory=dict)
+    asset_paths: dict[str, Path] = field(default_factory=dict)
+    places: list[tuple[Path, int]] = field(default_factory=list)
+    """Place that each line of :meth:`text` was read from."""
+
+    def text(self) -> str:
+        """The model as one document, one element a line."""
+        lines: list[str] = []
+        self.places.clear()
+        _write(self.root, lines, self.places)
+        return "\n".join(lines)
+
+
+def _write(node: Node, lines: list[str], places: list[tuple[Path, int]]) -> None:
+    attributes = "".join(f" {key}={quoteattr(value)}" for key, value in node.attributes.items())
+    lines.append(f"<{node.tag}{attributes}{'' if node.children else '/'}>")
+    places.append((node.path, node.line))
+    if node.children:
+        for child in node.children:
+            _write(child, lines, places)
+        lines.append(f"</{node.tag}>")
+        places.append((node.path, node.line))
+
+
+def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Document:
+    """Read an MJCF file and everything that it refers to.
+
+    Raises:
+        FormatError: not well-formed, or beyond a bound.
+        PathError: a reference that leaves the roots or leads nowhere.
+        ModelError: a value that no model may have.
+    """
+    return _Reader(roots, limits).document(path, depth=0)
+
+
+def build(document: Document) -> mujoco.MjSpec:
+    """Hand a checked document to MuJoCo.
+
+    Raises:
+        ModelError: MuJoCo's parser refuses it.
+    """
+    text = document.text()
+    try:
+        return mujoco.MjSpec.from_string(text, assets=document.assets)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        raise translate(error, document) from None
+
+
+def translate(error: Exception, document: Document) -> ModelError:
+    """MuJoCo's words, with the place in the file that the line number in them means."""
+    words = " ".join(str(error).split())
+    path, line = document.root.path, None
+    match = re.search(r",? line (\d+)", words)
+    if match is not None:
+        number = int(match[1])
+        if 1 <= number <= len(document.places):
+            path, line = document.places[number - 1]
+        words = words.replace(match[0], "")
+    words = re.sub(r"^(XML )?Error: ", "", words)
+    return ModelError(f"MuJoCo refuses the model: {words}", path=path, line=line)
+
+
+# Where a file attribute is looked up: the compiler's directory that goes in front.
+_MESH_FILES = frozenset({"mesh", "hfield", "skin", "flexcomp"})
+_TEXTURE_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+_SUFFIXES = {
+    "mesh": (".stl", ".obj", ".msh"),
+    "hfield": (".png", ".bin", ".hf", ""),
+    "skin": (".skn",),
+    "flexcomp": (".stl", ".obj", ".msh", ".gmsh"),
+    "texture": (".png", ".ktx", ".bin", ""),
+}
+# Attributes that hold names or words, where 'nan' is no number.
+_NAMES = frozenset(
+    [
+        "name",
+        "class",
+        "childclass",
+        "joint",
+        "joint1",
+        "joint2",
+        "body",
+        "body1",
+        "body2",
+        "geom",
+        "geom1",
+        "geom2",
+        "site",
+        "site1",
+        "site2",
+        "tendon",
+        "tendon1",
+        "tendon2",
+        "material",
+        "mesh",
+        "hfield",
+        "texture",
+        "model",
+        "prefix",
+        "suffix",
+        "target",
+        "objname",
+        "refname",
+        "actuator",
+        "file",
+        "content_type",
+        "data",
+        "key",
+        "value",
+        "plugin",
+        "instance",
+        "cranksite",
+        "slidersite",
+        "refsite",
+        "sidesite",
+        "basebody",
+        "user",
+    ]
+)
+_NOT_NEGATIVE = ("mass", "density", "armature", "frictionloss", "damping", "diaginertia")
+_POSITIVE = ("timestep",)
+_BOUNDED = ("nsample", "size", "nconmax", "njmax", "nkey", "nuserdata", "nstack", "maxhullvert")
+
+
+class _Reader:
+    def __init__(self, roots: Roots, limits: ModelLimits) -> None:
+        self.roots = roots
+        self.limits = limits
+        self.files = 0
+        self.elements = 0.0
+        self.bytes = 0
+        self.faces = 0
+
+    def document(self, path: Path, depth: int) -> Document:
+        root = self._tree(path, path.parent, (path,))
+        if root.tag != "mujoco":
+            raise root.error("not an MJCF model", value=root.tag, expected="the root <mujoco>")
+        document = Document(root)
+        self._check(root, 1.0)
+        self._take_files(document, depth)
+        return document
+
+    # -- includes
+
+    def _tree(self, path: Path, main: Path, chain: tuple[Path, ...]) -> Node:
+        self.files += 1
+        if self.files > self.limits.include_files or len(chain) > self.limits.include_depth:
+            raise LimitError(
+                "too many included files",
+                path=path,
+                expected=f"at most {self.limits.include_files}, {self.limits.include_depth} deep",
+            )
+        return self._splice(xml.parse(path), path, main, chain)
+
+    def _splice(self, element: Any, path: Path, main: Path, chain: tuple[Path, ...]) -> Node:
+        node = Node(element.tag, dict(element.attrib), path, element.sourceline or 1)
+        for child in element:
+            if not isinstance(child.tag, str):
+                continue
+            if child.tag != "include":
+                node.children.append(self._splice(child, path, main, chain))
+                continue
+            line = child.sourceline or 1
+            reference = child.get("file")
+            if not reference:
+                raise ModelError("include without a file", path=path, line=line, where="include")
+            included = self._resolve(reference, (main, path.parent), path, line)
+            if included in chain:
+                raise ModelError(
+                    "a file that includes itself",
+                    path=path,
+                    line=line,
+                    where="include.file",
+                    value=reference,
+                )
+            node.children.extend(self._tree(included, main, (*chain, included)).children)
+        return node
+
+    def _resolve(self, reference: str, folders: tuple[Path, ...], path: Path, line: int) -> Path:
+        """The first of the folders that has the file; each candidate is checked on its own."""
+        for folder in folders[:-1]:
+            candidate = folder / reference
+            # lstat alone: whether something stands there decides nothing that is read.
+            if candidate.is_symlink() or candidate.exists():
+                return self.roots.resolve(str(candidate), at=path, line=line)
+        return self.roots.resolve(str(folders[-1] / reference), at=path, line=line)
+
+    # -- referenced files
+
+    def _take_files(self, document: Document, depth: int) -> None:
+        root = document.root
+        mesh_folder, texture_folder, strip = "", "", False
+        for compiler in (child for child in root.children if child.tag == "compiler"):
+            for key in ("assetdir", "meshdir", "texturedir"):
+                folder = compiler.attributes.pop(key, None)
+                if folder is not None and key != "texturedir":
+                    mesh_folder = folder
+                if folder is not None and key != "meshdir":
+                    texture_folder = folder
+            strip = compiler.attributes.pop("strippath", str(strip).lower()) == "true"
+        base = root.path.parent
+        for node in root.walk():
+            keys = _TEXTURE_FILES if node.tag == "texture" else ("file",)
+            for key in keys:
+                reference = node.attributes.get(key)
+                if reference is None:
+                    continue
+                if not reference:
+                    raise node.error("empty file name", key)
+                if strip:
+                    reference = reference.replace("\\", "/").rsplit("/", 1)[-1]
+                if node.tag == "model":
+                    self._take_model(document, node, base, reference, depth)
+                elif node.tag == "texture":
+                    self._take_asset(document, node, key, base / texture_folder / reference)
+                elif node.tag in _MESH_FILES:
+                    self._take_asset(document, node, key, base / mesh_folder / reference)
+                else:
+                    raise node.error("no file may stand here", key, value=reference)
+
+    def _take_model(
+        self, document: Document, node: Node, base: Path, reference: str, depth: int
+    ) -> None:
+        if depth >= self.limits.nested_models:
+            raise LimitError(
+                "models nested too deep",
+                path=node.path,
+                line=node.line,
+                where=node.label,
+                expected=f"at most {self.limits.nested_models} levels",
+            )
+        path = self.roots.resolve(str(base / reference), at=node.path, line=node.line)
+        nested = self.document(path, depth + 1)
+        document.assets.update(nested.assets)
+        document.asset_paths.update(nested.asset_paths)
+        content = nested.text().encode()
+        name = hashlib.sha256(content).hexdigest()[:24] + ".xml"
+        document.assets[name] = content
+        document.asset_paths[name] = path
+        node.attributes["file"] = name
+        node.attributes.pop("content_type", None)
+
+    def _take_asset(self, document: Document, node: Node, key: str, file: Path) -> None:
+        path = self.roots.resolve(str(file), at=node.path, line=node.line)
+        suffix = path.suffix
+        if suffix.lower() not in _SUFFIXES[node.tag]:
+            raise node.error(
+                "not a file type that MuJoCo reads here",
+                key,
+                value=path.name,
+                expected=" or ".join(s for s in _SUFFIXES[node.tag] if s),
+            )
+        size = path.stat().st_size
+        self.bytes += size
+        if size > self.limits.asset_bytes or self.bytes > self.limits.total_asset_bytes:
+            raise LimitError(
+                "referenced files too large",
+                path=node.path,
+                line=node.line,
+                where=f"{node.label}.{key}",
+                value=size,
+                unit="bytes",
+                expected=f"at most {self.limits.asset_bytes} bytes each, "
+                f"{self.limits.total_asset_bytes} in all",
+            )
+        content = path.read_bytes()
+        self._check_content(node, key, suffix.lower(), content)
+        # Named by content: equal files are one, and MuJoCo's cache cannot mix two of one name.
+        name = hashlib.sha256(content).hexdigest()[:24] + suffix
+        document.assets[name] = content
+        document.asset_paths[name] = path
+        if node.tag in ("mesh", "hfield", "skin", "texture"):
+            node.attributes.setdefault("name", path.stem)
+        node.attributes[key] = name
+
+    def _check_content(self, node: Node, key: str, suffix: str, content: bytes) -> None:
+        if suffix == ".stl" and len(content) >= 84:
+            faces = int(struct.unpack_from("<I", content, 80)[0])
+            if 84 + 50 * faces != len(content):
+                raise node.error(
+                    "not a whole binary STL", key, value=f"{len(content)} bytes, {faces} faces"
+                )
+            self.faces += faces
+            if faces > self.limits.mesh_faces or self.faces > self.limits.total_mesh_faces:
+                raise LimitError(
+                    "too many triangles",
+                    path=node.path,
+                    line=node.line,
+                    where=f"{node.label}.{key}",
+                    value=faces,
+                    expected=f"at most {self.limits.mesh_faces} each, "
+                    f"{self.limits.total_mesh_faces} in all",
+                )
+        if suffix == ".png" and len(content) >= 24:
+            width, height = struct.unpack_from(">II", content, 16)
+            if width * height > self.limits.image_pixels:
+                raise LimitError(
+                    "image too large",
+                    path=node.path,
+                    line=node.line,
+                    where=f"{node.label}.{key}",
+                    value=f"{width} x {height}",
+                    unit="pixels",
+                    expected=f"at most {self.limits.image_pixels} pixels",
+                )
+
+    # -- values
+
+    def _check(self, node: Node, repeated: float) -> None:
+        """Refuse what is not finite, negative, or without measure. ``repeated``: copies of node."""
+        if node.tag == "plugin" or node.tag == "extension":
+            raise node.error("plugins are native code and are not loaded")
+        numbers = {
+            key: _numbers(text) for key, text in node.attributes.items() if key not in _NAMES
+        }
+        for key, values in numbers.items():
+            if any(not math.isfinite(value) for value in values):
+                raise node.error(
+                    "not a finite number",
+                    key,
+                    value=node.attributes[key],
+                    expected="finite numbers",
+                )
+        for key in _NOT_NEGATIVE:
+            # Damping may be a polynomial: its first, linear, term decides at rest.
+            values = numbers.get(key, ())[: 1 if key == "damping" else None]
+            if any(value < 0 for value in values):
+                raise node.error("negative", key, value=node.attributes[key], expected="0 or more")
+        for key in _POSITIVE:
+            if any(value <= 0 for value in numbers.get(key, ())):
+                raise node.error(
+                    "not positive",
+                    key,
+                    value=node.attributes[key],
+                    unit="s",
+                    expected="more than 0",
+                )
+        self._check_size(node, numbers)
+        copies = repeated * _copies(node, numbers)
+        self.elements += copies
+        if self.elements > self.limits.elements:
+            raise LimitError(
+                "too many elements",
+                path=node.path,
+                line=node.line,
+                where=node.label,
+                expected=f"at most {self.limits.elements}, repetitions counted out",
+            )
+        for child in node.children:
+            self._check(child, copies)
+
+    def _check_size(self, node: Node, numbers: dict[str, tuple[float, ...]]) -> None:
+        bounded = [key for key in numbers if key in _BOUNDED or key.startswith("nuser_")]
+        for key in bounded:
+            if key == "size" and node.tag != "numeric":
+                continue
+            if any(abs(value) > self.limits.samples for value in numbers[key]):
+                raise LimitError(
+                    "out of all proportion",
+                    path=node.path,
+                    line=node.line,
+                    where=f"{node.label}.{key}",
+                    value=node.attributes[key],
+                    expected=f"at most {self.limits.samples}",
+                )
+        for keys in (("nrow", "ncol"), ("width", "height"), ("gridsize",), ("resolution",)):
+            cells = math.prod(v for key in keys for v in numbers.get(key, (1.0,)))
+            if abs(cells) > self.limits.image_pixels:
+                raise LimitError(
+                    "out of all proportion",
+                    path=node.path,
+                    line=node.line,
+                    where=f"{node.label}.{keys[0]}",
+                    value=cells,
+                    expected=f"at most {self.limits.image_pixels} cells",
+                )
+        memory = node.attributes.get("memory") if node.tag == "size" else None
+        if memory is not None:
+            match = re.fullmatch(r"\s*(\d+)\s*([KMGTPE]?)\s*", memory, re.IGNORECASE)
+            factor = 0 if match is None else 1024 ** " KMGTPE".index(match[2].upper() or " ")
+            if match is None and memory.strip() != "-1":
+                raise node.error("no size", "memory", value=memory, expected="such as '64M'")
+            if match is not None and int(match[1]) * factor > self.limits.memory_bytes:
+                raise LimitError(
+                    "asks for too much memory",
+                    path=node.path,
+                    line=node.line,
+                    where="size.memory",
+                    value=memory,
+                    expected=f"at most {self.limits.memory_bytes} bytes",
+                )
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    """The numbers of an attribute, or none if it is not a list of numbers."""
+    try:
+        return tuple(float(token) for token in text.split())
+    except ValueError:
+        return ()
+
+
+def _copies(node: Node, numbers: dict[str, tuple[float, ...]]) -> float:
+    if node.tag in ("replicate", "composite", "flexcomp"):
+        return max(1.0, math.prod(abs(value) for value in numbers.get("count", (1.0,))))
+    return 1.0

@@ -1,0 +1,329 @@
+"""Fits, controllers and payloads, written over a :class:`mujoco.MjSpec`."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.errors import TwinError
+from pytest_twin.twin import Patch, Payload
+
+Refuse = Callable[..., TwinError]
+"""Makes the error: called with a dotted field, the problem, and ``value``/``unit``/``expected``."""
+Vector = NDArray[np.float64]
+
+
+def apply_fit(
+    spec: mujoco.MjSpec,
+    patches: Mapping[str, Mapping[str, Patch]],
+    option: Patch,
+    *,
+    refuse: Refuse,
+    where: str = "fit",
+) -> None:
+    """Write identified parameters over ``spec``.
+
+    Raises:
+        TwinError: as ``refuse`` makes it, for an element or attribute that is not there.
+    """
+    body_inertia = _BodyInertia(spec)
+    for family, elements in patches.items():
+        for name, patch in elements.items():
+            here = f"{where}.{family}.{name}"
+            if family == "body":
+                body = _find(spec.bodies, name, "body", here, refuse)
+                _patch_body(body, patch, body_inertia, here, refuse)
+            elif family == "joint":
+                joint = _find(spec.joints, name, "joint", here, refuse)
+                _patch_joint(joint, patch, here, refuse)
+            elif family == "actuator":
+                patch_actuator(spec, name, patch, where=here, refuse=refuse)
+            elif family == "geom":
+                geom = _find(spec.geoms, name, "geom", here, refuse)
+                for attribute, value in patch.items():
+                    _set(geom, attribute, value, f"{here}.{attribute}", refuse)
+            else:
+                raise refuse(where, "unknown table", value=family)
+    for attribute, value in option.items():
+        _set(spec.option, attribute, value, f"{where}.option.{attribute}", refuse)
+
+
+def apply_controller(
+    spec: mujoco.MjSpec, actuators: Mapping[str, Patch], *, where: str, refuse: Refuse
+) -> None:
+    """Write a controller's gains and ranges over the actuators of ``spec``."""
+    for name, patch in actuators.items():
+        patch_actuator(spec, name, patch, where=f"{where}.{name}", refuse=refuse)
+
+
+def apply_payload(
+    spec: mujoco.MjSpec, bodies: Mapping[str, Payload], *, where: str, refuse: Refuse
+) -> None:
+    """Fix rigid masses to bodies: mass, centre of mass and inertia combine (parallel axes)."""
+    body_inertia = _BodyInertia(spec)
+    for name, payload in bodies.items():
+        body = _find(spec.bodies, name, "body", f"{where}.{name}", refuse)
+        mass, com, inertia = body_inertia.of(body)
+        added = _tensor(payload.inertia)
+        total = mass + payload.mass
+        if total <= 0:
+            continue
+        added_com = np.array(payload.com)
+        both = (mass * com + payload.mass * added_com) / total
+        body_inertia.set(
+            body,
+            total,
+            both,
+            inertia
+            + _point_inertia(mass, com - both)
+            + added
+            + _point_inertia(payload.mass, added_com - both),
+        )
+
+
+def _point_inertia(mass: float, offset: Vector) -> Vector:
+    """Inertia of a point mass at ``offset``: m (r.r 1 - r r^T)."""
+    return np.asarray(mass * (offset @ offset * np.eye(3) - np.outer(offset, offset)))
+
+
+def _tensor(values: Iterable[float]) -> Vector:
+    """(3, 3) from ixx iyy izz [ixy ixz iyz]."""
+    xx, yy, zz, xy, xz, yz = (*values, 0.0, 0.0, 0.0)[:6]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+class _BodyInertia:
+    """Mass, centre of mass and inertia of bodies, however the model states them.
+
+    A body may get them from its geoms; then they are known only once compiled.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec) -> None:
+        self._spec = spec
+        self._model: mujoco.MjModel | None = None
+
+    def of(self, body: mujoco.MjsBody) -> tuple[float, Vector, Vector]:
+        """(mass [kg], (3,) com in the body's frame [m], (3, 3) inertia about it, body axes)."""
+        if self._model is None:
+            self._model = self._spec.compile()
+            self._make_explicit(self._model)
+        return _compiled_inertia(self._model, body.name)
+
+    def set(self, body: mujoco.MjsBody, mass: float, com: Vector, inertia: Vector) -> None:
+        """State them on the body itself."""
+        _state_inertia(body, mass, com, inertia)
+        self._model = None
+
+    def _make_explicit(self, model: mujoco.MjModel) -> None:
+        """Take the compiler's hands off: else it would derive or scale what is patched here."""
+        compiler = self._spec.compiler
+        derived = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        if not derived and compiler.settotalmass <= 0:
+            return
+        for body in self._spec.bodies:
+            if body.name != "world" and _body_id(model, body.name) >= 0:
+                _state_inertia(body, *_compiled_inertia(model, body.name))
+        compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+        compiler.settotalmass = -1.0
+
+
+def _body_id(model: mujoco.MjModel, name: str) -> int:
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
+
+
+def _compiled_inertia(model: mujoco.MjModel, name: str) -> tuple[float, Vector, Vector]:
+    index = _body_id(model, name)
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[index])
+    rotation = rotation.reshape(3, 3)
+    inertia = rotation @ np.diag(model.body_inertia[index]) @ rotation.T
+    return float(model.body_mass[index]), model.body_ipos[index].copy(), inertia
+
+
+def _state_inertia(body: mujoco.MjsBody, mass: float, com: Vector, inertia: Vector) -> None:
+    body.explicitinertial = True
+    body.mass = mass
+    body.ipos = com
+    body.iquat = [1, 0, 0, 0]
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    principal = np.array_equal(inertia, np.diag(np.diag(inertia)))
+    body.inertia = np.diag(inertia) if principal else [0, 0, 0]
+    if principal:
+        body.fullinertia = [math.nan, 0, 0, 0, 0, 0]
+    else:
+        i = inertia
+        body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+
+
+def _patch_body(
+    body: mujoco.MjsBody, patch: Patch, body_inertia: _BodyInertia, where: str, refuse: Refuse
+) -> None:
+    known = ("mass", "com", "inertia", "pos", "quat")
+    _check_names(patch, known, where, refuse)
+    if "pos" in patch:
+        body.pos = patch["pos"]
+    if "quat" in patch:
+        body.quat = patch["quat"]
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    if not {"mass", "com", "inertia"} & set(patch):
+        return
+    mass, com, inertia = body_inertia.of(body)
+    if "mass" in patch:
+        mass = float(patch["mass"])  # type: ignore[arg-type]
+    if "com" in patch:
+        com = np.array(patch["com"], dtype=float)
+    if "inertia" in patch:
+        inertia = _tensor(patch["inertia"])  # type: ignore[arg-type]
+    body_inertia.set(body, mass, com, inertia)
+
+
+_JOINT_ANGLES = ("range", "ref", "springref")
+_JOINT = [
+    "damping",
+    "armature",
+    "frictionloss",
+    "stiffness",
+    "springref",
+    "ref",
+    "range",
+    "actfrcrange",
+    "pos",
+    "axis",
+]
+
+
+def _patch_joint(joint: mujoco.MjsJoint, patch: Patch, where: str, refuse: Refuse) -> None:
+    _check_names(patch, _JOINT, where, refuse)
+    degrees = joint.compiler.degree and joint.type != mujoco.mjtJoint.mjJNT_SLIDE
+    for attribute, value in patch.items():
+        # MuJoCo turns these from the file's unit when it compiles; a fit is in rad always.
+        if degrees and attribute in _JOINT_ANGLES:
+            value = np.rad2deg(value).tolist()
+        _set(joint, attribute, value, f"{where}.{attribute}", refuse)
+    if "range" in patch:
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    if "actfrcrange" in patch:
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+_ACTUATOR = [
+    "kp",
+    "kv",
+    "ki",
+    "dampratio",
+    "timeconst",
+    "delay",
+    "gear",
+    "ctrlrange",
+    "forcerange",
+    "armature",
+    "damping",
+    "gainprm",
+    "biasprm",
+    "dynprm",
+]
+
+
+def patch_actuator(
+    spec: mujoco.MjSpec, name: str, patch: Patch, *, where: str, refuse: Refuse
+) -> None:
+    """Write gains and ranges over one actuator.
+
+    ``kp``, ``kv``, ``dampratio`` and ``timeconst`` mean what MJCF's ``position`` and
+    ``intvelocity`` mean by them, ``kv`` what ``velocity`` and ``damper`` mean; ``kp``, ``ki``,
+    ``kv`` what ``pid`` means. Anything else has no such gains.
+    """
+    actuator = _find(spec.actuators, name, "actuator", where, refuse)
+    _check_names(patch, _ACTUATOR, where, refuse)
+    for attribute, value in patch.items():
+        here = f"{where}.{attribute}"
+        if attribute in ("kp", "kv", "ki", "dampratio", "timeconst"):
+            _set_gain(actuator, attribute, float(value), here, refuse)  # type: ignore[arg-type]
+        else:
+            _set(actuator, attribute, value, here, refuse)
+    if "ctrlrange" in patch:
+        actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    if "forcerange" in patch:
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def _set_gain(
+    actuator: mujoco.MjsActuator, gain: str, value: float, where: str, refuse: Refuse
+) -> None:
+    kinds = mujoco.mjtActuator
+    if gain == "timeconst" and actuator.dyntype in (
+        mujoco.mjtDyn.mjDYN_FILTER,
+        mujoco.mjtDyn.mjDYN_FILTEREXACT,
+    ):
+        actuator.dynprm[0] = value
+    elif gain == "kp" and _is_servo(actuator):
+        actuator.gainprm[0] = value
+        actuator.biasprm[1] = -value
+    elif gain in ("kv", "dampratio") and _is_servo(actuator):
+        # MuJoCo's own coding: a positive third bias parameter is a damping ratio.
+        actuator.biasprm[2] = value if gain == "dampratio" else -value
+    elif gain == "kv" and actuator.type == kinds.mjACTUATOR_VELOCITY:
+        actuator.gainprm[0] = value
+        actuator.biasprm[2] = -value
+    elif gain == "kv" and actuator.type == kinds.mjACTUATOR_DAMPER:
+        actuator.gainprm[2] = -value
+    else:
+        raise refuse(where, "this actuator has no such gain", value=gain)
+
+
+def _is_servo(actuator: mujoco.MjsActuator) -> bool:
+    """Whether its force is kp (u - q) - kv v: MJCF's position and intvelocity, however written."""
+    return bool(
+        actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        and actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
+        and actuator.gainprm[0] == -actuator.biasprm[1]
+        and actuator.gainprm[0] != 0
+    )
+
+
+def _set(element: Any, attribute: str, value: Any, where: str, refuse: Refuse) -> None:
+    try:
+        current = getattr(element, attribute)
+    except AttributeError:
+        raise refuse(where, "no such attribute", value=attribute) from None
+    if isinstance(current, np.ndarray):
+        values = [float(v) for v in np.atleast_1d(value)]
+        if len(values) > len(current):
+            raise refuse(where, "too many numbers", value=value, expected=f"at most {len(current)}")
+        filled = current.copy()
+        filled[: len(values)] = values
+        setattr(element, attribute, filled)
+    elif np.ndim(value):
+        raise refuse(where, "a list where one number belongs", value=value, expected="one number")
+    else:
+        setattr(element, attribute, float(value))
+
+
+def _check_names(patch: Patch, known: Iterable[str], where: str, refuse: Refuse) -> None:
+    known = list(known)
+    for name in patch:
+        if name not in known:
+            raise refuse(f"{where}.{name}", "no such attribute", expected=suggest(name, known))
+
+
+def _find(elements: Iterable[Any], name: str, kind: str, where: str, refuse: Refuse) -> Any:
+    by_name = {element.name: element for element in elements}
+    if name not in by_name:
+        raise refuse(where, f"the model has no such {kind}", expected=suggest(name, by_name))
+    return by_name[name]
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """What was probably meant, or all that is there."""
+    names = sorted(str(candidate) for candidate in known if candidate)
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
+    if close:
+        return "perhaps " + " or ".join(f"'{candidate}'" for candidate in close)
+    shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    return f"one of {shown}" if names else "none: the model has none"

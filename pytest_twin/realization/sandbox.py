@@ -1,0 +1,292 @@
+"""A child process that loads and steps what may be hostile, under bounds of time and memory.
+
+The child is a fresh interpreter. It is told what to call over one pipe and answers over another,
+both as JSON, so that nothing that it sends can run in the parent. Imports no simulator.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from pytest_twin import errors
+from pytest_twin.errors import LimitError, SimulationError, TwinError
+
+MEMORY_BYTES = 8 * 2**30
+SECONDS = 300.0
+_ANSWER_BYTES = 512 * 2**20
+_OUTPUT_BYTES = 64 * 2**10
+
+
+class Sandbox:
+    """A child process that answers calls one after another until it is closed.
+
+    Args:
+        memory_bytes: bound on the child's address space.
+        seconds: bound on the wall time of one call, and nearly so on its CPU time per core.
+        cwd: the child's working folder.
+
+    A child that was killed or crashed is replaced at the next call. Calls from several threads
+    wait for one another.
+    """
+
+    def __init__(
+        self,
+        *,
+        memory_bytes: int = MEMORY_BYTES,
+        seconds: float = SECONDS,
+        cwd: Path | None = None,
+    ) -> None:
+        self.memory_bytes = memory_bytes
+        self.seconds = seconds
+        self.cwd = cwd
+        self._lock = threading.Lock()
+        self._child: _Child | None = None
+        self._output = b""
+
+    @property
+    def output(self) -> str:
+        """The end of what the last call wrote to standard output and error, 64 KiB at most."""
+        return self._output.decode("utf-8", "replace")
+
+    def call(
+        self,
+        function: str,
+        arguments: Mapping[str, Any] | None = None,
+        *,
+        seconds: float | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> Any:
+        """Call ``module:function`` with keyword ``arguments`` in the child.
+
+        A function with a parameter ``progress`` is given a callback of the fraction done.
+
+        Args:
+            arguments: JSON-able.
+            seconds: bound on this call, the sandbox's own by default.
+            progress: called in this thread with each fraction that the function reports.
+
+        Returns:
+            The function's result, which must be JSON-able; tuples come back as lists.
+
+        Raises:
+            TwinError: as the function raised it.
+            LimitError: out of time or memory; the child is killed.
+            SimulationError: the child crashed, or the function raised anything else.
+        """
+        bound = self.seconds if seconds is None else seconds
+        with self._lock:
+            self._output = b""
+            if self._child is None:
+                self._child = _Child(self.memory_bytes, self.cwd)
+            request = {
+                "function": function,
+                "arguments": dict(arguments or {}),
+                "seconds": bound,
+                "path": [entry for entry in sys.path if entry],
+            }
+            try:
+                answer = self._exchange(self._child, request, bound, progress)
+            except BaseException:
+                # Whatever ended the wait, the child is in an unknown state.
+                self._discard()
+                raise
+        if "error" in answer:
+            raise _rebuild(answer["error"])
+        return answer["result"]
+
+    def close(self) -> None:
+        """End the child."""
+        with self._lock:
+            self._discard()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _discard(self) -> None:
+        if self._child is not None:
+            self._child.kill()
+            self._child = None
+
+    def _exchange(
+        self,
+        child: _Child,
+        request: Mapping[str, Any],
+        bound: float,
+        progress: Callable[[float], None] | None,
+    ) -> dict[str, Any]:
+        deadline = time.monotonic() + bound
+        try:
+            child.send(json.dumps(request).encode())
+        except OSError:
+            raise child.crashed(self._output, self.memory_bytes) from None
+        buffer = bytearray()
+        with selectors.DefaultSelector() as selector:
+            selector.register(child.answers, selectors.EVENT_READ)
+            selector.register(child.output, selectors.EVENT_READ)
+            while True:
+                remaining = deadline - time.monotonic()
+                events = selector.select(remaining) if remaining > 0 else []
+                if not events:
+                    raise LimitError(
+                        "ran past its bound of time and was killed",
+                        where=request["function"],
+                        expected=f"at most {bound:g} s",
+                    )
+                for key, _ in events:
+                    data = os.read(key.fd, 1 << 16)
+                    if key.fd == child.output:
+                        self._output = (self._output + data)[-_OUTPUT_BYTES:]
+                        if not data:
+                            selector.unregister(child.output)
+                        continue
+                    if not data:
+                        self._drain(child)
+                        raise child.crashed(self._output, self.memory_bytes)
+                    buffer += data
+                for answer in _frames(buffer):
+                    if "progress" not in answer:
+                        self._drain(child)
+                        return answer
+                    if progress is not None:
+                        progress(float(answer["progress"]))
+
+    def _drain(self, child: _Child) -> None:
+        """Take what the child wrote up to now, without waiting for more."""
+        os.set_blocking(child.output, False)
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(child.output, 1 << 16):
+                self._output = (self._output + data)[-_OUTPUT_BYTES:]
+        os.set_blocking(child.output, True)
+
+
+def _frames(buffer: bytearray) -> list[dict[str, Any]]:
+    """Take the whole answers off the front of ``buffer``."""
+    found = []
+    while len(buffer) >= 8:
+        size = int.from_bytes(buffer[:8], "big")
+        if size > _ANSWER_BYTES:
+            raise SimulationError(
+                "the child process sent an answer out of all proportion",
+                value=size,
+                unit="bytes",
+                expected=f"at most {_ANSWER_BYTES} bytes",
+            )
+        if len(buffer) < 8 + size:
+            break
+        try:
+            answer = json.loads(buffer[8 : 8 + size])
+        except ValueError:
+            answer = None
+        if not isinstance(answer, dict):
+            raise SimulationError("the child process sent an answer that cannot be read")
+        found.append(answer)
+        del buffer[: 8 + size]
+    return found
+
+
+class _Child:
+    """One interpreter and the pipes to it."""
+
+    def __init__(self, memory_bytes: int, cwd: Path | None) -> None:
+        request_read, self.requests = os.pipe()
+        self.answers, answer_write = os.pipe()
+        self.output, output_write = os.pipe()
+        environment = dict(os.environ)
+        environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
+        try:
+            self.process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-m",
+                    "pytest_twin.realization.sandbox_child",
+                    str(request_read),
+                    str(answer_write),
+                    str(memory_bytes),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=output_write,
+                stderr=output_write,
+                pass_fds=(request_read, answer_write),
+                cwd=cwd,
+                env=environment,
+                # Its own group: a kill takes what it started along, and Ctrl-C is the parent's.
+                start_new_session=True,
+            )
+        finally:
+            for descriptor in (request_read, answer_write, output_write):
+                os.close(descriptor)
+        self.kill = weakref.finalize(
+            self, _end, self.process, (self.requests, self.answers, self.output)
+        )
+
+    def send(self, content: bytes) -> None:
+        view = memoryview(len(content).to_bytes(8, "big") + content)
+        while view:
+            view = view[os.write(self.requests, view) :]
+
+    def crashed(self, output: bytes, memory_bytes: int) -> TwinError:
+        """The error that says how the child ended."""
+        try:
+            status = self.process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            return SimulationError("the child process stopped answering")
+        last = output.decode("utf-8", "replace").strip().rpartition("\n")[2][-300:]
+        said = f"; it last wrote: {last}" if last else ""
+        if status >= 0:
+            return SimulationError(f"the child process ended with exit status {status}{said}")
+        name = signal.Signals(-status).name
+        if name == "SIGXCPU":
+            return LimitError("ran past its bound of CPU time and was killed")
+        if "bad_alloc" in last or "MemoryError" in last or "could not allocate" in last.lower():
+            return LimitError(
+                f"ran out of memory{said}", expected=f"at most {memory_bytes / 2**20:.0f} MiB"
+            )
+        return SimulationError(f"the simulator crashed ({name}){said}")
+
+
+def _end(process: subprocess.Popen[bytes], descriptors: tuple[int, ...]) -> None:
+    for descriptor in descriptors:
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def _rebuild(answer: Mapping[str, Any]) -> TwinError:
+    """The typed error that the child described."""
+    kind = getattr(errors, str(answer.get("kind")), None)
+    if not (isinstance(kind, type) and issubclass(kind, TwinError)):
+        kind = SimulationError
+    line, column = answer.get("line"), answer.get("column")
+    return kind(
+        str(answer.get("problem")),
+        path=answer.get("path"),
+        line=line if isinstance(line, int) else None,
+        column=column if isinstance(column, int) else None,
+        where=answer.get("where"),
+        value=answer.get("value"),
+        unit=answer.get("unit"),
+        expected=answer.get("expected"),
+    )

@@ -1,0 +1,111 @@
+"""The child's side of :mod:`pytest_twin.realization.sandbox`."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import os
+import resource
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from typing import Any, BinaryIO
+
+from pytest_twin.errors import LimitError, SimulationError, TwinError
+
+
+def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
+    """Answer calls until the parent closes its end."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    os.set_inheritable(request_descriptor, False)
+    os.set_inheritable(answer_descriptor, False)
+    with (
+        os.fdopen(request_descriptor, "rb") as requests,
+        os.fdopen(answer_descriptor, "wb") as answers,
+    ):
+        while head := requests.read(8):
+            request = json.loads(requests.read(int.from_bytes(head, "big")))
+            _send(answers, _answer(request, answers))
+
+
+def _send(answers: BinaryIO, answer: Mapping[str, Any]) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    content = json.dumps(answer).encode()
+    answers.write(len(content).to_bytes(8, "big") + content)
+    answers.flush()
+
+
+def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
+    sys.path[:] = request["path"]
+    _bound_cpu(request["seconds"])
+    try:
+        result = _call(request["function"], request["arguments"], answers)
+        json.dumps(result)
+        return {"result": result}
+    except TwinError as error:
+        return {"error": _described(error)}
+    except MemoryError:
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        return {
+            "error": _described(
+                LimitError("ran out of memory", expected=f"at most {limit / 2**20:.0f} MiB")
+            )
+        }
+    except (Exception, SystemExit) as error:
+        traceback.print_exc()
+        # The innermost frame: where a user's own function went wrong.
+        frames = traceback.extract_tb(error.__traceback__)
+        place = frames[-1] if frames else None
+        words = str(error) or "no message"
+        return {
+            "error": _described(
+                SimulationError(
+                    f"{type(error).__name__}: {words}",
+                    path=None if place is None else place.filename,
+                    line=None if place is None else place.lineno,
+                )
+            )
+        }
+
+
+def _bound_cpu(seconds: float) -> None:
+    """A second bound beside the parent's clock: it holds even when the parent is gone."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    used = usage.ru_utime + usage.ru_stime
+    soft = int(used + seconds * (os.cpu_count() or 1) + 5)
+    resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.RLIM_INFINITY))
+
+
+def _call(function: str, arguments: Mapping[str, Any], answers: BinaryIO) -> Any:
+    module, _, name = function.partition(":")
+    target: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    if "progress" in inspect.signature(target).parameters:
+
+        def progress(fraction: float) -> None:
+            _send(answers, {"progress": float(fraction)})
+
+        return target(**arguments, progress=progress)
+    return target(**arguments)
+
+
+def _described(error: TwinError) -> dict[str, Any]:
+    return {
+        "kind": type(error).__name__,
+        "problem": error.problem,
+        "path": None if error.path is None else str(error.path),
+        "line": error.line,
+        "column": error.column,
+        "where": error.where,
+        "value": error.value
+        if isinstance(error.value, int | float | str | None)
+        else str(error.value),
+        "unit": error.unit,
+        "expected": error.expected,
+    }
+
+
+if __name__ == "__main__":
+    main(*(int(argument) for argument in sys.argv[1:4]))
