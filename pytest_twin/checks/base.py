@@ -7,36 +7,18 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
+from pytest_twin.trace import FloatArray, Trace
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
 __all__ = ["Check", "FloatArray", "Measure", "Observation", "Progress", "Trace"]
 
-FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]
 """Called with the fraction done, 0 to 1, by checks that take long."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trace:
-    """Series on one independent axis; what stands beside a spec and what a plot shows.
-
-    Attributes:
-        axis: (name, unit), such as ``("time", "s")`` or ``("frequency", "Hz")``.
-        x: (n,) values of the axis, strictly increasing.
-        columns: name -> (unit, (n,) values), such as ``{"position:elbow": ("rad", ...)}``.
-    """
-
-    axis: tuple[str, str]
-    x: FloatArray
-    columns: Mapping[str, tuple[str, FloatArray]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,137 @@
+"""Files and folders that appear whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from pytest_twin.errors import PathError
+
+
+@contextlib.contextmanager
+def open_replacement(path: Path) -> Iterator[BinaryIO]:
+    """A binary stream that becomes ``path`` when the block ends without an error.
+
+    The stream is a temporary file in the same folder; it is synced to the disk and renamed over
+    ``path``, whose mode it keeps. An error or a crash leaves the old content.
+
+    Raises:
+        PathError: ``path`` is a link, a folder or a device, or its folder cannot be written.
+    """
+    mode = _mode_for(path)
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=f".{path.name[:64]}.", dir=path.parent)
+    except OSError as error:
+        raise PathError(f"cannot be written: {error.strerror}", path=path) from error
+    temporary = Path(name)
+    try:
+        with os.fdopen(descriptor, "w+b") as stream:
+            yield stream
+            stream.flush()
+            os.fchmod(stream.fileno(), mode)
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise PathError(f"cannot be written: {error.strerror or error}", path=path) from error
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    _sync_folder(path.parent)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write ``data`` as ``path``, whole or not at all.
+
+    Raises:
+        PathError: as :func:`open_replacement`.
+    """
+    with open_replacement(path) as stream:
+        stream.write(data)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` as UTF-8, line ends as they are, whole or not at all.
+
+    Raises:
+        PathError: as :func:`open_replacement`.
+    """
+    write_bytes(path, text.encode("utf-8"))
+
+
+def replace_directory(staging: Path, final: Path) -> None:
+    """Make the finished folder ``staging`` appear as ``final``; an old ``final`` goes.
+
+    Both lie in the same folder's file system. Everything in ``staging`` is synced first. Where
+    ``final`` does not exist yet the step is one rename; where it does, the old folder is moved
+    aside first and moved back if the rename fails, so that no half of either is ever there.
+
+    Raises:
+        PathError: ``staging`` is no folder, ``final`` is a link or a file, or the disk refuses.
+    """
+    if staging.is_symlink() or not staging.is_dir():
+        raise PathError("not a folder", path=staging)
+    if final.is_symlink() or (final.exists() and not final.is_dir()):
+        raise PathError("is in the way of a folder", path=final, expected="a folder or nothing")
+    try:
+        _sync_tree(staging)
+        if not final.exists():
+            staging.rename(final)
+            _sync_folder(final.parent)
+            return
+        aside = Path(tempfile.mkdtemp(prefix=f".{final.name[:64]}.", dir=final.parent))
+        old = aside / "old"
+        final.rename(old)
+        try:
+            staging.rename(final)
+        except BaseException:
+            old.rename(final)
+            aside.rmdir()
+            raise
+        _sync_folder(final.parent)
+        shutil.rmtree(aside)
+    except OSError as error:
+        raise PathError(f"cannot be replaced: {error.strerror or error}", path=final) from error
+
+
+def _mode_for(path: Path) -> int:
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        # The process's umask can only be read by setting it.
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask
+    except OSError as error:
+        raise PathError(f"cannot be written: {error.strerror}", path=path) from error
+    if not stat.S_ISREG(found.st_mode):
+        raise PathError("is not a regular file and is not written over", path=path)
+    return stat.S_IMODE(found.st_mode)
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sync_tree(folder: Path) -> None:
+    for parent, _, files in os.walk(folder):
+        for name in files:
+            path = Path(parent) / name
+            if path.is_symlink() or not path.is_file():
+                continue
+            descriptor = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+        _sync_folder(Path(parent))

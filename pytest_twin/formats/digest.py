@@ -1,0 +1,42 @@
+"""SHA-256 of files."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from pytest_twin.errors import LimitError, PathError
+from pytest_twin.formats import limits
+from pytest_twin.formats.paths import open_regular
+
+_BLOCK_BYTES = 2**20
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a regular file's bytes, hex.
+
+    Raises:
+        PathError: missing, unreadable, a link, or no regular file.
+        LimitError: larger than ``limits.HASH``.
+    """
+    digest = hashlib.sha256()
+    total = 0
+    with open_regular(path) as stream:
+        try:
+            while block := stream.read(_BLOCK_BYTES):
+                total += len(block)
+                if total > limits.HASH.file_bytes:
+                    raise LimitError(
+                        "file is too large",
+                        path=path,
+                        expected=f"at most {limits.HASH.file_bytes} bytes",
+                    )
+                digest.update(block)
+        except OSError as error:
+            raise PathError(f"cannot be read: {error.strerror}", path=path) from error
+    return digest.hexdigest()
+
+
+def bytes_sha256(data: bytes) -> str:
+    """SHA-256 of ``data``, hex."""
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,76 @@
+"""Bounds of every reader: what a robot's files need with room to spare, and no more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class PathLimits:
+    """Bounds on a reference to a file."""
+
+    reference_chars: int = 4096
+    component_bytes: int = 255
+
+
+@dataclass(frozen=True, slots=True)
+class YamlLimits:
+    """Bounds on a YAML file."""
+
+    file_bytes: int = 4 * 2**20
+    depth_levels: int = 32
+    nodes_count: int = 200_000
+    key_chars: int = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class XmlLimits:
+    """Bounds on an XML file: a URDF, an MJCF, a part of either."""
+
+    file_bytes: int = 64 * 2**20
+    depth_levels: int = 256
+    elements_count: int = 500_000
+    attributes_count: int = 5_000_000
+    attribute_chars: int = 8 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class TraceLimits:
+    """Bounds on a trace beside a spec: a few seconds of series, not a log."""
+
+    file_bytes: int = 16 * 2**20
+    rows_count: int = 200_000
+    columns_count: int = 512
+    name_chars: int = 256
+
+
+@dataclass(frozen=True, slots=True)
+class McapLimits:
+    """Bounds on a recording: an hour of a humanoid at 1 kHz fits."""
+
+    file_bytes: int = 8 * 2**30
+    chunk_bytes: int = 256 * 2**20
+    uncompressed_bytes: int = 16 * 2**30
+    records_count: int = 50_000_000
+    messages_count: int = 20_000_000
+    message_bytes: int = 16 * 2**20
+    joints_count: int = 1024
+    channels_count: int = 4096
+    samples_count: int = 400_000_000
+    metadata_bytes: int = 2**20
+    name_bytes: int = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class HashLimits:
+    """Bound on a file that is only digested."""
+
+    file_bytes: int = 64 * 2**30
+
+
+PATHS = PathLimits()
+YAML = YamlLimits()
+XML = XmlLimits()
+TRACE = TraceLimits()
+MCAP = McapLimits()
+HASH = HashLimits()

@@ -1,0 +1,218 @@
+"""References to files, held inside the folders that a twin declares."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from pytest_twin.errors import FormatError, LimitError, PathError
+from pytest_twin.formats import limits
+
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
+
+
+@dataclass(frozen=True)
+class Roots:
+    """The folders that references may point into.
+
+    Attributes:
+        base: the twin's own folder.
+        extra: folders that the twin declares beside it (``roots:``).
+    """
+
+    base: Path
+    extra: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "base", Path(os.path.realpath(self.base)))
+        extra = tuple(Path(os.path.realpath(root)) for root in self.extra)
+        object.__setattr__(self, "extra", extra)
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """All roots, links resolved, the base first."""
+        return (self.base, *self.extra)
+
+    def contains(self, path: Path) -> bool:
+        """Whether ``path``, with every link resolved, lies in a root."""
+        return self._holds(os.path.realpath(path))
+
+    def resolve(
+        self,
+        reference: str,
+        *,
+        at: Path,
+        line: int | None = None,
+        where: str | None = None,
+        folder: bool = False,
+    ) -> Path:
+        """The regular file (or ``folder``) that ``reference`` names, every link resolved.
+
+        Args:
+            reference: as written; relative to the folder of ``at``.
+            at: the file in which the reference stands.
+            line: its 1-based line there.
+            where: the field or element there.
+            folder: look for a folder, not a file.
+
+        Raises:
+            PathError: the reference is empty, too long, holds a NUL or control character, is a
+                URL, leaves the roots at any component (by ``..``, absolute, or through a link),
+                does not exist, or is no regular file (a pipe, a socket, a device).
+        """
+
+        def refuse(problem: str, expected: str | None = None) -> PathError:
+            return PathError(
+                problem, path=at, line=line, where=where, value=reference, expected=expected
+            )
+
+        self._check_words(reference, refuse)
+        inside = "a path inside " + " or ".join(str(root) for root in self.folders)
+        current = os.path.realpath(at.parent)
+        if reference.startswith("/"):
+            current = self._start_of_absolute(reference)
+            if not current:
+                raise refuse("path leaves the declared roots", inside)
+            parts = os.path.normpath(reference)[len(current) :].split("/")
+        else:
+            parts = reference.split("/")
+        if not self._holds(current):
+            raise refuse("path starts outside the declared roots", inside)
+        for part in parts:
+            if part in ("", "."):
+                continue
+            # Link by link, so that a way out and back in is refused too.
+            step = os.path.join(current, part)  # noqa: PTH118
+            try:
+                following = os.path.realpath(step, strict=True)
+            except FileNotFoundError:
+                if not self._holds(os.path.realpath(step)):
+                    raise refuse("path leaves the declared roots", inside) from None
+                raise refuse("no such folder" if folder else "no such file") from None
+            except (OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or str(error)
+                raise refuse(f"cannot be reached: {reason}") from None
+            if not self._holds(following):
+                raise refuse("path leaves the declared roots", inside)
+            current = following
+        found = Path(current)
+        mode = found.stat().st_mode
+        if folder and not stat.S_ISDIR(mode):
+            raise refuse("not a folder")
+        if not folder and not stat.S_ISREG(mode):
+            raise refuse(f"not a regular file but {_kind(mode)}")
+        return found
+
+    @staticmethod
+    def _check_words(reference: str, refuse: object) -> None:
+        assert callable(refuse)
+        if not reference.strip():
+            raise refuse("empty path")
+        if len(reference) > limits.PATHS.reference_chars:
+            raise refuse("path is too long", f"at most {limits.PATHS.reference_chars} characters")
+        if any(ord(char) < 32 or ord(char) == 127 for char in reference):
+            raise refuse("path holds a control character")
+        try:
+            encoded = os.fsencode(reference)
+        except UnicodeEncodeError:
+            raise refuse("path holds a character that no file name can have") from None
+        if any(len(part) > limits.PATHS.component_bytes for part in encoded.split(b"/")):
+            raise refuse(
+                "a name in the path is too long", f"at most {limits.PATHS.component_bytes} bytes"
+            )
+        if _SCHEME.match(reference):
+            raise refuse("a URL, not a path")
+
+    def _start_of_absolute(self, reference: str) -> str:
+        """The root that an absolute path stands in by its own words."""
+        normal = os.path.normpath(reference)
+        for root in self.folders:
+            if normal == str(root) or normal.startswith(str(root).rstrip("/") + "/"):
+                return str(root)
+        return ""
+
+    def _holds(self, real: str) -> bool:
+        return any(
+            real == str(root) or real.startswith(str(root).rstrip("/") + "/")
+            for root in self.folders
+        )
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file for reading; the last component may not be a link.
+
+    Raises:
+        PathError: missing, unreadable, a link, or anything but a regular file.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+    except FileNotFoundError:
+        raise PathError("no such file", path=path) from None
+    except (OSError, ValueError) as error:
+        if path.is_symlink():
+            raise PathError("is a symbolic link", path=path, expected="the file itself") from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise PathError(f"cannot be read: {reason}", path=path) from None
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        raise PathError(f"not a regular file but {_kind(mode)}", path=path)
+    return os.fdopen(descriptor, "rb")
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """The content of a regular file of at most ``max_bytes``.
+
+    Raises:
+        PathError: as :func:`open_regular`.
+        LimitError: the file is larger, also when it grows while it is read.
+    """
+    with open_regular(path) as stream:
+        data = stream.read(max_bytes + 1)
+    if len(data) > max_bytes:
+        raise LimitError(
+            "file is too large",
+            path=path,
+            value=max(path.stat().st_size, len(data)),
+            unit="bytes",
+            expected=f"at most {max_bytes} bytes",
+        )
+    return data
+
+
+def decode_text(data: bytes, path: Path) -> str:
+    """UTF-8 text, a byte order mark left out.
+
+    Raises:
+        FormatError: not UTF-8, with the line and column of the first wrong byte.
+    """
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = data[: error.start]
+        line = before.count(b"\n") + 1
+        start = before.rfind(b"\n") + 1
+        raise FormatError(
+            "not UTF-8 text",
+            path=path,
+            line=line,
+            column=len(before[start:].decode("utf-8", "replace")) + 1,
+            value=f"byte 0x{data[error.start]:02x}",
+            expected="UTF-8",
+        ) from None
+
+
+def _kind(mode: int) -> str:
+    names = {
+        stat.S_IFDIR: "a folder",
+        stat.S_IFIFO: "a pipe",
+        stat.S_IFSOCK: "a socket",
+        stat.S_IFCHR: "a device",
+        stat.S_IFBLK: "a device",
+        stat.S_IFLNK: "a symbolic link",
+    }
+    return names.get(stat.S_IFMT(mode), "something else")

@@ -1,0 +1,193 @@
+"""Traces as CSV: one axis, one column per series, every number as it was."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.formats import atomic, limits
+from pytest_twin.formats.paths import decode_text, read_bytes
+from pytest_twin.trace import FloatArray, Trace
+
+_HEADING = re.compile(r"(?P<name>[^\[\],\"]+) \[(?P<unit>[^\[\],\"\s]+)\]")
+_NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+_NUMERIC_TEXT = re.compile(r"[-+.0-9eE,\n]*")
+
+
+def read_trace(path: Path, sha256: str | None = None) -> Trace:
+    """Read a CSV trace: a header such as ``time [s],position:elbow [rad]``, then numbers.
+
+    Args:
+        path: the file.
+        sha256: what the spec says the file's SHA-256 is, hex.
+
+    Raises:
+        PathError: missing, a link, or no regular file.
+        LimitError: beyond ``limits.TRACE``.
+        FormatError: another digest, a heading without unit, a repeated heading, a ragged row, a
+            value that is no finite number, or an axis that does not increase; with the line.
+    """
+    data = read_bytes(path, limits.TRACE.file_bytes)
+    if sha256 is not None:
+        found = hashlib.sha256(data).hexdigest()
+        if found != sha256:
+            raise FormatError(
+                "is not the trace that the spec names: SHA-256 differs",
+                path=path,
+                value=found,
+                expected=sha256,
+            )
+    return parse_trace(decode_text(data, path), path)
+
+
+def parse_trace(text: str, path: Path) -> Trace:
+    """Read CSV text; ``path`` is only named in errors. Raises as :func:`read_trace`."""
+    lines = text.replace("\r\n", "\n").split("\n")
+    if lines[-1] == "":
+        lines.pop()
+    if not lines:
+        raise FormatError("empty file", path=path, line=1, expected="a header and rows of numbers")
+    headings = _headings(lines[0], path)
+    rows = lines[1:]
+    if not rows:
+        raise FormatError("no rows", path=path, line=1, expected="at least one row of numbers")
+    if len(rows) > limits.TRACE.rows_count:
+        raise LimitError(
+            "too many rows",
+            path=path,
+            value=len(rows),
+            expected=f"at most {limits.TRACE.rows_count}",
+        )
+    values = _numbers(rows, headings, path)
+    x = np.ascontiguousarray(values[:, 0])
+    falling = np.flatnonzero(~(np.diff(x) > 0))
+    if falling.size:
+        row = int(falling[0]) + 1
+        raise FormatError(
+            "axis does not increase",
+            path=path,
+            line=row + 2,
+            where=headings[0][0],
+            value=x[row],
+            unit=headings[0][1],
+            expected=f"more than {x[row - 1]}",
+        )
+    columns = {
+        name: (unit, np.ascontiguousarray(values[:, index]))
+        for index, (name, unit) in enumerate(headings[1:], start=1)
+    }
+    return Trace(headings[0], x, columns)
+
+
+def trace_text(trace: Trace) -> str:
+    """A trace as CSV text that :func:`parse_trace` reads back to the same numbers.
+
+    Numbers are written as the shortest text that reads back as the same double: a golden is
+    compared against what was computed, and rounding would be an error of its own.
+
+    Raises:
+        FormatError: a heading that CSV cannot hold, a value that is not finite, an axis that does
+            not increase, series of other lengths.
+        LimitError: beyond ``limits.TRACE``.
+    """
+    named = [(trace.axis[0], trace.axis[1], trace.x)]
+    named += [(name, unit, series) for name, (unit, series) in trace.columns.items()]
+    length = len(trace.x)
+    for name, unit, series in named:
+        if len(series) != length:
+            raise FormatError(
+                "series and axis differ in length",
+                where=name,
+                value=len(series),
+                expected=str(length),
+            )
+        if not np.isfinite(series).all():
+            raise FormatError("a value that is not finite", where=name, unit=unit)
+    header = ",".join(f"{name} [{unit}]" for name, unit, _ in named)
+    table = [[float.__repr__(v) for v in np.asarray(s, np.float64).tolist()] for _, _, s in named]
+    text = "\n".join([header, *map(",".join, zip(*table, strict=True))]) + "\n"
+    if len(text) > limits.TRACE.file_bytes:
+        raise LimitError(
+            "trace is too large",
+            value=len(text),
+            unit="bytes",
+            expected=f"at most {limits.TRACE.file_bytes}; a golden's trace is small, not a log",
+        )
+    # What cannot be read back is not written.
+    parse_trace(text, Path("<trace>"))
+    return text
+
+
+def write_trace(path: Path, trace: Trace) -> str:
+    """Write a trace atomically; returns its SHA-256, hex. Raises as :func:`trace_text`."""
+    data = trace_text(trace).encode("utf-8")
+    atomic.write_bytes(path, data)
+    return hashlib.sha256(data).hexdigest()
+
+
+def _headings(line: str, path: Path) -> list[tuple[str, str]]:
+    cells = line.split(",")
+    if len(cells) > limits.TRACE.columns_count:
+        raise LimitError(
+            "too many columns",
+            path=path,
+            line=1,
+            value=len(cells),
+            expected=f"at most {limits.TRACE.columns_count}",
+        )
+    found: list[tuple[str, str]] = []
+    for index, cell in enumerate(cells):
+        match = _HEADING.fullmatch(cell)
+        if match is None or len(cell) > limits.TRACE.name_chars or not cell.isprintable():
+            raise FormatError(
+                f"heading {index + 1} is no name with a unit",
+                path=path,
+                line=1,
+                value=cell,
+                expected="such as 'time [s]'",
+            )
+        if any(name == match["name"] for name, _ in found):
+            raise FormatError("a heading stands twice", path=path, line=1, value=cell)
+        found.append((match["name"], match["unit"]))
+    return found
+
+
+def _numbers(rows: list[str], headings: list[tuple[str, str]], path: Path) -> FloatArray:
+    width = len(headings)
+    body = "\n".join(rows)
+    # The quick way for text of number characters; whatever it refuses is named the slow way.
+    if _NUMERIC_TEXT.fullmatch(body) and all(row.count(",") == width - 1 for row in rows):
+        try:
+            cells = body.replace("\n", ",").split(",")
+            values = np.array([float(cell) for cell in cells], dtype=np.float64)
+        except ValueError:
+            pass
+        else:
+            if np.isfinite(values).all():
+                return values.reshape(len(rows), width)
+    for line, row in enumerate(rows, start=2):
+        cells = row.split(",")
+        if len(cells) != width:
+            raise FormatError(
+                f"row has {len(cells)} values",
+                path=path,
+                line=line,
+                expected=f"{width}, one per heading",
+            )
+        for (name, unit), cell in zip(headings, cells, strict=True):
+            value = float(cell) if len(cell) <= 400 and _NUMBER.fullmatch(cell) else np.nan
+            if not np.isfinite(value):
+                raise FormatError(
+                    "no finite number",
+                    path=path,
+                    line=line,
+                    where=name,
+                    value=cell,
+                    unit=unit,
+                    expected="a finite number",
+                )
+    raise FormatError("cannot be read as numbers", path=path)

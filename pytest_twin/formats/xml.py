@@ -1,0 +1,270 @@
+"""XML without its traps: no DTD, no entities, no includes, no network, and bounds on all of it."""
+
+from __future__ import annotations
+
+import codecs
+import math
+import re
+from pathlib import Path
+from typing import Any, NoReturn, TypeAlias
+from xml.parsers import expat
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from pytest_twin.errors import FormatError, LimitError, ModelError
+from pytest_twin.formats import limits
+from pytest_twin.formats.paths import read_bytes
+
+Element: TypeAlias = etree._Element
+
+_XINCLUDE = "{http://www.w3.org/2001/XInclude}"
+_DECLARED_ENCODING = re.compile(
+    rb"<\?xml[^>]{0,200}?encoding\s*=\s*[\"']([A-Za-z0-9._-]{1,40})[\"']"
+)
+# 8-bit encodings in which '<' is always '<'.
+_ENCODINGS = {"utf-8", "ascii", "iso8859-1", "iso8859-15", "cp1252"}
+# Plain decimal text: float() alone would also take '1_0', 'infinity' and other scripts' digits.
+_NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+
+
+def parse(path: Path) -> Element:
+    """The root element of an XML file, without its comments; ``.sourceline`` gives lines.
+
+    Raises:
+        PathError: missing, a link, or no regular file.
+        LimitError: beyond ``limits.XML``.
+        FormatError: not well-formed, of an unusual encoding, or it holds a DTD or an XInclude.
+    """
+    return parse_bytes(read_bytes(path, limits.XML.file_bytes), path)
+
+
+def parse_bytes(data: bytes, path: Path) -> Element:
+    """The root element of XML text; ``path`` is only named in errors.
+
+    Raises:
+        LimitError: beyond ``limits.XML``.
+        FormatError: as :func:`parse`.
+    """
+    if len(data) > limits.XML.file_bytes:
+        raise LimitError(
+            "file is too large", path=path, expected=f"at most {limits.XML.file_bytes} bytes"
+        )
+    # One known encoding from here on: what is searched is what the parser will see.
+    data = _as_utf8(data, path)
+    if not data.strip():
+        raise FormatError("empty file", path=path, line=1, expected="an XML element")
+    if b"<!DOCTYPE" in data:
+        _refuse_doctype(data, path)
+    # Each element has at least one '<' and each attribute one '=': bounds before any memory goes.
+    if data.count(b"<") > 2 * limits.XML.elements_count:
+        _too_many("elements", limits.XML.elements_count, path)
+    if data.count(b"=") > 2 * limits.XML.attributes_count:
+        _too_many("attributes", limits.XML.attributes_count, path)
+    parser = etree.XMLParser(
+        encoding="utf-8",
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        dtd_validation=False,
+        huge_tree=False,
+        remove_comments=True,
+        remove_pis=True,
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        line, column = error.position
+        raise FormatError(
+            f"not well-formed XML: {str(error.msg).rsplit(', line', 1)[0]}",
+            path=path,
+            line=line or None,
+            column=column or None,
+        ) from None
+    _bound(root, path)
+    return root
+
+
+def float_attribute(
+    element: Element,
+    name: str,
+    path: Path,
+    *,
+    unit: str | None = None,
+    default: float | None = None,
+) -> float:
+    """One finite number from an attribute.
+
+    Raises:
+        ModelError: missing without a ``default``, not a number, or not finite; with the line.
+    """
+    text = element.get(name)
+    if text is None:
+        if default is not None:
+            return default
+        raise ModelError(
+            f"attribute {name!r} is missing",
+            path=path,
+            line=_line(element),
+            where=describe(element),
+            expected="a number" + (f" in {unit}" if unit else ""),
+        )
+    return _number(text.strip(), element, name, path, unit)
+
+
+def vector_attribute(
+    element: Element,
+    name: str,
+    path: Path,
+    *,
+    size: int | None = None,
+    unit: str | None = None,
+    default: tuple[float, ...] | None = None,
+) -> NDArray[np.float64]:
+    """Finite numbers from an attribute, separated by white space; shape ``(size,)``.
+
+    Raises:
+        ModelError: missing without a ``default``, another count than ``size``, not numbers, or
+            not finite; with the line.
+    """
+    text = element.get(name)
+    wanted = ("numbers" if size is None else f"{size} numbers") + (f" in {unit}" if unit else "")
+    if text is None:
+        if default is not None:
+            return np.array(default, dtype=np.float64)
+        raise ModelError(
+            f"attribute {name!r} is missing",
+            path=path,
+            line=_line(element),
+            where=describe(element),
+            expected=wanted,
+        )
+    parts = text.split()
+    if size is not None and len(parts) != size:
+        raise ModelError(
+            f"attribute {name!r} holds {len(parts)} numbers",
+            path=path,
+            line=_line(element),
+            where=describe(element),
+            value=text,
+            expected=wanted,
+        )
+    return np.array([_number(part, element, name, path, unit) for part in parts], dtype=np.float64)
+
+
+def describe(element: Element) -> str:
+    """The element as people name it: ``link 'wrist'``."""
+    tag = str(element.tag)
+    name = element.get("name")
+    return tag if name is None else f"{tag} {name!r}"
+
+
+def _number(text: str, element: Element, name: str, path: Path, unit: str | None) -> float:
+    value = float(text) if len(text) <= 400 and _NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(value):
+        raise ModelError(
+            f"attribute {name!r} is no finite number",
+            path=path,
+            line=_line(element),
+            where=describe(element),
+            value=text,
+            expected="a finite number" + (f" in {unit}" if unit else ""),
+        )
+    return value
+
+
+def _line(element: Element) -> int | None:
+    line: Any = element.sourceline
+    return None if line is None else int(line)
+
+
+def _as_utf8(data: bytes, path: Path) -> bytes:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    else:
+        declared = _DECLARED_ENCODING.match(data.removeprefix(codecs.BOM_UTF8))
+        name = "utf-8" if declared is None else declared[1].decode("ascii")
+        try:
+            encoding = codecs.lookup(name).name
+        except LookupError:
+            encoding = name
+        if encoding not in _ENCODINGS:
+            raise FormatError("unusual encoding", path=path, line=1, value=name, expected="UTF-8")
+        if encoding == "utf-8":
+            encoding = "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        before = data[: error.start]
+        raise FormatError(
+            f"not {encoding.removesuffix('-sig')} text",
+            path=path,
+            line=before.count(b"\n") + 1,
+            column=error.start - (before.rfind(b"\n") + 1) + 1,
+            expected="UTF-8",
+        ) from None
+    odd = text.find("\0")
+    if odd >= 0:
+        raise FormatError(
+            "a NUL character", path=path, line=text.count("\n", 0, odd) + 1, expected="text"
+        )
+    try:
+        return text.encode("utf-8")
+    except UnicodeEncodeError:
+        raise FormatError("a lone surrogate", path=path, expected="text") from None
+
+
+def _refuse_doctype(data: bytes, path: Path) -> None:
+    """Tell a document type from the same words in a comment, before libxml2 sees either."""
+    scanner = expat.ParserCreate("utf-8")
+
+    def refuse(*_: object) -> NoReturn:
+        raise FormatError(
+            "a document type (DTD)",
+            path=path,
+            line=scanner.CurrentLineNumber,
+            column=scanner.CurrentColumnNumber + 1,
+            expected="plain elements, no <!DOCTYPE",
+        )
+
+    scanner.StartDoctypeDeclHandler = refuse
+    try:
+        scanner.Parse(data, True)
+    except expat.ExpatError as error:
+        raise FormatError(
+            f"not well-formed XML: {expat.ErrorString(error.code)}",
+            path=path,
+            line=error.lineno,
+            column=error.offset + 1,
+        ) from None
+
+
+def _bound(root: Element, path: Path) -> None:
+    elements = attributes = depth = 0
+    for event, element in etree.iterwalk(root, events=("start", "end")):
+        if event == "end":
+            depth -= 1
+            continue
+        depth += 1
+        elements += 1
+        attributes += len(element.attrib)
+        if depth > limits.XML.depth_levels:
+            raise LimitError(
+                "nested too deep",
+                path=path,
+                line=_line(element),
+                expected=f"at most {limits.XML.depth_levels} levels",
+            )
+        if isinstance(element.tag, str) and element.tag.startswith(_XINCLUDE):
+            raise FormatError(
+                "an XInclude", path=path, line=_line(element), expected="the elements themselves"
+            )
+    if elements > limits.XML.elements_count:
+        _too_many("elements", limits.XML.elements_count, path)
+    if attributes > limits.XML.attributes_count:
+        _too_many("attributes", limits.XML.attributes_count, path)
+
+
+def _too_many(what: str, bound: int, path: Path) -> NoReturn:
+    raise LimitError(f"too many {what}", path=path, expected=f"at most {bound}")

@@ -1,0 +1,409 @@
+"""Strict YAML: the part of YAML 1.2 in which a text has one meaning, with the line of each field.
+
+Plain scalars follow the YAML 1.2 core schema: ``1e-6`` is a number, ``no``, ``on`` and ``12:30``
+are strings. Anchors, aliases, tags, merge keys, repeated keys and numbers that are not finite are
+refused.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+import yaml
+
+from pytest_twin.errors import FormatError, LimitError, SpecError
+from pytest_twin.formats import limits
+from pytest_twin.formats.paths import decode_text, read_bytes
+
+try:
+    from yaml._yaml import CParser as _Parser
+except ImportError:
+    # The same events, slower, where PyYAML was built without libyaml.
+    from yaml import Loader as _Parser  # type: ignore[assignment]
+
+RECORDED_MARK = "# --- recorded by pytest --twin-update; a person reads this as a diff ---"
+"""Below this line of a golden spec everything is written by the machine."""
+
+RECORDED_KEYS = ("expected", "trace", "provenance")
+"""Top-level keys of a golden spec that are written by the machine, in this order."""
+
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)")
+_WORDS: dict[str, bool | None] = {
+    "": None,
+    "~": None,
+    "null": None,
+    "Null": None,
+    "NULL": None,
+    "true": True,
+    "True": True,
+    "TRUE": True,
+    "false": False,
+    "False": False,
+    "FALSE": False,
+}
+_FIRST_OF_NUMBER = frozenset("+-.0123456789")
+# Beside control characters also the line ends that editors and parsers count differently.
+_UNPRINTABLE = re.compile(
+    r"[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]"
+    r"|\r(?!\n)"
+)
+_PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*(?: [A-Za-z0-9_/.+()-]+)*")
+_LINE_WIDTH = 100
+
+
+@dataclass(frozen=True)
+class Document:
+    """A YAML file's content and where it stands.
+
+    Attributes:
+        data: dict, list, str, int, float, bool and None; dict keys are str.
+        lines: dotted field -> 1-based line (``tolerance.position``, ``parts.0.id``); ``""`` is
+            the document itself.
+        path: the file.
+    """
+
+    data: Any
+    lines: dict[str, int] = field(default_factory=dict)
+    path: Path = Path("<text>")
+
+
+def load(path: Path) -> Document:
+    """Read a YAML file.
+
+    Raises:
+        PathError: missing, a link, or no regular file.
+        LimitError: beyond ``limits.YAML``.
+        FormatError: not UTF-8, or not strict YAML; with line and column.
+    """
+    return loads(read_text(path), path)
+
+
+def read_text(path: Path) -> str:
+    """The text of a YAML file, line ends as they are; bounded as :func:`load`."""
+    return decode_text(read_bytes(path, limits.YAML.file_bytes), path)
+
+
+def loads(text: str, path: Path) -> Document:
+    """Read YAML text; ``path`` is only named in errors.
+
+    Raises:
+        LimitError: beyond ``limits.YAML``.
+        FormatError: not strict YAML; with line and column.
+    """
+    if len(text) > limits.YAML.file_bytes:
+        raise LimitError(
+            "file is too large", path=path, expected=f"at most {limits.YAML.file_bytes} bytes"
+        )
+    odd = _UNPRINTABLE.search(text)
+    if odd is not None:
+        line = text.count("\n", 0, odd.start()) + 1
+        column = odd.start() - text.rfind("\n", 0, odd.start())
+        raise FormatError(
+            "a character that YAML text may not hold",
+            path=path,
+            line=line,
+            column=column,
+            value=f"U+{ord(odd[0]):04X}",
+        )
+    reader = _Reader(text, path)
+    try:
+        return reader.document()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        problem = " ".join(part for part in (error.context, error.problem) if part)
+        raise FormatError(
+            f"not YAML: {problem}",
+            path=path,
+            line=None if mark is None else mark.line + 1,
+            column=None if mark is None else mark.column + 1,
+        ) from None
+    except yaml.YAMLError as error:
+        raise FormatError(f"not YAML: {error}", path=path) from None
+    except RecursionError:
+        raise LimitError("nested too deep", path=path) from None
+    finally:
+        reader.parser.dispose()
+
+
+class _Reader:
+    """Builds plain data from parser events, so that every bound holds before memory is spent."""
+
+    def __init__(self, text: str, path: Path) -> None:
+        self.path = path
+        self.lines: dict[str, int] = {}
+        self.nodes = 0
+        self.parser: Any = _Parser(text)
+        self.next = self.parser.get_event
+
+    def document(self) -> Document:
+        self.next()  # stream start
+        event: Any = self.next()
+        if not isinstance(event, yaml.DocumentStartEvent):
+            raise FormatError("empty file", path=self.path, line=1, expected="a YAML mapping")
+        if event.tags:
+            self.refuse(event, "a %TAG directive")
+        data = self.value(self.next(), "", 0)
+        self.next()  # document end
+        event = self.next()
+        if not isinstance(event, yaml.StreamEndEvent):
+            self.refuse(event, "a second document", "one document")
+        return Document(data, self.lines, self.path)
+
+    def refuse(self, event: Any, problem: str, expected: str | None = None) -> NoReturn:
+        mark = event.start_mark
+        raise FormatError(
+            problem, path=self.path, line=mark.line + 1, column=mark.column + 1, expected=expected
+        )
+
+    def value(self, event: Any, at: str, depth: int) -> Any:
+        kind = type(event)
+        self.nodes += 1
+        if self.nodes > limits.YAML.nodes_count:
+            raise LimitError(
+                "too many values", path=self.path, expected=f"at most {limits.YAML.nodes_count}"
+            )
+        if kind is yaml.AliasEvent:
+            self.refuse(event, "an alias (*name)", "the value written out")
+        if event.anchor is not None:
+            self.refuse(event, "an anchor (&name)", "the value written out at each place")
+        if event.tag is not None:
+            self.refuse(event, f"a tag ({event.tag[:40]})", "a plain value")
+        if kind is yaml.ScalarEvent:
+            if at not in self.lines:
+                self.lines[at] = event.start_mark.line + 1
+            text: str = event.value
+            return text if event.style else self.plain(event, text)
+        if depth >= limits.YAML.depth_levels:
+            mark = event.start_mark
+            raise LimitError(
+                "nested too deep",
+                path=self.path,
+                line=mark.line + 1,
+                column=mark.column + 1,
+                expected=f"at most {limits.YAML.depth_levels} levels",
+            )
+        if at not in self.lines:
+            self.lines[at] = event.start_mark.line + 1
+        prefix = at + "." if at else ""
+        if kind is yaml.MappingStartEvent:
+            return self.mapping(prefix, depth)
+        items: list[Any] = []
+        event = self.next()
+        while type(event) is not yaml.SequenceEndEvent:
+            items.append(self.value(event, f"{prefix}{len(items)}", depth + 1))
+            event = self.next()
+        return items
+
+    def mapping(self, prefix: str, depth: int) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        event: Any = self.next()
+        while type(event) is not yaml.MappingEndEvent:
+            key = self.key(event)
+            at = prefix + key
+            if key in found:
+                first = self.lines.get(at)
+                self.refuse(event, f"key {key[:80]!r} stands here a second time (first: {first})")
+            # The line of a field is that of its key, wherever its value starts.
+            self.lines[at] = event.start_mark.line + 1
+            found[key] = self.value(self.next(), at, depth + 1)
+            event = self.next()
+        return found
+
+    def key(self, event: Any) -> str:
+        if type(event) is not yaml.ScalarEvent:
+            if type(event) is yaml.AliasEvent:
+                self.refuse(event, "an alias (*name)", "the value written out")
+            self.refuse(event, "a key that is no text", "a name before the colon")
+        if event.anchor is not None:
+            self.refuse(event, "an anchor (&name)", "the value written out at each place")
+        if event.tag is not None:
+            self.refuse(event, f"a tag ({event.tag[:40]})", "a plain value")
+        key: str = event.value
+        if not event.style and key == "<<":
+            self.refuse(event, "a merge key (<<)", "the fields written out")
+        if not key:
+            self.refuse(event, "an empty key", "a name before the colon")
+        if len(key) > limits.YAML.key_chars:
+            self.refuse(
+                event, "a key that is too long", f"at most {limits.YAML.key_chars} characters"
+            )
+        return key
+
+    def plain(self, event: Any, text: str) -> Any:
+        if text in _WORDS:
+            return _WORDS[text]
+        if text[0] not in _FIRST_OF_NUMBER:
+            return text
+        if _INT.fullmatch(text):
+            # Python bounds the digits of int(); 64 bits is what other readers hold.
+            number = int(text, 0 if text[:2] in ("0o", "0x") else 10) if len(text) <= 32 else None
+            if number is None or not -(2**63) <= number < 2**63:
+                self.refuse(event, "an integer that is out of range", "at most 64 bits")
+            return number
+        if _FLOAT.fullmatch(text):
+            value = float(text)
+            if not math.isfinite(value):
+                self.refuse(event, f"number {text[:40]} is out of range", "a finite number")
+            return value
+        if _NOT_FINITE.fullmatch(text):
+            self.refuse(event, f"{text} is no finite number", "a finite number")
+        return text
+
+
+def recorded_block(recorded: dict[str, Any]) -> str:
+    """The machine-written end of a golden spec, mark included; the same text for the same data.
+
+    Floats are written so that they read back as the same number.
+
+    Raises:
+        SpecError: a key that is not in ``RECORDED_KEYS``, or a number that is not finite.
+    """
+    unknown = [key for key in recorded if key not in RECORDED_KEYS]
+    if unknown:
+        raise SpecError("not a recorded key", where=unknown[0], expected=", ".join(RECORDED_KEYS))
+    out = [RECORDED_MARK]
+    for key in RECORDED_KEYS:
+        if key in recorded:
+            _dump_field(out, key, recorded[key], "", key)
+    return "\n".join(out) + "\n"
+
+
+def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<text>")) -> str:
+    """A golden spec with its machine-written end replaced.
+
+    Everything above ``RECORDED_MARK`` stays byte for byte (a missing last line end is added); the
+    mark and all below it are written afresh. An empty ``recorded`` takes the end away.
+
+    Raises:
+        SpecError: a recorded key stands above the mark or another key below it, with its line;
+            the spec is no block mapping; ``recorded`` holds what YAML cannot.
+        FormatError: ``text`` is not strict YAML.
+    """
+    document = loads(text, path)
+    if not isinstance(document.data, dict):
+        raise SpecError("not a mapping of fields", path=path, line=1)
+    pieces = text.split("\n")
+    at = next((i for i, piece in enumerate(pieces) if piece.rstrip() == RECORDED_MARK), None)
+    for key in document.data:
+        line = document.lines[key]
+        below = at is not None and line > at + 1
+        if key in RECORDED_KEYS and not below:
+            raise SpecError(
+                "is written by pytest --twin-update and stands among the fields that people write",
+                path=path,
+                line=line,
+                where=key,
+                expected=f"to be below the line {RECORDED_MARK!r}, or deleted",
+            )
+        if key not in RECORDED_KEYS and below:
+            raise SpecError(
+                "stands below the recorded mark, where pytest --twin-update writes",
+                path=path,
+                line=line,
+                where=key,
+                expected="to be above it",
+            )
+    human = text if at is None else "".join(piece + "\n" for piece in pieces[:at])
+    end = "\r\n" if human.split("\n", 1)[0].endswith("\r") else "\n"
+    if human and not human.endswith("\n"):
+        human += end
+    if not recorded:
+        return human
+    result = human + recorded_block(recorded).replace("\n", end)
+    kept = {key: value for key, value in document.data.items() if key not in RECORDED_KEYS}
+    try:
+        readable = loads(result, path).data == {**kept, **recorded}
+    except FormatError:
+        readable = False
+    if not readable:
+        raise SpecError(
+            "fields cannot be appended to this file",
+            path=path,
+            line=1,
+            expected="one field per line (block style), no '...' at the end",
+        )
+    return result
+
+
+def _dump_field(out: list[str], key: str, value: Any, indent: str, where: str) -> None:
+    _dump_value(out, f"{indent}{_text(key)}:", value, indent + "  ", where)
+
+
+def _dump_value(out: list[str], head: str, value: Any, indent: str, where: str) -> None:
+    short = _inline(value, where, len(head) + 1)
+    if short is not None:
+        out.append(f"{head} {short}")
+    elif isinstance(value, dict):
+        out.append(head)
+        for key, item in value.items():
+            if not isinstance(key, str) or not key:
+                raise SpecError("a key that is no text", where=where, value=key)
+            _dump_field(out, key, item, indent, f"{where}.{key}")
+    else:
+        out.append(head)
+        for index, item in enumerate(value):
+            _dump_value(out, f"{indent}-", item, indent + "  ", f"{where}.{index}")
+
+
+def _inline(value: Any, where: str, used: int) -> str | None:
+    """One line's text of a value, or None where it takes more lines."""
+    if isinstance(value, dict):
+        return None if value else "{}"
+    if isinstance(value, list | tuple):
+        if any(isinstance(item, dict) for item in value):
+            return None
+        items = [_inline(item, where, 0) for item in value]
+        if any(item is None for item in items):
+            return None
+        text = "[" + ", ".join(str(item) for item in items) + "]"
+        return text if len(text) + used <= _LINE_WIDTH else None
+    return _scalar(value, where)
+
+
+def _scalar(value: Any, where: str) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return int.__repr__(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise SpecError("not a finite number", where=where, value=value)
+        text = float.__repr__(value)
+        # With a point the exponent form is a number to YAML 1.1 readers as well.
+        return text.replace("e", ".0e") if "e" in text and "." not in text else text
+    if isinstance(value, str):
+        return _text(value)
+    raise SpecError(f"a {type(value).__name__} cannot be written as YAML", where=where)
+
+
+# Words that some YAML reader takes for a truth value, a null or a number.
+_SPECIAL = re.compile(
+    r"(?:y|n|yes|no|on|off|true|false|null|nan|inf|\.nan|\.inf|[-+.0-9].*)", re.IGNORECASE
+)
+
+
+def _text(value: str) -> str:
+    if len(value) <= 60 and _PLAIN.fullmatch(value) and not _SPECIAL.fullmatch(value):
+        return value
+    out = ['"']
+    for char in value:
+        code = ord(char)
+        if char in '"\\':
+            out.append("\\" + char)
+        elif char.isprintable() and not _UNPRINTABLE.match(char):
+            out.append(char)
+        elif code < 0x100:
+            out.append(f"\\x{code:02x}")
+        elif code < 0x10000:
+            out.append(f"\\u{code:04x}")
+        else:
+            out.append(f"\\U{code:08x}")
+    return "".join(out) + '"'

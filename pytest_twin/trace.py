@@ -1,0 +1,29 @@
+"""A trace: series on one independent axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+# A name in quotes: collecting specs needs no arrays and should not wait for NumPy.
+FloatArray: TypeAlias = "NDArray[np.float64]"
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Series on one independent axis; what stands beside a spec and what a plot shows.
+
+    Attributes:
+        axis: (name, unit), such as ``("time", "s")`` or ``("frequency", "Hz")``.
+        x: (n,) values of the axis, strictly increasing.
+        columns: name -> (unit, (n,) values), such as ``{"position:elbow": ("rad", ...)}``.
+    """
+
+    axis: tuple[str, str]
+    x: FloatArray
+    columns: Mapping[str, tuple[str, FloatArray]]
