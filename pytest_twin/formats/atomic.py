@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import stat
@@ -98,6 +99,33 @@ def replace_directory(staging: Path, final: Path) -> None:
         shutil.rmtree(aside)
     except OSError as error:
         raise PathError(f"cannot be replaced: {error.strerror or error}", path=final) from error
+
+
+def create_directory(staging: Path, final: Path) -> bool:
+    """Make the finished folder ``staging`` appear as ``final`` unless that is taken.
+
+    Everything in ``staging`` is synced first; of several writers exactly one gets ``final``.
+
+    Returns:
+        False where ``final`` was there already; ``staging`` then stays as it is.
+
+    Raises:
+        PathError: ``staging`` is no folder, or the disk refuses.
+    """
+    if staging.is_symlink() or not staging.is_dir():
+        raise PathError("not a folder", path=staging)
+    if final.is_symlink() or final.exists():
+        return False
+    try:
+        _sync_tree(staging)
+        staging.rename(final)
+        _sync_folder(final.parent)
+    except OSError as error:
+        # A folder with something in it is never renamed over.
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            return False
+        raise PathError(f"cannot be made: {error.strerror or error}", path=final) from error
+    return True
 
 
 def _mode_for(path: Path) -> int:

@@ -1,1 +1,26 @@
-"""TODO."""
+"""Signed releases: what passed, with everything that it depended on."""
+
+from pytest_twin.release.check import Baseline, baseline, check, newest
+from pytest_twin.release.environment import environment
+from pytest_twin.release.keys import signer
+from pytest_twin.release.statement import Draft, FileEntry, Header, Previous, Proof, Release
+from pytest_twin.release.verify import Problem, Verdict
+from pytest_twin.release.write import write
+
+__all__ = [
+    "Baseline",
+    "Draft",
+    "FileEntry",
+    "Header",
+    "Previous",
+    "Problem",
+    "Proof",
+    "Release",
+    "Verdict",
+    "baseline",
+    "check",
+    "environment",
+    "newest",
+    "signer",
+    "write",
+]

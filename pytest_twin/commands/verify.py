@@ -1,0 +1,95 @@
+"""``pytest-twin verify``: whether a release holds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from pytest_twin import release
+from pytest_twin.errors import ReleaseError
+from pytest_twin.formats import atomic
+from pytest_twin.release.envelope import short
+
+HELP = "check a release: its signature, every digest, its age, and that none newer is known"
+HOLDS, DOES_NOT_HOLD = 0, 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "release", metavar="RELEASE", type=Path, help="a release's folder, or a twin's: its newest"
+    )
+    parser.add_argument(
+        "--keys", metavar="DIR", type=Path, help="trusted public keys (default: the twin's keys/)"
+    )
+    parser.add_argument(
+        "--json",
+        metavar="FILE",
+        nargs="?",
+        const="-",
+        help="write the verdict as JSON too; without FILE to standard output, the text then goes "
+        "to standard error",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 the release holds, 1 it does not.
+
+    Raises:
+        TwinError: there is nothing to check, or no keys can be read.
+    """
+    folder = _folder(args.release)
+    if args.keys is not None and not args.keys.is_dir():
+        raise ReleaseError("no such folder of keys", path=args.keys)
+    verdict = release.check(folder, keys=args.keys, remember=True)
+    fields = verdict.to_json() | {"path": str(folder)}
+    text = json.dumps(fields, indent=2) + "\n"
+    if args.json == "-":
+        sys.stdout.write(text)
+    elif args.json is not None:
+        atomic.write_text(_outside(Path(args.json), folder), text)
+    print(_words(verdict, folder), file=sys.stderr if args.json == "-" else sys.stdout)
+    return HOLDS if verdict.holds else DOES_NOT_HOLD
+
+
+def _folder(given: Path) -> Path:
+    if not given.is_dir():
+        raise ReleaseError("no such release", path=given, expected="the folder of a release")
+    if (given / "twin.yaml").exists() or (given / "releases").is_dir():
+        found = release.newest(given)
+        if found is None:
+            raise ReleaseError("this twin has no release yet", path=given)
+        return found
+    return given
+
+
+def _outside(path: Path, folder: Path) -> Path:
+    if path.resolve().is_relative_to(folder.resolve()):
+        raise ReleaseError(
+            "would lie in the release and break it", path=path, expected="another folder"
+        )
+    return path
+
+
+def _words(verdict: release.Verdict, folder: Path) -> str:
+    found = verdict.release
+    if found is None:
+        lines = [f"does not hold: {folder}"]
+    else:
+        header = found.header
+        name = f"release {header.number} of {header.twin!r}"
+        lines = [f"holds: {name}" if verdict.holds else f"does not hold: {name}"]
+        lines.append(
+            f"  made {header.created}, valid until {header.expires}, "
+            f"signed by {short(header.key_id)}"
+        )
+        if verdict.holds:
+            lines.append(
+                f"  {len(found.goldens)} goldens, {len(found.files)} files, "
+                f"{len(found.external)} files elsewhere by digest"
+            )
+    lines += [f"  {problem.text}" for problem in verdict.problems]
+    # What a statement or a file name says may carry terminal escapes.
+    return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)

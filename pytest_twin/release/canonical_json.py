@@ -1,0 +1,92 @@
+"""JSON with one byte string per value, so that no byte of a signed file is without meaning."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NoReturn
+
+from pytest_twin.errors import ReleaseError
+from pytest_twin.release.limits import LIMITS, ReleaseLimits
+
+
+def dump(value: object) -> bytes:
+    """Sorted keys, no spaces, ASCII, shortest decimal form of floats.
+
+    Raises:
+        ReleaseError: a number that is not finite, or something that JSON cannot say.
+    """
+    try:
+        text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    except (ValueError, TypeError) as error:
+        raise ReleaseError(f"cannot be written as JSON: {error}") from error
+    return text.encode("ascii")
+
+
+def load(data: bytes, what: str, limits: ReleaseLimits = LIMITS) -> Any:
+    """The value of ``data``, which must be exactly what :func:`dump` makes of it.
+
+    Args:
+        data: the bytes.
+        what: what they are, for the errors.
+        limits: bounds on size and depth.
+
+    Raises:
+        ReleaseError: too large, too deep, no JSON, a key twice, a number that is not finite, or
+            any other spelling than the canonical one.
+    """
+    if len(data) > limits.envelope_bytes:
+        raise ReleaseError(
+            f"{what} is too large",
+            value=len(data),
+            unit="bytes",
+            expected=f"at most {limits.envelope_bytes} bytes",
+        )
+    try:
+        value = json.loads(
+            data.decode("ascii"), object_pairs_hook=_unique, parse_constant=_refuse_constant
+        )
+    except RecursionError:
+        raise _too_deep(what, limits) from None
+    except ValueError as error:
+        raise ReleaseError(f"{what} is not JSON: {error}") from None
+    _check_depth(value, what, limits)
+    if dump(value) != data:
+        raise ReleaseError(
+            f"{what} is not canonical",
+            expected="JSON with sorted keys, no spaces and shortest numbers, as it was signed",
+        )
+    return value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"key {key[:80]!r} stands twice")
+        found[key] = value
+    return found
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a finite number")
+
+
+def _check_depth(value: object, what: str, limits: ReleaseLimits) -> None:
+    level: list[object] = [value]
+    for _ in range(limits.depth_levels):
+        following: list[object] = []
+        for item in level:
+            if isinstance(item, dict):
+                following.extend(item.values())
+            elif isinstance(item, list):
+                following.extend(item)
+        if not following:
+            return
+        level = following
+    raise _too_deep(what, limits)
+
+
+def _too_deep(what: str, limits: ReleaseLimits) -> ReleaseError:
+    return ReleaseError(
+        f"{what} is nested too deeply", expected=f"at most {limits.depth_levels} levels"
+    )

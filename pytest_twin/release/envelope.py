@@ -1,0 +1,119 @@
+"""DSSE envelopes: who signed which bytes. No files.
+
+Dead Simple Signing Envelope, https://github.com/secure-systems-lab/dsse, with Ed25519 through
+securesystemslib. Stricter than the specification: the envelope's own bytes are canonical, and
+every signature in it must be one of a trusted key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from securesystemslib.dsse import Envelope
+from securesystemslib.exceptions import UnverifiedSignatureError
+from securesystemslib.signer import Key, Signer
+
+from pytest_twin.errors import ReleaseError
+from pytest_twin.release import canonical_json
+from pytest_twin.release.limits import LIMITS, ReleaseLimits
+
+PAYLOAD_TYPE = "application/vnd.in-toto+json"
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """An authentic payload.
+
+    Attributes:
+        payload: the signed bytes.
+        key_ids: every trusted key that signed them.
+        sha256: of the envelope, hex.
+    """
+
+    payload: bytes
+    key_ids: tuple[str, ...]
+    sha256: str
+
+
+def seal(payload: bytes, signer: Signer) -> bytes:
+    """The envelope of ``payload`` with one signature."""
+    envelope = Envelope(payload, PAYLOAD_TYPE, {})
+    envelope.sign(signer)
+    return canonical_json.dump(envelope.to_dict())
+
+
+def open_envelope(data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMITS) -> Opened:
+    """The payload of an envelope that trusted keys signed.
+
+    Raises:
+        ReleaseError: no keys; an envelope that is not canonical or not ours; no signature, too
+            many, one twice, one of a foreign key, or one that does not fit the bytes.
+    """
+    if not keys:
+        raise ReleaseError("no trusted keys", expected="at least one public key")
+    value = canonical_json.load(data, "the envelope", limits)
+    envelope = _parse(value, limits)
+    if canonical_json.dump(envelope.to_dict()) != data:
+        raise ReleaseError("the envelope is not canonical", expected="the bytes that were signed")
+    if envelope.payload_type != PAYLOAD_TYPE:
+        raise ReleaseError(
+            "the envelope holds something else",
+            where="payloadType",
+            value=envelope.payload_type,
+            expected=PAYLOAD_TYPE,
+        )
+    trusted = {key.keyid: key for key in keys}
+    for key_id, signature in envelope.signatures.items():
+        key = trusted.get(key_id)
+        if key is None:
+            raise ReleaseError(
+                "signed by a key that is not trusted",
+                value=key_id,
+                expected="one of " + ", ".join(sorted(short(known) for known in trusted)),
+            )
+        try:
+            key.verify_signature(signature, envelope.pae())
+        except UnverifiedSignatureError:
+            raise ReleaseError(
+                "the signature does not fit: the statement was changed or another key signed it",
+                value=key_id,
+            ) from None
+    return Opened(
+        envelope.payload, tuple(sorted(envelope.signatures)), hashlib.sha256(data).hexdigest()
+    )
+
+
+def short(key_id: str) -> str:
+    """Enough of a key id for people."""
+    return key_id[:16]
+
+
+def _parse(value: object, limits: ReleaseLimits) -> Envelope:
+    wrong = ReleaseError(
+        "not a DSSE envelope", expected="payload, payloadType and signatures of keyid and sig"
+    )
+    if not isinstance(value, dict) or set(value) != {"payload", "payloadType", "signatures"}:
+        raise wrong
+    signatures = value["signatures"]
+    if not isinstance(signatures, list) or not all(
+        isinstance(entry, dict)
+        and set(entry) == {"keyid", "sig"}
+        and all(isinstance(text, str) for text in entry.values())
+        for entry in signatures
+    ):
+        raise wrong
+    if not 1 <= len(signatures) <= limits.signatures_count:
+        raise ReleaseError(
+            "the envelope has no signature or too many",
+            value=len(signatures),
+            expected=f"1 to {limits.signatures_count}",
+        )
+    if len({entry["keyid"] for entry in signatures}) != len(signatures):
+        raise ReleaseError("one key signed twice", expected="one signature for each key")
+    try:
+        return Envelope.from_dict(value)
+    except Exception as error:
+        # The library lets errors of its decoders through, of several kinds.
+        raise ReleaseError(f"not a DSSE envelope: {error}") from None

@@ -1,0 +1,111 @@
+"""Releases on the disk: what lies in their folders, and which number comes next."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import stat
+from pathlib import Path
+
+from pytest_twin.errors import LimitError, PathError
+from pytest_twin.formats.paths import open_regular, read_bytes
+from pytest_twin.release.limits import LIMITS, ReleaseLimits
+from pytest_twin.release.verify import ENVELOPE, Found
+
+RELEASES = "releases"
+_NUMBER = re.compile(r"\d{4,9}")
+_BLOCK_BYTES = 2**20
+
+
+def number_of(folder: Path) -> int | None:
+    """The release number that a folder's name states."""
+    return int(folder.name) if _NUMBER.fullmatch(folder.name) else None
+
+
+def numbered(releases: Path) -> list[tuple[int, Path]]:
+    """(number, folder) of every release in ``releases``, the highest number first.
+
+    Raises:
+        PathError: ``releases`` cannot be read.
+    """
+    try:
+        entries = list(releases.iterdir())
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise PathError(f"cannot be read: {error.strerror}", path=releases) from None
+    found = [(number, path) for path in entries if (number := number_of(path)) is not None]
+    return sorted(found, reverse=True)
+
+
+def read_envelope(folder: Path, limits: ReleaseLimits = LIMITS) -> bytes | None:
+    """The bytes of a release's envelope, None where there is none.
+
+    Raises:
+        PathError: it is a link or cannot be read.
+        LimitError: it is too large.
+    """
+    path = folder / ENVELOPE
+    if not path.is_symlink() and not path.exists():
+        return None
+    return read_bytes(path, limits.envelope_bytes)
+
+
+def listing(folder: Path, limits: ReleaseLimits = LIMITS) -> dict[str, Found]:
+    """Everything in a folder, relative POSIX path -> what lies there; no link is followed.
+
+    Raises:
+        LimitError: more entries than any release has.
+        PathError: something cannot be read.
+    """
+    found: dict[str, Found] = {}
+    waiting = [folder]
+    while waiting:
+        here = waiting.pop()
+        try:
+            with os.scandir(here) as entries:
+                for entry in entries:
+                    path = Path(entry.path)
+                    name = path.relative_to(folder).as_posix()
+                    if entry.is_dir(follow_symlinks=False):
+                        waiting.append(path)
+                    found[name] = _found(path, limits)
+                    if len(found) > 4 * limits.files_count:
+                        raise LimitError(
+                            "too many files for a release",
+                            path=folder,
+                            expected=f"at most {limits.files_count}",
+                        )
+        except OSError as error:
+            raise PathError(f"cannot be read: {error.strerror}", path=here) from None
+    return found
+
+
+def digest(path: Path) -> tuple[str, int, int]:
+    """SHA-256 in hex, size in bytes, and number of names of a regular file.
+
+    Raises:
+        PathError: missing, unreadable, a link, or no regular file.
+    """
+    hashed, size = hashlib.sha256(), 0
+    with open_regular(path) as stream:
+        while block := stream.read(_BLOCK_BYTES):
+            hashed.update(block)
+            size += len(block)
+        return hashed.hexdigest(), size, os.fstat(stream.fileno()).st_nlink
+
+
+def _found(path: Path, limits: ReleaseLimits) -> Found:
+    facts = path.lstat()
+    if stat.S_ISLNK(facts.st_mode):
+        return Found("link")
+    if stat.S_ISDIR(facts.st_mode):
+        return Found("folder")
+    if not stat.S_ISREG(facts.st_mode):
+        return Found("other")
+    if facts.st_size > limits.file_bytes:
+        # Not read: no statement that we accept lists a file of this size.
+        return Found("file", size=facts.st_size, links=facts.st_nlink)
+    sha256, size, links = digest(path)
+    return Found("file", sha256, size, links)

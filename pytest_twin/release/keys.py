@@ -1,0 +1,179 @@
+"""Keys on the disk: the trusted public ones in the twin, the private one outside it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import platformdirs
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    PublicFormat,
+    load_pem_private_key,
+    load_pem_public_key,
+)
+from securesystemslib.signer import CryptoSigner, Key, SSlibKey
+
+from pytest_twin.errors import PathError, ReleaseError
+from pytest_twin.formats import atomic
+from pytest_twin.formats.paths import read_bytes
+from pytest_twin.release.envelope import short
+from pytest_twin.release.limits import LIMITS, ReleaseLimits
+
+FOLDER = "keys"
+VARIABLE = "TWIN_SIGNING_KEY"
+
+
+def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
+    """The Ed25519 public keys ``*.pub`` (PEM) of a folder; none where there is no folder.
+
+    Raises:
+        ReleaseError: a file that is no such key, or too many of them.
+        PathError: a file that is a link or cannot be read.
+    """
+    try:
+        paths = sorted(path for path in folder.iterdir() if path.suffix == ".pub")
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise PathError(f"cannot be read: {error.strerror}", path=folder) from None
+    if len(paths) > limits.keys_count:
+        raise ReleaseError(
+            "too many keys",
+            path=folder,
+            value=len(paths),
+            expected=f"at most {limits.keys_count}",
+        )
+    found: dict[str, Key] = {}
+    for path in paths:
+        try:
+            public = load_pem_public_key(read_bytes(path, limits.key_bytes))
+        except (ValueError, UnsupportedAlgorithm):
+            public = None
+        if not isinstance(public, Ed25519PublicKey):
+            raise ReleaseError(
+                "not a public key that releases are signed with",
+                path=path,
+                expected="an Ed25519 public key in PEM",
+            )
+        key = SSlibKey.from_crypto(public)
+        found[key.keyid] = key
+    return list(found.values())
+
+
+def signer(
+    root: Path, option: str | None = None, ini: str | None = None
+) -> tuple[CryptoSigner, tuple[str, ...]]:
+    """The signing key, and what to say about it.
+
+    It is looked for in ``option`` (``--twin-key``), the environment variable
+    ``TWIN_SIGNING_KEY``, ``ini`` (``twin_key``), and the user's configuration folder, where it is
+    made on first use.
+
+    Args:
+        root: the twin's folder.
+        option, ini: paths as given; relative ones from the working folder.
+
+    Raises:
+        ReleaseError: no such file, no Ed25519 key, inside the twin's folder, or not among the
+            keys that the twin trusts.
+    """
+    notes: list[str] = []
+    stated = option or os.environ.get(VARIABLE) or ini
+    if stated:
+        path = Path(stated).expanduser().absolute()
+    else:
+        path = platformdirs.user_config_path("pytest-twin") / "signing_key.pem"
+        if not path.exists():
+            _create(path)
+            notes.append(f"made a signing key for you: {path} (keep it private, and keep a copy)")
+    if path.resolve().is_relative_to(root.resolve()):
+        raise ReleaseError(
+            "the signing key lies inside the twin, where it would be published",
+            path=path,
+            expected="a path outside " + str(root),
+        )
+    found = _load_private(path)
+    if path.stat().st_mode & 0o077:
+        notes.append(f"others can read the signing key {path}: chmod 600 it")
+    trusted = load_trusted(root / FOLDER)
+    if trusted:
+        require_trusted(found, trusted, root)
+    return found, tuple(notes)
+
+
+def require_trusted(signer: CryptoSigner, trusted: Sequence[Key], root: Path) -> None:
+    """Refuse to sign with a key that nobody would accept.
+
+    Raises:
+        ReleaseError: the key is not among the trusted ones.
+    """
+    key_id = signer.public_key.keyid
+    if key_id not in {key.keyid for key in trusted}:
+        raise ReleaseError(
+            f"the signing key {short(key_id)} is not among the keys that this twin trusts",
+            path=root / FOLDER,
+            expected=", ".join(sorted(short(key.keyid) for key in trusted))
+            + f", or its public key added to {FOLDER}/ by someone who may",
+        )
+
+
+def trust_first(root: Path, signer: CryptoSigner) -> str:
+    """Write the signer's public key into a twin without keys; what to say about it.
+
+    Raises:
+        PathError: it cannot be written.
+    """
+    folder = root / FOLDER
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise PathError(f"cannot be made: {error.strerror}", path=folder) from None
+    path = folder / f"{short(signer.public_key.keyid)}.pub"
+    atomic.write_bytes(path, public_pem(signer))
+    return f"first release: this twin now trusts {path} (commit it)"
+
+
+def public_pem(signer: CryptoSigner) -> bytes:
+    """The public key of a signer, PEM."""
+    private = load_pem_private_key(signer.private_bytes, None)
+    return private.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+
+
+def _load_private(path: Path) -> CryptoSigner:
+    try:
+        private = load_pem_private_key(read_bytes(path.resolve(), LIMITS.key_bytes), None)
+    except (ValueError, TypeError, UnsupportedAlgorithm):
+        private = None
+    if not isinstance(private, Ed25519PrivateKey):
+        raise ReleaseError(
+            "not a key to sign with",
+            path=path,
+            expected="an Ed25519 private key in PEM (PKCS #8) without a passphrase",
+        )
+    return CryptoSigner(private)
+
+
+def _create(path: Path) -> None:
+    """A new key, readable by its owner alone; where two make one at once, the first stands."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent)
+        try:
+            with os.fdopen(descriptor, "wb") as stream:
+                stream.write(CryptoSigner.generate_ed25519().private_bytes)
+                stream.flush()
+                os.fsync(stream.fileno())
+            Path(temporary).chmod(0o600)
+            # A hard link fails where the name is taken; a rename would overwrite.
+            path.hardlink_to(temporary)
+        except FileExistsError:
+            pass
+        finally:
+            Path(temporary).unlink(missing_ok=True)
+    except OSError as error:
+        raise PathError(f"no signing key can be made here: {error.strerror}", path=path) from None

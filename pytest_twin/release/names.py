@@ -1,0 +1,65 @@
+"""Names of files in a release: the same file on every system, inside its folder, once."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable
+
+from pytest_twin.release.limits import LIMITS, ReleaseLimits
+
+# Names that Windows gives to devices, whatever the suffix.
+_DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
+_FORBIDDEN = set('<>:"|?*\\')
+
+
+def problem_with(name: str, limits: ReleaseLimits = LIMITS) -> str | None:
+    """What is wrong with a relative POSIX path as the name of a file in a release, or None."""
+    try:
+        length = len(name.encode("utf-8"))
+    except UnicodeEncodeError:
+        return "is not Unicode text"
+    if not name or length > limits.name_bytes:
+        return f"is empty or longer than {limits.name_bytes} bytes"
+    if any(char in _FORBIDDEN or unicodedata.category(char)[0] == "C" for char in name):
+        return "holds a character that is no part of a portable file name"
+    if unicodedata.normalize("NFC", name) != name:
+        return "is not in Unicode normal form C"
+    for part in name.split("/"):
+        if part in ("", ".", ".."):
+            return "leaves its folder or has an empty part"
+        if part != part.rstrip(". ") or _DEVICES.fullmatch(part):
+            return "means something else on another system"
+    return None
+
+
+def colliding(names: Iterable[str]) -> list[tuple[str, str]]:
+    """Pairs of names that are one file where case does not count, or a file and its folder."""
+    seen: dict[str, str] = {}
+    found: list[tuple[str, str]] = []
+    listed = sorted(names)
+    for name in listed:
+        key = _folded(name)
+        if key in seen:
+            found.append((seen[key], name))
+        seen[key] = name
+    for name in listed:
+        parts = _folded(name).split("/")
+        for end in range(1, len(parts)):
+            folder = "/".join(parts[:end])
+            if folder in seen:
+                found.append((seen[folder], name))
+    # Two spellings of one folder are two folders here and one elsewhere.
+    folders: dict[str, str] = {}
+    for name in listed:
+        parts = name.split("/")
+        for end in range(1, len(parts)):
+            folder = "/".join(parts[:end])
+            other = folders.setdefault(_folded(folder), folder)
+            if other != folder:
+                found.append((other, folder))
+    return list(dict.fromkeys(found))
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name.casefold())

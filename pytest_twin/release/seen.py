@@ -1,0 +1,58 @@
+"""Which releases this user has accepted, so that an older one is not passed off as current.
+
+One small file for each series of releases in the user's state folder. It is not a secret and not
+signed: it guards against what reaches the machine, not against who owns it.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import platformdirs
+
+from pytest_twin.errors import PathError, ReleaseError
+from pytest_twin.formats import atomic
+from pytest_twin.formats.paths import read_bytes
+
+_MAX_BYTES = 4096
+
+
+def highest(series: str) -> int | None:
+    """The highest number of a series (32 hex digits) that was accepted here, None for none.
+
+    Raises:
+        ReleaseError: what was remembered cannot be read.
+    """
+    path = _path(series)
+    if not path.exists():
+        return None
+    try:
+        number = json.loads(read_bytes(path, _MAX_BYTES))["number"]
+    except (ValueError, KeyError, TypeError):
+        number = None
+    if type(number) is not int:
+        raise ReleaseError(
+            "what was remembered of earlier releases cannot be read",
+            path=path,
+            expected='{"number": N}; delete the file to forget',
+        )
+    return number
+
+
+def remember(series: str, number: int) -> str | None:
+    """Remember that a release was accepted; what to say where that is not possible."""
+    path = _path(series)
+    known = highest(series)
+    if known is not None and known >= number:
+        return None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        atomic.write_text(path, json.dumps({"number": number}) + "\n")
+    except (OSError, PathError):
+        return f"cannot remember this release in {path.parent}: an older one will not be noticed"
+    return None
+
+
+def _path(series: str) -> Path:
+    return platformdirs.user_state_path("pytest-twin") / "releases" / f"{series}.json"

@@ -1,0 +1,397 @@
+"""What a release says: an in-toto statement with our predicate. Bytes in, nouns out, and back."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.dependency import Part, canonical
+from pytest_twin.errors import ReleaseError
+from pytest_twin.outcome import Outcome
+from pytest_twin.release import canonical_json, names
+from pytest_twin.release.limits import LIMITS, ReleaseLimits
+
+STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
+PREDICATE_TYPE = "urn:pytest-twin:release:1"
+
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_SERIES = re.compile(r"[0-9a-f]{32}")
+_TIME = "%Y-%m-%dT%H:%M:%SZ"
+_PREDICATE_FIELDS = {
+    "twin",
+    "series",
+    "number",
+    "previous",
+    "created",
+    "expires",
+    "ids",
+    "parts",
+    "goldens",
+    "environment",
+    "external",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FileEntry:
+    """A file that a release rests on.
+
+    Attributes:
+        name: relative POSIX path: in the release's folder, or, for external files, from the
+            twin's folder.
+        sha256: hex. size: bytes.
+    """
+
+    name: str
+    sha256: str
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """One golden on one realization as a release vouches for it.
+
+    Attributes:
+        outcome: the result, with every measure and margin.
+        title: the golden's title.
+        parts: ids of the parts that the result rests on.
+        release: number of the release that ran it; 0 in a draft for the one being written.
+        at: RFC 3339, UTC, when that release was made; empty in a draft likewise.
+    """
+
+    outcome: Outcome
+    title: str
+    parts: tuple[str, ...]
+    release: int = 0
+    at: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Previous:
+    """The release before: its number and the SHA-256 of its envelope."""
+
+    number: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What is known of a release before its files are.
+
+    Attributes:
+        twin: the twin's name.
+        series: random 128 bits, hex, chosen with the first release and kept by those after it.
+        number: counted from 1.
+        previous: the release before, None for the first.
+        created, expires: RFC 3339, UTC.
+        key_id: who signs.
+    """
+
+    twin: str
+    series: str
+    number: int
+    previous: Previous | None
+    created: str
+    expires: str
+    key_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What the gate wants released.
+
+    Attributes:
+        twin: its name.
+        valid_days: days until the release expires.
+        ids: the tuple of IDs: asset, realizations, calibration, fit, controllers, payloads,
+            firmware and other declared parts.
+        parts: part id -> part, everything that any golden rests on.
+        proofs: every golden on every realization, passed or advisory.
+        environment: what it ran on.
+        files: file -> SHA-256 that it had before the run. What lies in the twin's folder is
+            copied, the rest is listed.
+    """
+
+    twin: str
+    valid_days: float
+    ids: Mapping[str, Any]
+    parts: Mapping[str, Part]
+    proofs: tuple[Proof, ...]
+    environment: Mapping[str, str]
+    files: Mapping[Path, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """A signed statement, read.
+
+    Attributes:
+        header: twin, series, number, previous release, when made, how long valid, who signed.
+        ids, environment: as in :class:`Draft`.
+        parts: part id -> part with its content.
+        goldens: ``golden@realization`` -> proof.
+        files: what lies in the release's folder beside the envelope.
+        external: what lies outside the twin's folder.
+        sha256: of the envelope, hex.
+    """
+
+    header: Header
+    ids: Mapping[str, Any]
+    parts: Mapping[str, Part] = field(repr=False)
+    goldens: Mapping[str, Proof] = field(repr=False)
+    environment: Mapping[str, str] = field(repr=False)
+    files: tuple[FileEntry, ...] = field(repr=False)
+    external: tuple[FileEntry, ...] = field(repr=False)
+    sha256: str
+
+    @property
+    def twin(self) -> str:
+        """The twin's name."""
+        return self.header.twin
+
+    @property
+    def number(self) -> int:
+        """Counted from 1."""
+        return self.header.number
+
+
+def timestamp(moment: datetime) -> str:
+    """RFC 3339, UTC, whole seconds."""
+    return moment.astimezone(UTC).strftime(_TIME)
+
+
+def moment(text: str) -> datetime:
+    """The inverse of :func:`timestamp`.
+
+    Raises:
+        ReleaseError: any other form.
+    """
+    try:
+        parsed = datetime.strptime(text, _TIME).replace(tzinfo=UTC)
+    except (ValueError, TypeError):
+        parsed = None
+    if parsed is None or timestamp(parsed) != text:
+        raise ReleaseError("not a time", value=text, expected="RFC 3339 in UTC, whole seconds")
+    return parsed
+
+
+def proof_to_json(proof: Proof) -> dict[str, Any]:
+    """JSON-able fields of a proof; margins are written out for readers in other languages."""
+    outcome = replace(proof.outcome, plot=None).to_json()
+    for fields, measure in zip(outcome["measures"], proof.outcome.measures, strict=True):
+        margin = measure.margin
+        fields["margin"] = margin if abs(margin) < float("inf") else str(margin)
+    del outcome["plot"]
+    return {
+        "outcome": outcome,
+        "title": proof.title,
+        "parts": sorted(proof.parts),
+        "release": proof.release,
+        "at": proof.at,
+    }
+
+
+def write(
+    header: Header, draft: Draft, files: Sequence[FileEntry], external: Sequence[FileEntry]
+) -> bytes:
+    """The statement as canonical JSON.
+
+    Raises:
+        ReleaseError: two proofs of one golden, or a proof that rests on a part that is not there.
+    """
+    goldens: dict[str, dict[str, Any]] = {}
+    for proof in draft.proofs:
+        key = proof.outcome.key
+        if key in goldens:
+            raise ReleaseError("proven twice", where=key)
+        missing = sorted(set(proof.parts) - set(draft.parts))
+        if missing:
+            raise ReleaseError(
+                "rests on a part that the release lacks", where=key, value=missing[0]
+            )
+        goldens[key] = proof_to_json(
+            proof if proof.release else replace(proof, release=header.number, at=header.created)
+        )
+    previous = header.previous
+    return canonical_json.dump(
+        {
+            "_type": STATEMENT_TYPE,
+            "subject": [_descriptor(entry) for entry in sorted(files, key=_name)],
+            "predicateType": PREDICATE_TYPE,
+            "predicate": {
+                "twin": header.twin,
+                "series": header.series,
+                "number": header.number,
+                "previous": previous and {"number": previous.number, "sha256": previous.sha256},
+                "created": header.created,
+                "expires": header.expires,
+                "ids": draft.ids,
+                "parts": {
+                    ident: {"digest": part.digest, "content": json.loads(canonical(part.content))}
+                    for ident, part in draft.parts.items()
+                },
+                "goldens": [goldens[key] for key in sorted(goldens)],
+                "environment": dict(draft.environment),
+                "external": [_descriptor(entry) for entry in sorted(external, key=_name)],
+            },
+        }
+    )
+
+
+def read(payload: bytes, key_id: str, sha256: str, limits: ReleaseLimits = LIMITS) -> Release:
+    """The release that a signed payload states.
+
+    Args:
+        payload: the statement's bytes, already authenticated.
+        key_id: who signed them.
+        sha256: of the envelope around them, hex.
+        limits: bounds.
+
+    Raises:
+        ReleaseError: not canonical JSON, not an in-toto statement of ours, or one that
+            contradicts itself.
+    """
+    statement = canonical_json.load(payload, "the statement", limits)
+    try:
+        return _read(statement, key_id, sha256, limits)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ReleaseError(f"the statement is not a release: {error!r}") from None
+
+
+def _read(statement: Any, key_id: str, sha256: str, limits: ReleaseLimits) -> Release:
+    _require_fields(statement, {"_type", "subject", "predicateType", "predicate"}, "statement")
+    _require_equal(statement["_type"], STATEMENT_TYPE, "_type")
+    _require_equal(statement["predicateType"], PREDICATE_TYPE, "predicateType")
+    predicate = statement["predicate"]
+    _require_fields(predicate, _PREDICATE_FIELDS, "predicate")
+    header = _read_header(predicate, key_id)
+    files = tuple(_read_descriptor(entry) for entry in statement["subject"])
+    _check_files(files, limits)
+    parts = {}
+    for ident, fields in predicate["parts"].items():
+        _require_fields(fields, {"digest", "content"}, f"parts.{ident}")
+        parts[ident] = Part(ident, fields["content"])
+        _require_equal(fields["digest"], parts[ident].digest, f"parts.{ident}.digest")
+    goldens = {}
+    for fields in predicate["goldens"]:
+        proof = _read_proof(fields)
+        if proof.outcome.key in goldens:
+            raise ReleaseError("proven twice", where=proof.outcome.key)
+        if not set(proof.parts) <= set(parts) or not 1 <= proof.release <= header.number:
+            raise ReleaseError("rests on what the release does not hold", where=proof.outcome.key)
+        goldens[proof.outcome.key] = proof
+    if not isinstance(predicate["ids"], dict):
+        raise TypeError("ids is not a table")
+    return Release(
+        header=header,
+        ids=predicate["ids"],
+        parts=parts,
+        goldens=goldens,
+        environment={str(k): str(v) for k, v in predicate["environment"].items()},
+        files=files,
+        external=tuple(_read_descriptor(entry) for entry in predicate["external"]),
+        sha256=sha256,
+    )
+
+
+def _read_header(predicate: Mapping[str, Any], key_id: str) -> Header:
+    number, previous = predicate["number"], predicate["previous"]
+    if type(number) is not int or number < 1:
+        raise ReleaseError("not a release number", value=number, expected="1 or more")
+    if not isinstance(predicate["twin"], str) or not _SERIES.fullmatch(predicate["series"]):
+        raise ReleaseError("the statement names no twin or no series of releases")
+    if previous is not None:
+        _require_fields(previous, {"number", "sha256"}, "previous")
+        if type(previous["number"]) is not int or not 1 <= previous["number"] < number:
+            raise ReleaseError("not a release before this one", value=previous["number"])
+        previous = Previous(previous["number"], _require_sha256(previous["sha256"]))
+    if moment(predicate["expires"]) <= moment(predicate["created"]):
+        raise ReleaseError("expires before it was made", value=predicate["expires"])
+    return Header(
+        twin=predicate["twin"],
+        series=predicate["series"],
+        number=number,
+        previous=previous,
+        created=predicate["created"],
+        expires=predicate["expires"],
+        key_id=key_id,
+    )
+
+
+def _read_proof(fields: Mapping[str, Any]) -> Proof:
+    _require_fields(fields, {"outcome", "title", "parts", "release", "at"}, "goldens")
+    outcome = dict(fields["outcome"]) | {"plot": None}
+    measures = [dict(measure) for measure in outcome["measures"]]
+    for measure in measures:
+        del measure["margin"]
+    moment(fields["at"])
+    return Proof(
+        outcome=Outcome.from_json(outcome | {"measures": measures}),
+        title=str(fields["title"]),
+        parts=tuple(str(ident) for ident in fields["parts"]),
+        release=int(fields["release"]),
+        at=fields["at"],
+    )
+
+
+def _check_files(files: Sequence[FileEntry], limits: ReleaseLimits) -> None:
+    if len(files) > limits.files_count:
+        raise ReleaseError(
+            "too many files", value=len(files), expected=f"at most {limits.files_count}"
+        )
+    for entry in files:
+        problem = names.problem_with(entry.name, limits)
+        if problem:
+            raise ReleaseError(f"the name of a file {problem}", value=entry.name)
+    for one, other in names.colliding(entry.name for entry in files):
+        raise ReleaseError(f"two files are one on other systems: {one!r} and {other!r}")
+
+
+def _name(entry: FileEntry) -> str:
+    return entry.name
+
+
+def _descriptor(entry: FileEntry) -> dict[str, Any]:
+    """An in-toto ResourceDescriptor."""
+    return {
+        "name": entry.name,
+        "digest": {"sha256": entry.sha256},
+        "annotations": {"size": entry.size},
+    }
+
+
+def _read_descriptor(fields: Any) -> FileEntry:
+    _require_fields(fields, {"name", "digest", "annotations"}, "file")
+    _require_fields(fields["digest"], {"sha256"}, "file.digest")
+    _require_fields(fields["annotations"], {"size"}, "file.annotations")
+    size = fields["annotations"]["size"]
+    if not isinstance(fields["name"], str) or type(size) is not int or size < 0:
+        raise TypeError("a file without name or size")
+    return FileEntry(fields["name"], _require_sha256(fields["digest"]["sha256"]), size)
+
+
+def _require_fields(table: Any, expected: set[str], where: str) -> None:
+    if not isinstance(table, dict) or set(table) != expected:
+        found = sorted(table) if isinstance(table, dict) else type(table).__name__
+        raise ReleaseError(
+            "not the fields of a release",
+            where=where,
+            value=found,
+            expected=", ".join(sorted(expected)),
+        )
+
+
+def _require_equal(value: object, expected: str, where: str) -> None:
+    if value != expected:
+        raise ReleaseError("not what a release states", where=where, value=value, expected=expected)
+
+
+def _require_sha256(value: object) -> str:
+    if not isinstance(value, str) or not _SHA256.fullmatch(value):
+        raise ReleaseError("not a SHA-256", value=value, expected="64 hex digits")
+    return value
