@@ -57,7 +57,7 @@ class McapLimits:
     joints_count: int = 1024
     channels_count: int = 4096
     samples_count: int = 400_000_000
-    metadata_bytes: int = 2**20
+    metadata_bytes: int = 16 * 2**20
     name_bytes: int = 1024
 
 
