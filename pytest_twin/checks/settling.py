@@ -1,0 +1,317 @@
+"""Settling: let go, with nothing commanded but rest, and see where and how it comes to rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.checks.base import Check, FloatArray, Measure, Observation, Progress, Trace
+from pytest_twin.checks.fields import (
+    POSITION_UNIT,
+    QUANTITY_SCHEMA,
+    known_name,
+    quantity,
+    spec_error,
+)
+from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, keyframes_of, resolve_pose
+from pytest_twin.checks.scalars import declared_measure, sample_grid, scalar_measures
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+from pytest_twin.metrics.energy import energy_growth
+from pytest_twin.metrics.pose import orientation_error, position_error, rotation_of
+from pytest_twin.metrics.time_response import settling_time
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+    from pytest_twin.realization.simulate import Run
+
+SAMPLES = 101
+_DEFAULT_BAND = {"rad": 1e-3, "m": 1e-4}
+
+
+class Settling(Check):
+    """Free motion from a pose, under zero input.
+
+    ``values``: where it rests, ``angle`` (hinge -> rad), ``position`` (slide -> m) and ``pose``
+    (free joint -> position in m and quaternion w x y z, ball joint -> quaternion);
+    ``settling_time`` in s or None; ``energy_growth``, ``energy_start`` and ``energy_end`` in J;
+    ``penetration`` in m and the ``deepest`` pair.
+    """
+
+    kind: ClassVar[str] = "settling"
+    tolerances: ClassVar[Mapping[str, str]] = {
+        "angle": "rad",
+        "position": "m",
+        "settling_time": "s",
+        "energy_growth": "J",
+        "penetration": "m",
+    }
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "description": "What of the robot is looked at.",
+            "properties": {
+                "joints": {
+                    "type": "array",
+                    "minItems": 1,
+                    "uniqueItems": True,
+                    "items": {"type": "string", "minLength": 1},
+                    "description": "Joints whose rest is compared; all by default.",
+                }
+            },
+            "additionalProperties": False,
+        },
+        "stimulus": {
+            "type": "object",
+            "properties": {
+                "duration": {
+                    **QUANTITY_SCHEMA,
+                    "description": "How long it is watched: '3 s'.",
+                },
+                "pose": POSE_SCHEMA,
+                "displacement": {
+                    "type": "object",
+                    "description": "Joint -> how far from the pose it is let go, rad or m. "
+                    "Servos keep asking for the pose.",
+                    "additionalProperties": QUANTITY_SCHEMA,
+                },
+                "gravity": {"type": "boolean", "description": "True by default."},
+                "input": {
+                    "enum": ["hold", "zero"],
+                    "description": "hold (default): position servos ask for the pose, velocity "
+                    "servos for standstill, motors for nothing. zero: every control is 0, which "
+                    "sends a position servo to 0.",
+                },
+                "band": {
+                    "type": "object",
+                    "description": "How close to its rest counts as settled.",
+                    "properties": {
+                        "angle": {**QUANTITY_SCHEMA, "description": "'1 mrad' by default."},
+                        "position": {**QUANTITY_SCHEMA, "description": "'0.1 mm' by default."},
+                    },
+                    "additionalProperties": False,
+                },
+            },
+            "required": ["duration"],
+            "additionalProperties": False,
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """All that moves anything, and the named keyframe."""
+        return set(structure.dynamics()) | {
+            f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
+        }
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Let go and step until the duration has passed."""
+        from pytest_twin.realization import simulate
+
+        stimulus = golden.stimulus
+        structure = realization.structure
+        wanted = golden.target.get("joints", list(structure.joint_body))
+        for i, joint in enumerate(golden.target.get("joints", ())):
+            known_name(golden, f"target.joints.{i}", joint, structure.joint_body, "joint")
+        duration = _positive(golden, "stimulus.duration", stimulus["duration"])
+        pose = resolve_pose(golden, realization, stimulus.get("pose", REFERENCE), "stimulus.pose")
+        model = simulate.bench(realization, gravity=stimulus.get("gravity", True))
+        data = simulate.start(model, realization, pose.qpos)
+        if stimulus.get("input", "hold") == "hold":
+            data.ctrl[:] = simulate.hold(model, data)
+        for joint, value in stimulus.get("displacement", {}).items():
+            place = f"stimulus.displacement.{joint}"
+            known_name(golden, place, joint, pose.joints, "hinge or slide joint")
+            unit = POSITION_UNIT[structure.joint_type[joint]]
+            data.qpos[realization.joint_qpos_index(joint)] += quantity(golden, place, value, unit)
+        run = simulate.simulate(model, data, simulate.steps_in(model, duration), progress=progress)
+        bands = {
+            unit: quantity(golden, f"stimulus.band.{name}", given, unit)
+            for name, unit in (("angle", "rad"), ("position", "m"))
+            for given in [stimulus.get("band", {}).get(name, _DEFAULT_BAND[unit])]
+        }
+        if min(bands.values()) <= 0.0:
+            raise spec_error(golden, "stimulus.band", "nothing settles within an empty band")
+        final, excess, columns = _joints(realization, run, wanted, bands)
+        growth = energy_growth(run.energy, run.actuator_work, run.constraint_work)
+        grid = sample_grid(float(run.time[-1]), SAMPLES)
+        columns |= {
+            "energy": ("J", run.energy),
+            "actuator_work": ("J", run.actuator_work),
+            "constraint_work": ("J", run.constraint_work),
+            "penetration": ("m", run.penetration),
+        }
+        return Observation(
+            values={
+                **final,
+                "settling_time": settling_time(
+                    run.time, excess, np.zeros(excess.shape[1]), np.ones(excess.shape[1])
+                ),
+                "energy_growth": growth,
+                "energy_start": float(run.energy[0]),
+                "energy_end": float(run.energy[-1]),
+                "penetration": float(run.penetration.max()),
+                "deepest": None if run.deepest is None else list(run.deepest),
+            },
+            trace=Trace(
+                axis=("time", "s"),
+                x=grid,
+                columns={
+                    name: (unit, simulate.resample(run.time, values, grid))
+                    for name, (unit, values) in columns.items()
+                },
+            ),
+        )
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Rest per joint and settling time against the record; energy and depth against zero."""
+        values = observation.values
+        measures = []
+        if golden.expected is not None:
+            measures += _rest(golden, values, golden.expected)
+            measures += scalar_measures(
+                golden,
+                {"settling_time": "s"},
+                values,
+                "robot",
+                undefined={"settling_time": "it never comes to rest"},
+            )
+        measures += declared_measure(
+            golden, "energy_growth", "J", float(values["energy_growth"]), "robot"
+        )
+        pair = values["deepest"]
+        measures += declared_measure(
+            golden,
+            "penetration",
+            "m",
+            float(values["penetration"]),
+            "no contact" if pair is None else " and ".join(pair),
+        )
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Let go at a pose under gravity, and beside it without gravity."""
+        from pytest_twin.realization import simulate
+
+        model = realization.model
+        if model.nv == 0:
+            return []
+        structure = realization.structure
+        held = {
+            joint
+            for i in range(model.nactuator)
+            if simulate.command_kind(model, i) == "position"
+            for joint in simulate.driven_joints(realization, str(model.actuator(i).name))
+        }
+        # What nothing holds falls and swings: after a while, no two machines agree on where.
+        loose = set(structure.joint_body) - {
+            tied for joint in held for tied in simulate.coupled_joints(realization, joint)
+        }
+        duration = "0.3 s" if loose else "3 s"
+        pose = simulate.first_pose(realization)
+        tolerance = {
+            "angle": "1 mrad",
+            "position": "0.1 mm",
+            "settling_time": "20 ms",
+            "energy_growth": "10 mJ",
+            "penetration": "5 mm",
+        }
+        displaced = {
+            joint: 0.05 if structure.joint_type[joint] == "hinge" else 0.002
+            for joint in sorted(held)
+            if structure.joint_type[joint] in POSITION_UNIT
+        }
+        without: dict[str, Any] = {"duration": duration, "pose": pose, "gravity": False}
+        if displaced:
+            without["displacement"] = displaced
+        return [
+            {
+                "name": "gravity",
+                "title": "Let go under gravity, servos holding the pose",
+                "target": {},
+                "stimulus": {"duration": duration, "pose": pose, "gravity": True},
+                "tolerance": tolerance,
+            },
+            {
+                "name": "no_gravity",
+                "title": "Let go beside the pose, without gravity",
+                "target": {},
+                "stimulus": without,
+                "tolerance": tolerance,
+            },
+        ]
+
+
+def _positive(golden: Golden, field: str, value: object) -> float:
+    seconds = quantity(golden, field, value, "s")
+    if not 0.0 < seconds <= 600.0:
+        raise spec_error(
+            golden, field, "out of bounds", value=seconds, unit="s", expected="0 to 600 s"
+        )
+    return seconds
+
+
+def _joints(
+    realization: Realization, run: Run, wanted: Iterable[str], bands: Mapping[str, float]
+) -> tuple[dict[str, Any], FloatArray, dict[str, tuple[str, FloatArray]]]:
+    """Final values, distance to them in bands (n, k), and columns of the trace."""
+    types = realization.structure.joint_type
+    final: dict[str, Any] = {"angle": {}, "position": {}, "pose": {}}
+    excess: list[FloatArray] = []
+    columns: dict[str, tuple[str, FloatArray]] = {}
+    for joint in wanted:
+        at = realization.joint_qpos_index(joint)
+        kind = types[joint]
+        if kind in POSITION_UNIT:
+            unit = POSITION_UNIT[kind]
+            values = run.qpos[:, at]
+            final["angle" if unit == "rad" else "position"][joint] = float(values[-1])
+            excess.append((values - values[-1]) / bands[unit])
+            columns[f"position:{joint}"] = (unit, values)
+            continue
+        if kind == "free":
+            position = run.qpos[:, at : at + 3]
+            excess.append(np.linalg.norm(position - position[-1], axis=1) / bands["m"])
+            for axis, name in enumerate("xyz"):
+                columns[f"{name}:{joint}"] = ("m", position[:, axis])
+            at += 3
+        quaternion = run.qpos[:, at : at + 4]
+        cosine = np.abs(quaternion @ quaternion[-1]).clip(0.0, 1.0)
+        excess.append(2.0 * np.arccos(cosine) / bands["rad"])
+        start = at - 3 if kind == "free" else at
+        final["pose"][joint] = run.qpos[-1, start : at + 4].tolist()
+    return final, np.column_stack(excess), columns
+
+
+def _rest(golden: Golden, now: Mapping[str, Any], then: Mapping[str, Any]) -> list[Measure]:
+    """Where each joint came to rest, against the record; NaN where only one of them has it."""
+    measures = []
+    for name in ("angle", "position"):
+        bound = golden.tolerance.get(name)
+        if bound is None:
+            continue
+        for joint in sorted({*now[name], *then.get(name, {})}):
+            found, stored = (float(v.get(name, {}).get(joint, math.nan)) for v in (now, then))
+            error = abs(found - stored)
+            measures.append(Measure(name, joint, found, stored, error, bound.value, bound.unit))
+    for joint in sorted({*now["pose"], *then.get("pose", {})}):
+        errors = _pose_errors(now["pose"].get(joint, []), then.get("pose", {}).get(joint, []))
+        for name, error in errors.items():
+            bound = golden.tolerance.get(name)
+            if bound is not None:
+                measures.append(Measure(name, joint, error, 0.0, error, bound.value, bound.unit))
+    return measures
+
+
+def _pose_errors(now: list[float], then: list[float]) -> dict[str, float]:
+    """Distances of two poses: of position, where they have one, and of orientation."""
+    if len(now) != len(then):
+        return {"angle": math.nan}
+    errors = {"angle": orientation_error(rotation_of(now[-4:]), rotation_of(then[-4:]))}
+    if len(now) == 7:
+        errors["position"] = position_error(now[:3], then[:3])
+    return errors

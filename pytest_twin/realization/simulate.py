@@ -1,0 +1,433 @@
+"""Stepping one realization under a stimulus: where it starts, what holds it, what is recorded."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import batch
+from numpy.typing import NDArray
+
+from pytest_twin.errors import ModelError, SimulationError, SpecError
+from pytest_twin.realization.inputs import CommandMode, steady_activation
+from pytest_twin.realization.model import Realization
+
+Vector = NDArray[np.float64]
+
+# A locked dof's armature, kg m^2 or kg: a force of 1 kN moves it by less than 1 um in 10 s.
+_LOCKED_ARMATURE = 1e12
+_SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+_FATAL = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_BADCTRL,
+)
+
+
+def bench(
+    realization: Realization,
+    *,
+    gravity: bool = True,
+    locked: Collection[str] = (),
+    edit: Callable[[mujoco.MjSpec], None] | None = None,
+) -> mujoco.MjModel:
+    """A model to step, apart from the realization's own, which stays as it is.
+
+    Args:
+        gravity: False switches gravity off.
+        locked: joints that keep their start position, as bolted (by an armature of 1e12).
+        edit: changes a copy of the spec before it is compiled, such as an object to touch.
+
+    Raises:
+        ModelError: the edited spec does not compile.
+    """
+    if edit is None:
+        model = copy.copy(realization.model)
+    else:
+        spec = realization.spec.copy()
+        for key in list(spec.keys):  # their sizes are the robot's, not the scene's
+            spec.delete(key)
+        edit(spec)
+        try:
+            model = spec.compile()
+        except (ValueError, RuntimeError, mujoco.FatalError) as error:
+            raise ModelError(
+                f"MuJoCo refuses the scene: {' '.join(str(error).split())}", path=realization.path
+            ) from None
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    # A reset in mid-flight would hide a divergence.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    if not gravity:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    if locked:
+        mean_inertia = float(model.stat.meaninertia)
+        for joint in locked:
+            model.dof_armature[_dofs(model, realization.joint_index(joint))] = _LOCKED_ARMATURE
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        model.stat.meaninertia = mean_inertia  # scales the solver's tolerance
+    return model
+
+
+def _dofs(model: mujoco.MjModel, joint: int) -> slice:
+    start = int(model.jnt_dofadr[joint])
+    width = {mujoco.mjtJoint.mjJNT_FREE: 6, mujoco.mjtJoint.mjJNT_BALL: 3}
+    return slice(start, start + width.get(mujoco.mjtJoint(model.jnt_type[joint]), 1))
+
+
+def coupled_joints(realization: Realization, joint: str) -> frozenset[str]:
+    """``joint`` and those tied to it by a joint equality or a tendon."""
+    model = realization.model
+    ties: list[set[int]] = []
+    for i in range(model.neq):
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[i] >= 0:
+            ties.append({int(model.eq_obj1id[i]), int(model.eq_obj2id[i])})
+    for i in range(model.ntendon):
+        wraps = range(int(model.tendon_adr[i]), int(model.tendon_adr[i] + model.tendon_num[i]))
+        ties.append(
+            {
+                int(model.wrap_objid[k])
+                for k in wraps
+                if model.wrap_type[k] == mujoco.mjtWrap.mjWRAP_JOINT
+            }
+        )
+    group = {realization.joint_index(joint)}
+    grown = True
+    while grown:
+        grown = False
+        for tie in ties:
+            if tie & group and not tie <= group:
+                group |= tie
+                grown = True
+    return frozenset(str(model.joint(i).name) for i in group)
+
+
+# -- controls
+
+
+def driving_actuator(realization: Realization, joint: str) -> str | None:
+    """The first actuator whose transmission is ``joint``, or a tendon over it; None if none."""
+    model = realization.model
+    index = realization.joint_index(joint)
+    for actuator in range(model.nactuator):
+        if index in _driven(model, actuator):
+            return str(model.actuator(actuator).name)
+    return None
+
+
+def driven_joints(realization: Realization, actuator: str) -> tuple[str, ...]:
+    """Joints that an actuator drives, directly or through a tendon."""
+    model = realization.model
+    return tuple(
+        str(model.joint(i).name) for i in _driven(model, realization.actuator_index(actuator))
+    )
+
+
+def _driven(model: mujoco.MjModel, actuator: int) -> list[int]:
+    kind = model.actuator_trntype[actuator]
+    target = int(model.actuator_trnid[actuator, 0])
+    if kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+        return [target]
+    if kind != mujoco.mjtTrn.mjTRN_TENDON:
+        return []
+    wraps = range(
+        int(model.tendon_adr[target]), int(model.tendon_adr[target] + model.tendon_num[target])
+    )
+    return [
+        int(model.wrap_objid[k]) for k in wraps if model.wrap_type[k] == mujoco.mjtWrap.mjWRAP_JOINT
+    ]
+
+
+def command_kind(model: mujoco.MjModel, actuator: int) -> CommandMode:
+    """What the actuator's first control asks for, of a joint, a tendon or anything else.
+
+    The declared input decides; without one, a bias that pulls towards a target does.
+    """
+    if model.actuator_ctrlnum[actuator] > 0:
+        declared = mujoco.mj_actuatorInputName(model, actuator, 0)
+        if declared in ("pos", "vel"):
+            return "position" if declared == "pos" else "velocity"
+    gain = float(model.actuator_gainprm[actuator, 0])
+    if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE and gain != 0.0:
+        integrates = model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        if model.actuator_biasprm[actuator, 1] != 0.0:
+            return "velocity" if integrates else "position"
+        if model.actuator_biasprm[actuator, 2] != 0.0 and not integrates:
+            return "velocity"
+    return "effort"
+
+
+def hold(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:
+    """Controls (nu,) that ask for the pose of ``data`` at rest; activations are set to match.
+
+    A position servo targets where it is, a velocity servo targets zero, a motor has no command.
+    """
+    mujoco.mj_fwdPosition(model, data)
+    control: Vector = np.zeros(model.nu)
+    for actuator in range(model.nactuator):
+        if command_kind(model, actuator) == "position":
+            control[model.actuator_ctrladr[actuator]] = _setpoint(model, data, actuator)
+    data.ctrl[:] = clipped(model, control)
+    for actuator in range(model.nactuator):
+        steady = steady_activation(model, data, actuator)
+        if steady is not None:
+            data.act[steady[0]] = steady[1]
+    return np.array(data.ctrl)
+
+
+def _setpoint(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> float:
+    length = float(data.actuator_length[model.actuator_outadr[actuator]])
+    gain = float(model.actuator_gainprm[actuator, 0])
+    if model.actuator_gaintype[actuator] != mujoco.mjtGain.mjGAIN_FIXED or gain == 0.0:
+        return length
+    bias = model.actuator_biasprm[actuator]
+    return -(float(bias[0]) + float(bias[1]) * length) / gain
+
+
+def clipped(model: mujoco.MjModel, control: Vector) -> Vector:
+    """Controls within the declared ranges, as MuJoCo applies them."""
+    limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
+    lower = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
+    upper = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
+    return np.clip(control, lower, upper)
+
+
+# -- where it starts
+
+
+def start(model: mujoco.MjModel, realization: Realization, qpos: Vector) -> mujoco.MjData:
+    """A state at rest: the robot at its ``qpos`` (nq,), what a scene has added where it stands."""
+    data = mujoco.MjData(model)
+    base = realization.model
+    for i in range(base.njnt):
+        source = int(base.jnt_qposadr[i])
+        width = {mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}.get(
+            mujoco.mjtJoint(base.jnt_type[i]), 1
+        )
+        # A scene's own bodies come after the robot's.
+        target = int(model.jnt_qposadr[i])
+        data.qpos[target : target + width] = qpos[source : source + width]
+    return data
+
+
+def first_pose(realization: Realization) -> str | dict[str, dict[str, float]]:
+    """A pose for a first spec: the first named keyframe, else one well inside all ranges.
+
+    Joints whose reference is within the inner 80 % of their range stay there and are not named;
+    the others stand in the middle.
+    """
+    model = realization.model
+    for i in range(model.nkey):
+        if model.key(i).name:
+            return str(model.key(i).name)
+    followers = {
+        int(model.eq_obj1id[i])
+        for i in range(model.neq)
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[i] >= 0
+    }
+    pose = {}
+    for i in range(model.njnt):
+        if model.jnt_type[i] not in _SCALAR or not model.jnt_limited[i] or i in followers:
+            continue
+        lower, upper = (float(bound) for bound in model.jnt_range[i])
+        margin = 0.1 * (upper - lower)
+        reference = float(model.qpos0[model.jnt_qposadr[i]])
+        if not lower + margin <= reference <= upper - margin and model.joint(i).name:
+            pose[str(model.joint(i).name)] = round(0.5 * (lower + upper), 4)
+    return {"joints": pose} if pose else "reference"
+
+
+# -- stepping
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What a simulation went through; row k is the state at ``time[k]``.
+
+    Attributes:
+        time: (n + 1,) s.
+        qpos, qvel: (n + 1, nq), (n + 1, nv).
+        energy: (n + 1,) J, kinetic and potential, with springs; contacts store none in it.
+        actuator_work, constraint_work: (n + 1,) J done on the robot since the start by
+            actuators and applied forces, and by constraints (contacts, limits, friction,
+            equalities): force at the start of a step times the mean velocity over it.
+        penetration: (n + 1,) m, depth of the deepest contact, 0 where nothing overlaps.
+        deepest: names of the two geoms of the deepest contact of all, None if none overlapped.
+    """
+
+    time: Vector
+    qpos: Vector
+    qvel: Vector
+    energy: Vector
+    actuator_work: Vector
+    constraint_work: Vector
+    penetration: Vector
+    deepest: tuple[str, str] | None
+
+
+def steps_in(model: mujoco.MjModel, duration: float) -> int:
+    """How many steps make up ``duration`` s, at least one."""
+    return max(1, round(duration / float(model.opt.timestep)))
+
+
+def simulate(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    steps: int,
+    *,
+    before: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Step ``data`` on and record it.
+
+    Args:
+        before: called with the time in s before each step; may write controls and forces.
+        progress: called with the fraction done.
+
+    Raises:
+        SimulationError: a state that is not finite or beyond MuJoCo's bounds; the message has
+            the time and the joint.
+    """
+    n = steps
+    time, energy = np.empty(n + 1), np.empty(n + 1)
+    qpos, qvel = np.empty((n + 1, model.nq)), np.empty((n + 1, model.nv))
+    actuator_work, constraint_work = np.zeros(n + 1), np.zeros(n + 1)
+    penetration = np.zeros(n + 1)
+    deepest: tuple[str, str] | None = None
+    timestep = float(model.opt.timestep)
+    for k in range(n + 1):
+        if before is not None:
+            before(float(data.time))
+        time[k], qpos[k], qvel[k] = data.time, data.qpos, data.qvel
+        if k < n:
+            mujoco.mj_step(model, data)
+            check_finite(model, data)
+            motion = 0.5 * timestep * (qvel[k] + data.qvel)
+            applied = data.qfrc_actuator + data.qfrc_applied
+            actuator_work[k + 1] = actuator_work[k] + applied @ motion
+            constraint_work[k + 1] = constraint_work[k] + data.qfrc_constraint @ motion
+        else:
+            mujoco.mj_forward(model, data)
+        # Derived fields are those of the state before the step.
+        energy[k] = data.energy[0] + data.energy[1]
+        if data.ncon:
+            distance = data.contact.dist
+            worst = int(np.argmin(distance))
+            penetration[k] = max(0.0, -float(distance[worst]))
+            if penetration[k] > 0.0 and penetration[k] >= penetration[: k + 1].max():
+                deepest = _geom_names(model, data.contact.geom[worst])
+        if progress is not None and k % 256 == 0:
+            progress(k / n)
+    return Run(time, qpos, qvel, energy, actuator_work, constraint_work, penetration, deepest)
+
+
+def geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """A geom's name, or that of its body where it has none."""
+    name = str(model.geom(geom).name)
+    return name or f"geom of {model.body(int(model.geom_bodyid[geom])).name}"
+
+
+def _geom_names(model: mujoco.MjModel, geoms: NDArray[np.int32]) -> tuple[str, str]:
+    first, second = (geom_name(model, int(geom)) for geom in geoms)
+    return first, second
+
+
+def check_finite(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Refuse a state that has diverged.
+
+    Raises:
+        SimulationError: with the time and the joint.
+    """
+    if not any(data.warning[kind].number for kind in _FATAL) and np.isfinite(data.qvel).all():
+        return
+    velocity = np.where(np.isfinite(data.qvel), np.abs(data.qvel), np.inf)
+    raise diverged(model, int(np.argmax(velocity)), float(data.time))
+
+
+def diverged(model: mujoco.MjModel, dof: int, time: float) -> SimulationError:
+    """The error of a simulation that left all bounds at ``dof``."""
+    joint = str(model.joint(int(model.dof_jntid[dof])).name)
+    return SimulationError(
+        f"the simulation diverged at {time:.6g} s",
+        where=f"joint {joint!r}",
+        expected=f"finite motion at a timestep of {float(model.opt.timestep):.6g} s",
+    )
+
+
+def periodic(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    control: Vector,
+    applied: Vector,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Vector, Vector]:
+    """Many commands from one start, as rows of one batch.
+
+    Args:
+        data: the start, with the controls that hold it.
+        control: (m, n, nu) controls at each of n steps.
+        applied: (m, n, nv) generalized forces at each of n steps, or (m, n, 0) for none.
+
+    Returns:
+        qpos (m, n, nq) and qvel (m, n, nv) after each step.
+
+    Raises:
+        SimulationError: a row diverged; the message has the time and the joint.
+    """
+    rows, steps, _ = control.shape
+    spec = mujoco.mjtState.mjSTATE_CTRL.value
+    inputs = control
+    if applied.shape[2]:
+        spec |= mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
+        inputs = np.concatenate((control, applied), axis=2)
+    pool = batch.Batch(model, rows)
+    for name in ("qpos", "qvel", "act"):
+        pool.bind(name)[:] = getattr(data, name)
+    qpos, qvel = np.empty((rows, steps, model.nq)), np.empty((rows, steps, model.nv))
+    stride = 2000
+    for first in range(0, steps, stride):
+        last = min(steps, first + stride)
+        out = pool.rollout(
+            last - first,
+            np.ascontiguousarray(inputs[:, first:last]),
+            spec,
+            record=("qpos", "qvel"),
+        )
+        qpos[:, first:last], qvel[:, first:last] = out["qpos"], out["qvel"]
+        _check_rows(model, qvel[:, first:last], first)
+        if progress is not None:
+            progress(last / steps)
+    return qpos, qvel
+
+
+def _check_rows(model: mujoco.MjModel, qvel: Vector, first: int) -> None:
+    bad = ~np.isfinite(qvel) | (np.abs(qvel) > mujoco.mjMAXVAL)
+    if bad.any():
+        step = int(np.flatnonzero(bad.any(axis=(0, 2)))[0])
+        dof = int(np.flatnonzero(bad[:, step].any(axis=0))[0])
+        raise diverged(model, dof, (first + step + 1) * float(model.opt.timestep))
+
+
+def resample(time: Vector, values: Vector, grid: Vector) -> Vector:
+    """Values (n, k) or (n,) at the times of ``grid``, linear between samples."""
+    if values.ndim == 1:
+        return np.interp(grid, time, values)
+    return np.column_stack([np.interp(grid, time, column) for column in values.T])
+
+
+def scalar_joint(realization: Realization, joint: str) -> tuple[int, int, str]:
+    """(qpos index, dof index, ``rad`` or ``m``) of a hinge or slide joint.
+
+    Raises:
+        SpecError: no such joint, or one of another type.
+    """
+    index = realization.joint_index(joint)
+    model = realization.model
+    kind = model.jnt_type[index]
+    if kind not in _SCALAR:
+        raise SpecError(f"joint {joint!r} is neither hinge nor slide", path=realization.path)
+    unit = "rad" if kind == mujoco.mjtJoint.mjJNT_HINGE else "m"
+    return int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index]), unit
