@@ -1,1 +1,1 @@
-"""TODO."""
+"""What people read: failure texts, plots, the HTML report."""

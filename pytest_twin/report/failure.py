@@ -1,0 +1,104 @@
+"""The text of a failure: what left its tolerance, where, when, by how much, and why it ran."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pytest_twin.outcome import Measure, Outcome, Reason, use_of_tolerance
+from pytest_twin.report.text import number, printable, quantity, use
+
+MAX_ROWS = 40
+MAX_REASONS = 8
+
+
+def headline(outcome: Outcome) -> str:
+    """One line: what is wrong, or that nothing is."""
+    worst = outcome.worst
+    if outcome.status == "error" or worst is None:
+        return printable(f"{outcome.key}: {outcome.error or 'nothing was measured'}")
+    if outcome.status == "passed":
+        return printable(
+            f"{outcome.key}: {worst.name} of {worst.subject} used {use(worst)} of its tolerance"
+        )
+    failed = [measure for measure in outcome.measures if not measure.passed]
+    others = f" ({len(failed) - 1} more failed)" if len(failed) > 1 else ""
+    return printable(f"{outcome.key}: {_what(worst)}{others}")
+
+
+def failure_text(outcome: Outcome, *, location: str, plot: str | None = None) -> str:
+    """What a person needs to act on a failure.
+
+    Args:
+        outcome: a golden that did not pass.
+        location: the spec's file and line, ``golden/fk/home.yaml:12``.
+        plot: path of the plot.
+    """
+    lines = [headline(outcome)]
+    worst = outcome.worst
+    rows: list[tuple[str, str]] = []
+    if outcome.status != "error" and worst is not None:
+        when = "" if worst.time is None else f" at {number(worst.time)} s"
+        rows += [
+            ("worst", f"{worst.name} of {worst.subject}{when}"),
+            ("measured", quantity(worst.measured, worst.unit)),
+            (worst.against, quantity(worst.golden, worst.unit)),
+            ("error", quantity(worst.error, worst.unit)),
+            ("tolerance", quantity(worst.tolerance, worst.unit)),
+            ("margin", f"{quantity(worst.margin, worst.unit)} (used {use(worst)})"),
+        ]
+    rows += [("" if i else "ran because", text) for i, text in enumerate(_reasons(outcome.reasons))]
+    rows.append(("spec", location))
+    if plot is not None:
+        rows.append(("plot", plot))
+    width = max(len(name) for name, _ in rows)
+    lines += [f"  {name:<{width}}  {printable(text)}".rstrip() for name, text in rows]
+    if len(outcome.measures) > 1:
+        lines += ["", *measure_table(outcome.measures)]
+    return "\n".join(lines)
+
+
+def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list[str]:
+    """Every measure in a line, the worst first."""
+    ordered = sorted(measures, key=use_of_tolerance, reverse=True)
+    head = ("", "measure", "of", "measured", "against", "error", "tolerance", "margin")
+    rows = [
+        (
+            "ok" if measure.passed else "FAIL",
+            measure.name,
+            measure.subject,
+            quantity(measure.measured, measure.unit),
+            f"{quantity(measure.golden, measure.unit)} ({measure.against})",
+            number(measure.error),
+            number(measure.tolerance),
+            number(measure.margin),
+        )
+        for measure in ordered[:max_rows]
+    ]
+    table = [head, *(tuple(printable(cell) for cell in row) for row in rows)]
+    widths = [max(len(row[i]) for row in table) for i in range(len(head))]
+    lines = [
+        "  " + "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in table
+    ]
+    left_out = ordered[max_rows:]
+    if left_out:
+        failed = sum(not measure.passed for measure in left_out)
+        lines.append(f"  and {len(left_out)} more, {failed} of them failed")
+    return lines
+
+
+def _what(worst: Measure) -> str:
+    when = "" if worst.time is None else f" at {number(worst.time)} s"
+    if worst.margin != worst.margin:  # NaN
+        return f"{worst.name} of {worst.subject} is not a number{when}"
+    return (
+        f"{worst.name} of {worst.subject} left its tolerance of "
+        f"{quantity(worst.tolerance, worst.unit)} by {quantity(-worst.margin, worst.unit)}{when}"
+    )
+
+
+def _reasons(reasons: Sequence[Reason]) -> list[str]:
+    shown = [str(reason) for reason in reasons[:MAX_REASONS]]
+    if len(reasons) > MAX_REASONS:
+        shown.append(f"and {len(reasons) - MAX_REASONS} more changes")
+    return shown

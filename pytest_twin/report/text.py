@@ -1,0 +1,34 @@
+"""Numbers and names as people read them."""
+
+from __future__ import annotations
+
+import math
+
+from pytest_twin.outcome import Measure, use_of_tolerance
+
+
+def printable(text: str) -> str:
+    """``text`` on one line and without terminal escapes: names come from files."""
+    return "".join(char if char.isprintable() else "�" for char in text)
+
+
+def number(value: float) -> str:
+    """Four significant digits."""
+    if not math.isfinite(value):
+        return str(value)
+    return f"{value:.4g}"
+
+
+def quantity(value: float, unit: str) -> str:
+    """Four significant digits and the unit."""
+    return number(value) if unit == "1" else f"{number(value)} {unit}"
+
+
+def use(measure: Measure) -> str:
+    """How much of the tolerance was used, ``47 %``, ``3.2 times``."""
+    used = use_of_tolerance(measure)
+    if not math.isfinite(used):
+        return "no number" if math.isnan(measure.error) else "all of none"
+    if used < 0.001:
+        return "< 0.1 %"
+    return f"{used:.3g} times" if used >= 10 else f"{100 * used:.3g} %"
