@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 MAX_SERIES = 3
 MAX_BARS = 14
-BUCKETS = 400
+BUCKETS = 250
 _LABEL_CHARS = 46
 _WIDTH_INCHES = 7.6
 
@@ -119,6 +119,7 @@ def _draw_series(
             _residual(rows[i * 2 + 1], now.x, values, stored, then, unit, bound)
     more = f"   ({left_out} more series not shown)" if left_out else ""
     rows[-1].set_xlabel(f"{now.axis[0]} [{now.axis[1]}]{more}")
+    figure.align_ylabels()
     handles, labels = rows[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper right", ncols=len(labels), borderaxespad=0.1)
 
@@ -173,14 +174,10 @@ def _residual(
     if bound is not None and bound.time is not None:
         colour = DIM if bound.passed else FAIL
         axes.axvline(bound.time, color=colour, linewidth=0.8)
-        axes.annotate(
-            f"{quantity(bound.error, bound.unit)} of {quantity(bound.tolerance, bound.unit)}",
-            (bound.time, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(4 if bound.time < 0.75 * x[-1] else -4, -2),
-            textcoords="offset points",
-            ha="left" if bound.time < 0.75 * x[-1] else "right",
-            va="top",
+        axes.set_title(
+            f"{quantity(bound.error, bound.unit)} at {number(bound.time)} s, "
+            f"of {quantity(bound.tolerance, bound.unit)} allowed",
+            loc="right",
             color=colour,
             fontsize=8,
         )
@@ -207,11 +204,14 @@ def _draw_frequency(
         axes.set_title(family + (f" ({more} more not shown)" if more > 0 else ""), color=INK)
         if family == "magnitude" and now.columns[families[family][0]][0] != "dB":
             positive = all(np.nanmin(now.columns[n][1]) > 0 for n in families[family][:MAX_SERIES])
-            axes.set_yscale("log" if positive else "linear")
+            if positive:
+                axes.set_yscale("log")
+                axes.yaxis.set_major_formatter(_plain)
         if family == "coherence":
             axes.set_ylim(-0.03, 1.05)
     if now.x[0] > 0:
         rows[-1].set_xscale("log")
+        rows[-1].xaxis.set_major_formatter(_plain)
     rows[-1].set_xlabel(f"{now.axis[0]} [{now.axis[1]}]")
     handles, labels = rows[0].get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
@@ -257,6 +257,10 @@ def _draw_bars(figure: Figure, measures: Sequence[Measure]) -> None:
             color=INK if measure.passed else FAIL,
             fontsize=8,
         )
+
+
+def _plain(value: float, _: object = None) -> str:
+    return f"{value:g}"
 
 
 def _percent(value: float, _: object = None) -> str:

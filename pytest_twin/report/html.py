@@ -1,0 +1,165 @@
+"""The report of one run: a single HTML file that needs nothing but itself.
+
+No script, no external resource, and a content security policy that allows none: the names in it
+come from robots' files.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import jinja2
+
+from pytest_twin.outcome import Measure, use_of_tolerance
+from pytest_twin.report.failure import headline
+from pytest_twin.report.model import Entry, Report, Verdict
+from pytest_twin.report.text import number, printable, quantity, use
+
+MAX_PLOT_BYTES = 32 * 2**20
+"""All plots of one report together; the failed ones are shown first."""
+MAX_MEASURES = 400
+"""Rows for one golden; the worst are shown."""
+MAX_PARTS = 60
+"""Ids that one golden lists of what it rests on."""
+
+_WORDS: Mapping[Verdict, str] = {
+    "released": "Released",
+    "holds": "Still holds",
+    "refused": "Refused",
+    "passed": "Passed",
+    "failed": "Failed",
+}
+_ORDER = {"failed": 0, "error": 1, "passed": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """An entry as the page shows it."""
+
+    entry: Entry
+    anchor: str
+    state: str
+    headline: str
+    measures: tuple[Measure, ...]
+    measures_left_out: int
+    used: float | None
+    parts: tuple[str, ...]
+    parts_left_out: int
+    plot: str | None
+    plot_left_out: bool
+
+
+def render(report: Report) -> str:
+    """The report as one HTML document."""
+    style = resources.files(__package__).joinpath("report.css").read_text("utf-8")
+    style_hash = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    rows = _rows(report.entries)
+    ran = [row for row in rows if row.entry.release is None]
+    proven = [row for row in rows if row.entry.release is not None]
+    return _template().render(
+        report=report,
+        verdict=_WORDS[report.verdict],
+        good=report.verdict in ("released", "holds", "passed"),
+        style=style,
+        style_hash=style_hash,
+        failed=[row for row in ran if row.state != "passed"],
+        passed=[row for row in ran if row.state == "passed"],
+        proven=proven,
+        counts=_counts(ran, proven),
+        ids=list(_flat(report.ids)),
+        changed=sorted(report.changed),
+    )
+
+
+def _rows(entries: Iterable[Entry]) -> list[_Row]:
+    """The gravest first; plots as long as there is room for them."""
+
+    def gravity(entry: Entry) -> tuple[int, int, float, str]:
+        outcome = entry.outcome
+        worst = outcome.worst
+        used = 0.0 if worst is None else use_of_tolerance(worst)
+        advisory = outcome.criticality != "critical"
+        return (_ORDER[outcome.status], int(advisory), -used, outcome.key)
+
+    room = MAX_PLOT_BYTES
+    rows = []
+    for index, entry in enumerate(sorted(entries, key=gravity)):
+        outcome = entry.outcome
+        ordered = sorted(outcome.measures, key=use_of_tolerance, reverse=True)
+        plot = None
+        if entry.plot is not None and len(entry.plot) <= room:
+            room -= len(entry.plot)
+            plot = "data:image/svg+xml;base64," + base64.b64encode(entry.plot).decode()
+        rows.append(
+            _Row(
+                entry=entry,
+                anchor=f"g{index}",
+                state=outcome.status,
+                headline=headline(outcome),
+                measures=tuple(ordered[:MAX_MEASURES]),
+                measures_left_out=len(ordered) - MAX_MEASURES,
+                used=use_of_tolerance(ordered[0]) if ordered else None,
+                parts=tuple(sorted(entry.parts)[:MAX_PARTS]),
+                parts_left_out=len(entry.parts) - MAX_PARTS,
+                plot=plot,
+                plot_left_out=entry.plot is not None and plot is None,
+            )
+        )
+    return rows
+
+
+def _counts(ran: Sequence[_Row], proven: Sequence[_Row]) -> list[tuple[str, int, str]]:
+    states = [row.state for row in ran]
+    return [
+        (name, count, mood)
+        for name, count, mood in (
+            ("failed", states.count("failed"), "bad"),
+            ("could not run", states.count("error"), "bad"),
+            ("passed now", states.count("passed"), "good"),
+            ("still proven", len(proven), "calm"),
+        )
+        if count or name in ("passed now", "still proven")
+    ]
+
+
+def _flat(ids: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
+    """(dotted name, text) of nested tables."""
+    for key, value in ids.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key} / ")
+        elif isinstance(value, list | tuple):
+            yield f"{prefix}{key}", ", ".join(str(item) for item in value) or "none"
+        else:
+            yield f"{prefix}{key}", "none" if value is None else str(value)
+
+
+def _bar_width(used: float, full: float = 100.0) -> str:
+    """Length of the bar of a measure: linear up to the tolerance at half of it, then to its end."""
+    share = used / 2 if used <= 1 else 1 - 0.5 / used
+    return f"{full * min(max(share, 0.01), 1.0):.1f}"
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=jinja2.PackageLoader("pytest_twin.report", "."),
+    )
+    environment.filters.update(
+        number=number,
+        quantity=quantity,
+        printable=printable,
+        use=use,
+        used=use_of_tolerance,
+        bar=_bar_width,
+    )
+    return environment.get_template("report.html.j2")
