@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from pytest_twin.errors import PathError
+from pytest_twin.errors import FormatError, PathError
 
 
 @contextlib.contextmanager
@@ -27,7 +27,7 @@ def open_replacement(path: Path) -> Iterator[BinaryIO]:
     """
     mode = _mode_for(path)
     try:
-        descriptor, name = tempfile.mkstemp(prefix=f".{path.name[:64]}.", dir=path.parent)
+        descriptor, name = tempfile.mkstemp(prefix=".twin-", dir=path.parent)
     except OSError as error:
         raise PathError(f"cannot be written: {error.strerror}", path=path) from error
     temporary = Path(name)
@@ -62,8 +62,13 @@ def write_text(path: Path, text: str) -> None:
 
     Raises:
         PathError: as :func:`open_replacement`.
+        FormatError: the text holds half of a surrogate pair.
     """
-    write_bytes(path, text.encode("utf-8"))
+    try:
+        data = text.encode("utf-8")
+    except UnicodeEncodeError:
+        raise FormatError("text that UTF-8 cannot hold", path=path) from None
+    write_bytes(path, data)
 
 
 def replace_directory(staging: Path, final: Path) -> None:
@@ -86,7 +91,7 @@ def replace_directory(staging: Path, final: Path) -> None:
             staging.rename(final)
             _sync_folder(final.parent)
             return
-        aside = Path(tempfile.mkdtemp(prefix=f".{final.name[:64]}.", dir=final.parent))
+        aside = Path(tempfile.mkdtemp(prefix=".twin-", dir=final.parent))
         old = aside / "old"
         final.rename(old)
         try:

@@ -40,7 +40,7 @@ Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# A message whose layout nobody shares is decoded by itself after this many tries to find company.
+# After this many layouts of one size the messages that are left are decoded one by one.
 _LAYOUTS_PER_GROUP = 16
 
 
@@ -104,23 +104,27 @@ def _decode_group(
         return
     # Overlapping windows, one per byte: taking rows of it copies whole messages.
     windows = np.ndarray((len(data) - size + 1,), dtype=f"V{size}", buffer=data, strides=(1,))
-    tries = 0
-    while rows.size:
+    for _ in range(_LAYOUTS_PER_GROUP):
+        if not rows.size:
+            return
         start = int(starts[rows[0]])
-        tries += 1
         try:
             layout = _layout(data[start : start + size])
         except MessageError as error:
             yield int(rows[0]), error
             rows = rows[1:]
             continue
-        if tries > _LAYOUTS_PER_GROUP:
-            messages, same = windows[starts[rows[:1]]], np.ones(1, dtype=bool)
+        messages = windows[starts[rows]]
+        same = _same_layout(messages, layout, size)
+        yield _batch(rows[same], messages[same], layout)
+        rows = rows[~same]
+    for row, start in zip(rows.tolist(), starts[rows].tolist(), strict=True):
+        try:
+            layout = _layout(data[start : start + size])
+        except MessageError as error:
+            yield row, error
         else:
-            messages = windows[starts[rows]]
-            same = _same_layout(messages, layout, size)
-        yield _batch(rows[: len(same)][same], messages[same], layout)
-        rows = np.concatenate([rows[: len(same)][~same], rows[len(same) :]])
+            yield _batch(np.array([row]), windows[[start]], layout)
 
 
 def _same_layout(messages: NDArray[np.void], layout: _Layout, size: int) -> NDArray[np.bool_]:

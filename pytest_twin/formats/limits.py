@@ -31,7 +31,6 @@ class XmlLimits:
     depth_levels: int = 256
     elements_count: int = 500_000
     attributes_count: int = 5_000_000
-    attribute_chars: int = 8 * 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +48,15 @@ class McapLimits:
     """Bounds on a recording: an hour of a humanoid at 1 kHz fits."""
 
     file_bytes: int = 8 * 2**30
-    chunk_bytes: int = 256 * 2**20
+    chunk_bytes: int = 128 * 2**20
     uncompressed_bytes: int = 16 * 2**30
     records_count: int = 50_000_000
     messages_count: int = 20_000_000
     message_bytes: int = 16 * 2**20
     joints_count: int = 1024
     channels_count: int = 4096
-    samples_count: int = 400_000_000
+    samples_count: int = 150_000_000
+    undecodable_count: int = 100_000
     metadata_bytes: int = 16 * 2**20
     name_bytes: int = 1024
 

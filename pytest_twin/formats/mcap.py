@@ -243,6 +243,13 @@ class _TopicReader:
                 f"message {self.seen + row} ({region.place}, byte {int(region.start[rows[row]])} "
                 f"of its content): {problem}"
             )
+            if self.bad > limits.MCAP.undecodable_count:
+                raise LimitError(
+                    f"too many messages that cannot be decoded, first {self.first_bad}",
+                    path=self.path,
+                    where=self.topic,
+                    expected=f"at most {limits.MCAP.undecodable_count}",
+                )
             return
         if self.names is None:
             self.names = found.names
@@ -341,6 +348,8 @@ class _TopicReader:
     def mend_stamps(self, stamp: Integers, log_time: Integers) -> Integers:
         notes = self.contents.notes
         unset = int((stamp == 0).sum())
+        if (log_time < 0).any():
+            notes.add(self.topic, "log times beyond the year 2262, which read as negative here")
         if unset == len(stamp) and len(stamp) > 1:
             notes.add(self.topic, "no message has a header.stamp: the recorder's log time is used")
             stamp = log_time

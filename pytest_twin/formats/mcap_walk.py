@@ -429,6 +429,9 @@ class _Walker:
         known = table.get(number)
         if known is not None and known != found:
             name = "schema" if opcode == SCHEMA else "channel"
+            if self.in_summary:
+                self.notes.add("summary", f"{name} {number} is another there than in the data")
+                return
             raise FormatError(
                 f"{name} {number} changes its meaning within the file",
                 path=self.path,

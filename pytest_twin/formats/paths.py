@@ -72,33 +72,26 @@ class Roots:
 
         self._check_words(reference, refuse)
         inside = "a path inside " + " or ".join(str(root) for root in self.folders)
-        current = os.path.realpath(at.parent)
-        if reference.startswith("/"):
-            current = self._start_of_absolute(reference)
-            if not current:
-                raise refuse("path leaves the declared roots", inside)
-            parts = os.path.normpath(reference)[len(current) :].split("/")
-        else:
-            parts = reference.split("/")
-        if not self._holds(current):
-            raise refuse("path starts outside the declared roots", inside)
-        for part in parts:
+        current = "/" if reference.startswith("/") else os.path.realpath(at.parent)
+        # Component by component, so that a link out of the roots and back in is refused too.
+        for part in reference.split("/"):
             if part in ("", "."):
                 continue
-            # Link by link, so that a way out and back in is refused too.
             step = os.path.join(current, part)  # noqa: PTH118
             try:
                 following = os.path.realpath(step, strict=True)
             except FileNotFoundError:
-                if not self._holds(os.path.realpath(step)):
+                if not self._leads_to_root(current, os.path.realpath(step)):
                     raise refuse("path leaves the declared roots", inside) from None
                 raise refuse("no such folder" if folder else "no such file") from None
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or str(error)
                 raise refuse(f"cannot be reached: {reason}") from None
-            if not self._holds(following):
+            if not self._leads_to_root(current, following, by_link=part != ".."):
                 raise refuse("path leaves the declared roots", inside)
             current = following
+        if not self._holds(current):
+            raise refuse("path leaves the declared roots", inside)
         found = Path(current)
         mode = found.stat().st_mode
         if folder and not stat.S_ISDIR(mode):
@@ -127,13 +120,17 @@ class Roots:
         if _SCHEME.match(reference):
             raise refuse("a URL, not a path")
 
-    def _start_of_absolute(self, reference: str) -> str:
-        """The root that an absolute path stands in by its own words."""
-        normal = os.path.normpath(reference)
-        for root in self.folders:
-            if normal == str(root) or normal.startswith(str(root).rstrip("/") + "/"):
-                return str(root)
-        return ""
+    def _leads_to_root(self, current: str, following: str, *, by_link: bool = True) -> bool:
+        """Whether a step stays in the roots, or on the folders above them that lead to one.
+
+        From inside a root only ``..`` goes up to those; a name that goes there is a link out.
+        """
+        if self._holds(following):
+            return True
+        if by_link and self._holds(current):
+            return False
+        above = following.rstrip("/") + "/"
+        return any(str(root).startswith(above) for root in self.folders)
 
     def _holds(self, real: str) -> bool:
         return any(
@@ -172,12 +169,16 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
         LimitError: the file is larger, also when it grows while it is read.
     """
     with open_regular(path) as stream:
-        data = stream.read(max_bytes + 1)
-    if len(data) > max_bytes:
+        try:
+            size = os.fstat(stream.fileno()).st_size
+            data = stream.read(max_bytes + 1) if size <= max_bytes else b""
+        except OSError as error:
+            raise PathError(f"cannot be read: {error.strerror}", path=path) from None
+    if max(size, len(data)) > max_bytes:
         raise LimitError(
             "file is too large",
             path=path,
-            value=max(path.stat().st_size, len(data)),
+            value=max(size, len(data)),
             unit="bytes",
             expected=f"at most {max_bytes} bytes",
         )

@@ -268,9 +268,8 @@ def recorded_block(recorded: dict[str, Any]) -> str:
     if unknown:
         raise SpecError("not a recorded key", where=unknown[0], expected=", ".join(RECORDED_KEYS))
     out = [RECORDED_MARK]
-    for key in RECORDED_KEYS:
-        if key in recorded:
-            _dump_field(out, key, recorded[key], "", key)
+    ordered = {key: recorded[key] for key in RECORDED_KEYS if key in recorded}
+    _dump_mapping(out, ordered, "", "")
     return "\n".join(out) + "\n"
 
 
@@ -331,24 +330,48 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
     return result
 
 
-def _dump_field(out: list[str], key: str, value: Any, indent: str, where: str) -> None:
-    _dump_value(out, f"{indent}{_text(key)}:", value, indent + "  ", where)
+def _dump_mapping(out: list[str], fields: Any, indent: str, where: str) -> None:
+    for key, value in fields.items():
+        if not isinstance(key, str) or not key:
+            raise SpecError("a key that is no text", where=where, value=key)
+        at = f"{where}.{key}" if where else key
+        head = f"{indent}{_text(key)}:"
+        short = _inline(value, at, len(head) + 1)
+        if short is not None:
+            out.append(f"{head} {short}")
+            continue
+        out.append(head)
+        if isinstance(value, dict):
+            _dump_mapping(out, value, indent + "  ", at)
+        else:
+            _dump_items(out, value, indent + "  ", at)
 
 
-def _dump_value(out: list[str], head: str, value: Any, indent: str, where: str) -> None:
-    short = _inline(value, where, len(head) + 1)
-    if short is not None:
-        out.append(f"{head} {short}")
-    elif isinstance(value, dict):
-        out.append(head)
-        for key, item in value.items():
-            if not isinstance(key, str) or not key:
-                raise SpecError("a key that is no text", where=where, value=key)
-            _dump_field(out, key, item, indent, f"{where}.{key}")
-    else:
-        out.append(head)
-        for index, item in enumerate(value):
-            _dump_value(out, f"{indent}-", item, indent + "  ", f"{where}.{index}")
+def _dump_items(out: list[str], items: Any, indent: str, where: str) -> None:
+    if not any(isinstance(item, dict | list | tuple) for item in items):
+        line = f"{indent}["
+        for index, item in enumerate(items):
+            text = _scalar(item, f"{where}.{index}") + ("," if index < len(items) - 1 else "]")
+            if len(line) + 1 + len(text) > _LINE_WIDTH and not line.endswith("["):
+                out.append(line)
+                line = f"{indent} {text}"
+            else:
+                line += text if line.endswith("[") else f" {text}"
+        out.append(line)
+        return
+    for index, item in enumerate(items):
+        at = f"{where}.{index}"
+        short = _inline(item, at, len(indent) + 2)
+        if short is not None:
+            out.append(f"{indent}- {short}")
+            continue
+        inner: list[str] = []
+        if isinstance(item, dict):
+            _dump_mapping(inner, item, indent + "  ", at)
+        else:
+            _dump_items(inner, item, indent + "  ", at)
+        out.append(f"{indent}- {inner[0].lstrip(' ')}")
+        out.extend(inner[1:])
 
 
 def _inline(value: Any, where: str, used: int) -> str | None:
