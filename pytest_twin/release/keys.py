@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -126,16 +128,28 @@ def trust_first(root: Path, signer: CryptoSigner) -> str:
     """Write the signer's public key into a twin without keys; what to say about it.
 
     Raises:
+        ReleaseError: another signer came first.
         PathError: it cannot be written.
     """
     folder = root / FOLDER
+    name = f"{short(signer.public_key.keyid)}.pub"
     try:
-        folder.mkdir(exist_ok=True)
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+        staging = Path(tempfile.mkdtemp(prefix=f".{FOLDER}-", dir=root))
+        try:
+            staging.chmod(0o755)
+            (staging / name).write_bytes(public_pem(signer))
+            if not atomic.create_directory(staging, folder):
+                if trusted := load_trusted(folder):
+                    require_trusted(signer, trusted, root)
+                else:
+                    atomic.write_bytes(folder / name, public_pem(signer))
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
     except OSError as error:
-        raise PathError(f"cannot be made: {error.strerror}", path=folder) from None
-    path = folder / f"{short(signer.public_key.keyid)}.pub"
-    atomic.write_bytes(path, public_pem(signer))
-    return f"first release: this twin now trusts {path} (commit it)"
+        raise PathError(f"cannot be written: {error.strerror}", path=folder) from None
+    return f"first release: this twin now trusts {folder / name} (commit it)"
 
 
 def public_pem(signer: CryptoSigner) -> bytes:

@@ -1,0 +1,400 @@
+"""Releases are written whole or not at all, by those who may."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from conftest import NOW, MakeRelease, html, make_draft, make_twin, outcome, sha256
+from securesystemslib.signer import CryptoSigner
+
+from pytest_twin import release
+from pytest_twin.errors import ReleaseError
+
+
+def test_a_release_holds_what_was_given_to_it(root: Path, make: MakeRelease) -> None:
+    draft = make_draft(root)
+    written = make()
+    read = release.check(root / "releases" / "0001", now=NOW).release
+    assert read == written
+    assert written.twin == "arm"
+    assert written.number == 1
+    assert written.header.previous is None
+    assert written.header.created == "2026-05-04T12:00:00Z"
+    assert written.header.expires == "2026-08-02T12:00:00Z"
+    assert written.ids == draft.ids
+    assert {i: p.digest for i, p in written.parts.items()} == {
+        i: p.digest for i, p in draft.parts.items()
+    }
+    assert written.parts["library:pin"].content == {"version": "4.1.0"}
+    proof = written.goldens["golden/fk/home@mujoco"]
+    assert proof.outcome == replace(outcome(), plot=None)
+    assert (proof.release, proof.at) == (1, "2026-05-04T12:00:00Z")
+    assert {entry.name for entry in written.files} == {
+        "results.json",
+        "report.html",
+        "files/twin.yaml",
+        "files/arm.xml",
+        "files/meshes/link.stl",
+        "files/golden/fk/home.yaml",
+    }
+    for name in ("arm.xml", "meshes/link.stl"):
+        copy = root / "releases" / "0001" / "files" / name
+        assert copy.read_bytes() == (root / name).read_bytes()
+
+
+def test_the_envelope_is_dsse_that_others_can_verify(root: Path, make: MakeRelease) -> None:
+    """Against OpenSSL's Ed25519 and the text of the DSSE and in-toto specifications."""
+    import base64
+
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+
+    make()
+    envelope = json.loads((root / "releases" / "0001" / "release.dsse.json").read_bytes())
+    payload = base64.standard_b64decode(envelope["payload"])
+    kind = envelope["payloadType"].encode()
+    assert kind == b"application/vnd.in-toto+json"
+    pae = b"DSSEv1 %d %s %d %s" % (len(kind), kind, len(payload), payload)
+    (key,) = (root / "keys").glob("*.pub")
+    public = load_pem_public_key(key.read_bytes())
+    public.verify(base64.standard_b64decode(envelope["signatures"][0]["sig"]), pae)  # type: ignore
+    statement = json.loads(payload)
+    assert statement["_type"] == "https://in-toto.io/Statement/v1"
+    subjects = {s["name"]: s["digest"]["sha256"] for s in statement["subject"]}
+    assert subjects["files/arm.xml"] == sha256(root / "arm.xml")
+    (golden,) = statement["predicate"]["goldens"]
+    assert golden["outcome"]["measures"][0]["margin"] == pytest.approx(3e-4)
+
+
+def test_results_stand_beside_the_report_for_machines(root: Path, make: MakeRelease) -> None:
+    make()
+    make()
+    results = json.loads((root / "releases" / "0002" / "results.json").read_text())
+    assert (results["twin"], results["release"]) == ("arm", 2)
+    assert results["goldens"][0]["release"] == 2
+    assert "release 2" in (root / "releases" / "0002" / "report.html").read_text()
+
+
+def test_numbers_count_up_and_each_names_the_one_before(root: Path, make: MakeRelease) -> None:
+    first, second = make(), make()
+    assert second.number == 2
+    assert second.header.series == first.header.series
+    assert second.header.previous == release.Previous(1, first.sha256)
+
+
+def test_a_proof_keeps_the_release_that_it_came_from(root: Path, make: MakeRelease) -> None:
+    first = make()
+    old = first.goldens["golden/fk/home@mujoco"]
+    signer, _ = release.signer(root)
+    draft = replace(make_draft(root), proofs=(old,))
+    second, _ = release.write(root, draft, signer, html, now=NOW + timedelta(days=3))
+    proof = second.goldens["golden/fk/home@mujoco"]
+    assert (proof.release, proof.at) == (1, "2026-05-04T12:00:00Z")
+
+
+def test_files_elsewhere_are_listed_and_not_copied(root: Path, tmp_path: Path) -> None:
+    recording = tmp_path / "recordings" / "a.mcap"
+    recording.parent.mkdir()
+    recording.write_bytes(b"mcap")
+    signer, _ = release.signer(root)
+    written, _ = release.write(root, make_draft(root, recording), signer, html)
+    assert written.external == (release.FileEntry("../recordings/a.mcap", sha256(recording), 4),)
+    assert not list((root / "releases").rglob("*.mcap"))
+
+
+def test_a_file_that_changed_under_the_run_is_not_released(root: Path) -> None:
+    draft = make_draft(root)
+    (root / "arm.xml").write_text("<mujoco/>")
+    signer, _ = release.signer(root)
+    with pytest.raises(ReleaseError, match=r"arm\.xml: changed under the run"):
+        release.write(root, draft, signer, html)
+    assert list((root / "releases").iterdir()) == []
+    assert not (root / "keys").exists()
+
+
+@pytest.mark.parametrize("status", ["failed", "error"])
+def test_a_critical_failure_is_not_released(root: Path, status: str) -> None:
+    signer, _ = release.signer(root)
+    draft = make_draft(root, result=outcome(status))
+    with pytest.raises(ReleaseError, match="home@mujoco: a critical golden that did not pass"):
+        release.write(root, draft, signer, html)
+    assert not (root / "releases").exists()
+
+
+def test_an_advisory_failure_is_released_as_such(root: Path) -> None:
+    signer, _ = release.signer(root)
+    draft = make_draft(root, result=outcome("failed", "advisory", error=float("nan")))
+    release.write(root, draft, signer, html, now=NOW)
+    read = release.check(root / "releases" / "0001", now=NOW).release
+    assert read is not None
+    (proof,) = read.goldens.values()
+    assert proof.outcome.status == "failed"
+    assert not proof.outcome.measures[0].passed
+
+
+def test_a_name_that_is_another_file_elsewhere_is_refused(root: Path) -> None:
+    (root / "meshes" / "LINK.stl").write_bytes(b"other")
+    signer, _ = release.signer(root)
+    with pytest.raises(ReleaseError, match=r"two files are one on other systems.*LINK\.stl"):
+        release.write(root, make_draft(root), signer, html)
+
+
+# interrupted and concurrent writes
+
+
+def test_a_killed_write_leaves_no_release(root: Path, user: Path) -> None:
+    code = f"""
+import os, signal, sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from pathlib import Path
+from conftest import make_draft
+from pytest_twin import release
+root = Path({str(root)!r})
+signer, _ = release.signer(root)
+release.write(root, make_draft(root), signer, lambda header: os.kill(os.getpid(), signal.SIGKILL))
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    (staging,) = (root / "releases").iterdir()
+    assert staging.name.startswith(".staging-")
+    assert release.newest(root) is None
+    assert release.baseline(root) == release.Baseline(None, None, ())
+    assert not release.check(staging).holds
+
+
+def test_what_an_interrupted_write_left_is_cleaned_once_it_is_old(
+    root: Path, make: MakeRelease
+) -> None:
+    fresh, old = root / "releases" / ".staging-fresh", root / "releases" / ".staging-old"
+    for staging in (fresh, old):
+        staging.mkdir(parents=True)
+        (staging / "results.json").write_text("{}")
+    os.utime(old, (time.time() - 7200, time.time() - 7200))
+    assert make().number == 1
+    assert fresh.exists()
+    assert not old.exists()
+
+
+def test_a_failed_write_leaves_nothing_behind(root: Path) -> None:
+    signer, _ = release.signer(root)
+
+    def broken(header: release.Header) -> str:
+        raise RuntimeError("no report")
+
+    with pytest.raises(RuntimeError):
+        release.write(root, make_draft(root), signer, broken)
+    assert list((root / "releases").iterdir()) == []
+
+
+def test_of_two_writers_one_wins_and_the_other_says_so(root: Path, make: MakeRelease) -> None:
+    signer, _ = release.signer(root)
+
+    def overtaken(header: release.Header) -> str:
+        # Another process writes the same number while this one is at work.
+        assert make().number == header.number
+        return "late"
+
+    with pytest.raises(ReleaseError, match="release 1 was written by someone else meanwhile"):
+        release.write(root, make_draft(root), signer, overtaken, now=NOW)
+    assert [path.name for path in (root / "releases").iterdir()] == ["0001"]
+    assert release.check(root / "releases" / "0001", now=NOW).holds
+
+
+def test_writers_in_parallel_never_clobber(root: Path, user: Path) -> None:
+    code = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from pathlib import Path
+from conftest import html, make_draft
+from pytest_twin import release
+from pytest_twin.errors import ReleaseError
+root = Path({str(root)!r})
+signer, _ = release.signer(root)
+for _ in range(5):
+    try:
+        print(release.write(root, make_draft(root), signer, html)[0].number)
+    except ReleaseError as error:
+        assert "meanwhile" in str(error), error
+"""
+    running = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    numbers = []
+    for process in running:
+        out, _ = process.communicate(timeout=120)
+        assert process.returncode == 0
+        numbers += [int(line) for line in out.split()]
+    assert sorted(numbers) == list(range(1, len(numbers) + 1))
+    assert len(list((root / "keys").glob("*.pub"))) == 1
+    assert sorted(path.name for path in (root / "releases").iterdir()) == [
+        f"{number:04d}" for number in sorted(numbers)
+    ]
+    assert release.check(root / "releases" / f"{max(numbers):04d}").holds
+
+
+# keys
+
+
+def test_a_key_is_made_for_a_user_without_one(root: Path, user: Path) -> None:
+    _, notes = release.signer(root)
+    path = user / "config" / "pytest-twin" / "signing_key.pem"
+    assert notes == (f"made a signing key for you: {path} (keep it private, and keep a copy)",)
+    assert path.stat().st_mode & 0o777 == 0o600
+    before = path.read_bytes()
+    assert release.signer(root)[1] == ()
+    assert path.read_bytes() == before
+    assert [entry.name for entry in path.parent.iterdir()] == ["signing_key.pem"]
+
+
+def test_the_first_release_says_whom_the_twin_trusts_from_now_on(root: Path) -> None:
+    signer, _ = release.signer(root)
+    _, notes = release.write(root, make_draft(root), signer, html, now=NOW)
+    (key,) = (root / "keys").glob("*.pub")
+    assert notes == (f"first release: this twin now trusts {key} (commit it)",)
+    assert b"PRIVATE" not in key.read_bytes()
+    _, notes = release.write(root, make_draft(root), signer, html, now=NOW)
+    assert notes == ()
+
+
+def test_of_two_first_signers_only_one_is_trusted(root: Path, tmp_path: Path) -> None:
+    signers = [release.signer(root, str(private_key(tmp_path / f"{name}.pem")))[0] for name in "ab"]
+
+    def overtaken(header: release.Header) -> str:
+        release.write(root, make_draft(root), signers[0], html, now=NOW)
+        return "late"
+
+    with pytest.raises(ReleaseError, match="is not among the keys that this twin trusts"):
+        release.write(root, make_draft(root), signers[1], overtaken, now=NOW)
+    (key,) = (root / "keys").iterdir()
+    assert signers[0].public_key.keyid.startswith(key.stem)
+    assert sorted(path.name for path in root.iterdir() if path.name.startswith(".")) == []
+
+
+def test_a_folder_of_keys_without_a_key_gets_its_first(root: Path, make: MakeRelease) -> None:
+    (root / "keys").mkdir()
+    (root / "keys" / "README").write_text("who may sign\n")
+    make()
+    assert len(list((root / "keys").glob("*.pub"))) == 1
+    assert release.check(root / "releases" / "0001", now=NOW).holds
+
+
+def private_key(path: Path) -> Path:
+    path.write_bytes(CryptoSigner.generate_ed25519().private_bytes)
+    path.chmod(0o600)
+    return path
+
+
+def test_keys_are_taken_from_flag_then_variable_then_ini(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = [private_key(tmp_path / f"{name}.pem") for name in ("flag", "variable", "ini")]
+    ids = [release.signer(root, str(path))[0].public_key.keyid for path in paths]
+    monkeypatch.setenv("TWIN_SIGNING_KEY", str(paths[1]))
+    assert release.signer(root, str(paths[0]), str(paths[2]))[0].public_key.keyid == ids[0]
+    assert release.signer(root, None, str(paths[2]))[0].public_key.keyid == ids[1]
+    monkeypatch.delenv("TWIN_SIGNING_KEY")
+    assert release.signer(root, None, str(paths[2]))[0].public_key.keyid == ids[2]
+
+
+def test_a_foreign_key_may_not_sign(root: Path, tmp_path: Path, make: MakeRelease) -> None:
+    make()
+    foreign = private_key(tmp_path / "foreign.pem")
+    with pytest.raises(ReleaseError, match="is not among the keys that this twin trusts"):
+        release.signer(root, str(foreign))
+    signer = release.signer(make_twin(tmp_path / "other"), str(foreign))[0]
+    with pytest.raises(ReleaseError, match="is not among the keys that this twin trusts"):
+        release.write(root, make_draft(root), signer, html)
+    assert release.newest(root) == root / "releases" / "0001"
+
+
+def test_a_twin_that_lost_its_keys_does_not_trust_the_next_comer(
+    root: Path, make: MakeRelease
+) -> None:
+    make()
+    for key in (root / "keys").iterdir():
+        key.unlink()
+    with pytest.raises(ReleaseError, match="there are releases and no trusted keys"):
+        make()
+
+
+def test_a_signing_key_inside_the_twin_is_refused(root: Path) -> None:
+    with pytest.raises(ReleaseError, match="lies inside the twin"):
+        release.signer(root, str(private_key(root / "key.pem")))
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"-----BEGIN PRIVATE KEY-----\nAA==\n"])
+def test_a_file_that_is_no_signing_key_is_named(root: Path, tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "key.pem"
+    path.write_bytes(content)
+    with pytest.raises(ReleaseError, match=r"key\.pem: not a key to sign with .*Ed25519"):
+        release.signer(root, str(path))
+
+
+def test_a_key_of_another_kind_is_refused(root: Path, tmp_path: Path) -> None:
+    path = tmp_path / "ecdsa.pem"
+    path.write_bytes(CryptoSigner.generate_ecdsa().private_bytes)
+    with pytest.raises(ReleaseError, match="not a key to sign with"):
+        release.signer(root, str(path))
+
+
+def test_a_key_that_others_can_read_is_pointed_out(root: Path, tmp_path: Path) -> None:
+    path = private_key(tmp_path / "key.pem")
+    path.chmod(0o644)
+    assert release.signer(root, str(path))[1] == (
+        f"others can read the signing key {path}: chmod 600 it",
+    )
+
+
+# the baseline of the gate
+
+
+def test_the_baseline_is_the_newest_release_that_holds(root: Path, make: MakeRelease) -> None:
+    make()
+    second = make()
+    found = release.baseline(root, now=NOW)
+    assert found.release == second == found.known
+    assert found.problems == ()
+
+
+def test_a_damaged_newest_release_is_reported_and_not_skipped_over(
+    root: Path, make: MakeRelease
+) -> None:
+    """Its envelope is authentic, so the release before it is out of date."""
+    make()
+    second = make()
+    (root / "releases" / "0002" / "files" / "arm.xml").write_text("<mujoco>changed</mujoco>\n")
+    found = release.baseline(root, now=NOW)
+    assert found.release is None
+    assert found.known == second
+    assert "release 2 does not hold: files/arm.xml: changed" in found.problems[0]
+    assert "release 1 does not hold: older than release 2" in found.problems[1]
+
+
+def test_a_forged_newest_release_does_not_hide_the_true_one(root: Path, make: MakeRelease) -> None:
+    first = make()
+    (root / "releases" / "0002").mkdir()
+    (root / "releases" / "0002" / "release.dsse.json").write_text("{}")
+    found = release.baseline(root, now=NOW)
+    assert found.release == first
+    assert found.problems == (
+        "release 2 does not hold: not a DSSE envelope "
+        "(expected payload, payloadType and signatures of keyid and sig)",
+    )
+    assert make().number == 3
+
+
+def test_an_expired_baseline_proves_nothing_but_is_known(root: Path, make: MakeRelease) -> None:
+    first = make()
+    found = release.baseline(root, now=NOW + timedelta(days=90))
+    assert found.release is None
+    assert found.known == first
+    assert found.problems == ("release 1 does not hold: expired at 2026-08-02T12:00:00Z",)
