@@ -1,0 +1,158 @@
+"""Where a command to a joint enters a model: which control, and in which scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+
+from pytest_twin.errors import SpecError
+
+CommandMode = Literal["position", "velocity", "effort"]
+
+# As integers: an enum of MuJoCo that stands on the left of == knows no numpy integer.
+_SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+_SETPOINT_GAINS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
+_SETPOINTS: tuple[tuple[CommandMode, int], ...] = (
+    ("position", int(mujoco.mjtCtrlInput.mjINPUT_POS)),
+    ("velocity", int(mujoco.mjtCtrlInput.mjINPUT_VEL)),
+    ("effort", int(mujoco.mjtCtrlInput.mjINPUT_FF)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CommandInput:
+    """One control of one actuator of a joint.
+
+    Attributes:
+        mode: what the control is a setpoint of.
+        control: index into ``ctrl``.
+        scale: ``ctrl = scale * command``, the command in rad, rad/s or N*m of the joint (m, m/s
+            or N where it slides).
+        actuator: its id.
+    """
+
+    mode: CommandMode
+    control: int
+    scale: float
+    actuator: int
+
+
+def joint_inputs(model: mujoco.MjModel, joint: str) -> list[CommandInput]:
+    """Every control by which a hinge or slide joint takes position, velocity or effort.
+
+    An actuator counts where it drives that joint directly. Its force is ``gain * u + b0 +
+    b1 * length + b2 * velocity``, so that ``u = -b1 / gain * length`` is where a position servo
+    rests and ``u = -b2 / gain * velocity`` where a velocity servo does.
+    """
+    joint_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+    found: list[CommandInput] = []
+    if joint_id < 0 or int(model.jnt_type[joint_id]) not in _SCALAR_JOINTS:
+        return found
+    for actuator in range(model.nactuator):
+        if int(model.actuator_trntype[actuator]) not in _JOINT_TRANSMISSIONS:
+            continue
+        if model.actuator_trnid[actuator, 0] == joint_id:
+            found += _actuator_inputs(model, actuator)
+    return found
+
+
+def command_input(model: mujoco.MjModel, joint: str, mode: CommandMode) -> CommandInput | None:
+    """The one control by which ``joint`` takes ``mode``.
+
+    None for an effort on a joint without any actuator: it can be applied to the joint itself.
+
+    Raises:
+        SpecError: the joint has none for this mode, or more than one.
+    """
+    inputs = joint_inputs(model, joint)
+    fitting = [item for item in inputs if item.mode == mode]
+    if len(fitting) == 1:
+        return fitting[0]
+    names = ", ".join(f"{_actuator_name(model, i.actuator)} ({i.mode})" for i in inputs)
+    if fitting:
+        raise SpecError(
+            f"more than one actuator takes a {mode} command",
+            where=f"joint '{joint}'",
+            value=names,
+            expected="one",
+        )
+    if mode == "effort" and not inputs:
+        return None
+    raise SpecError(
+        f"no actuator takes a {mode} command",
+        where=f"joint '{joint}'",
+        value=names or "no actuator",
+        expected=f"an actuator of this joint with a {mode} input",
+    )
+
+
+def steady_activation(
+    model: mujoco.MjModel, data: mujoco.MjData, actuator: int
+) -> tuple[int, float] | None:
+    """(index into ``act``, value) that leaves an actuator at rest under ``data.ctrl``.
+
+    Filters have settled on their control, integrators and rate limits hold where the joint is.
+    Integral terms, currents, temperatures and friction states stay at zero: nothing tells them.
+    ``data`` holds positions and transmission lengths.
+    """
+    address = int(model.actuator_actadr[actuator])
+    if address < 0:
+        return None
+    control = float(data.ctrl[model.actuator_ctrladr[actuator]])
+    dynamics = int(model.actuator_dyntype[actuator])
+    dyn = mujoco.mjtDyn
+    slew_limit = {int(dyn.mjDYN_PID): 1, int(dyn.mjDYN_DCMOTOR): 7}.get(dynamics)
+    if dynamics in (dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT, dyn.mjDYN_MUSCLE):
+        return address, control
+    if dynamics == dyn.mjDYN_INTEGRATOR:
+        gain = float(model.actuator_gainprm[actuator, 0])
+        stiffness = -float(model.actuator_biasprm[actuator, 1])
+        length = float(data.actuator_length[model.actuator_outadr[actuator]])
+        return (address, stiffness / gain * length) if gain else None
+    if slew_limit is not None and model.actuator_dynprm[actuator, slew_limit] > 0:
+        return address, control
+    return None
+
+
+def _actuator_inputs(model: mujoco.MjModel, actuator: int) -> list[CommandInput]:
+    control = int(model.actuator_ctrladr[actuator])
+    gear = float(model.actuator_gear[model.actuator_outadr[actuator], 0])
+    declared = int(model.actuator_ctrlspec[actuator])
+    gain_type = int(model.actuator_gaintype[actuator])
+    if gear == 0.0:
+        return []
+    if gain_type in _SETPOINT_GAINS:
+        # Setpoints are in actuator length, a feedforward in actuator force.
+        present = [setpoint for setpoint, bit in _SETPOINTS if declared & bit]
+        return [
+            CommandInput(item, control + at, 1.0 / gear if item == "effort" else gear, actuator)
+            for at, item in enumerate(present)
+        ]
+    if gain_type not in _LINEAR_GAINS:
+        return []
+    gain = float(model.actuator_gainprm[actuator, 0])
+    if gain == 0.0:
+        return []
+    stiffness, damping = (-float(b) for b in model.actuator_biasprm[actuator, 1:3])
+    integrates = model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+    if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE:
+        if integrates or gain_type != mujoco.mjtGain.mjGAIN_FIXED:
+            return []
+        return [CommandInput("effort", control, 1.0 / (gain * gear), actuator)]
+    if model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE:
+        return []
+    if stiffness != 0.0:
+        mode: CommandMode = "velocity" if integrates else "position"
+        return [CommandInput(mode, control, gear * stiffness / gain, actuator)]
+    if damping != 0.0 and not integrates:
+        return [CommandInput("velocity", control, gear * damping / gain, actuator)]
+    return []
+
+
+def _actuator_name(model: mujoco.MjModel, actuator: int) -> str:
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)
+    return name or f"actuator {actuator}"

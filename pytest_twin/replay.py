@@ -1,0 +1,565 @@
+"""Open-loop replay: the commands and the first state of a trial, and nothing else of it.
+
+How a trial becomes a simulation:
+
+- Commands are held from their stamp to the next (zero order); before the first stamp the first is
+  held. A stamp that falls inside a step enters that step by the mean of the held signal over it,
+  so that no command comes early or late by the step's length.
+- The first state sets positions and, where it was recorded, velocities; otherwise the robot
+  starts at rest. Joints outside the recording start at the model's reference (or where a joint
+  equality puts them), and their position servos hold them there. So do the servos of joints that
+  were recorded but not commanded.
+- Filters and delays of actuators start settled on the first command.
+- An effort command on a joint without any actuator acts on the joint itself.
+- Between steps, positions follow the cubic through positions and velocities of both ends (error
+  of the order of step^4, against step^2 of a straight line), velocities the straight line;
+  ``effort`` is that of the step which holds the stamp.
+
+Trials are rows of one ``mujoco.batch.Batch``, each with its own model if need be; the steps are
+bit for bit those of ``mj_step``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco import batch as mujoco_batch
+from numpy.typing import NDArray
+
+from pytest_twin.errors import SimulationError, SpecError
+from pytest_twin.realization import Realization
+from pytest_twin.realization.inputs import command_input, joint_inputs, steady_activation
+from pytest_twin.trial import Trial
+from pytest_twin.twin import JointCalibration
+
+FloatArray = NDArray[np.float64]
+
+# Long enough that stepping outweighs the calls, short enough that records stay in cache.
+_BLOCK_STEPS = 512
+# Rows that end early may overrun by this much, rather than cut the block for all.
+_SHORTEST_BLOCK = 64
+# Stamps closer to a step's end than this fraction of it lie on it: stamps are whole nanoseconds.
+_ON_STEP = 1e-5
+_STATE = mujoco.mjtState
+_TIME = int(_STATE.mjSTATE_TIME)
+_IDENTITY = JointCalibration()
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One simulation of a batch.
+
+    Attributes:
+        trial: what to replay.
+        model: what to step; models of one batch need not be equal.
+        calibration: joint -> how its encoder relates to the model.
+        source: what to name in errors, the model's file.
+    """
+
+    trial: Trial
+    model: mujoco.MjModel
+    calibration: Mapping[str, JointCalibration] = field(default_factory=dict)
+    source: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """What a model did under the commands of a trial, at the trial's own state stamps.
+
+    Attributes:
+        trial: what was replayed.
+        time: (n,) s from the first state.
+        position: (n, j) rad or m, joints as ``trial.joints``, as the robot's encoders would read.
+        velocity: (n, j) rad/s or m/s, likewise.
+        effort: (n, j) N*m or N at the joints, by actuators and applied efforts, likewise.
+        qpos: (n, nq) the model's whole configuration.
+        tcp_pose: (n, 7) position (m) and quaternion (w x y z) of the twin's ``tcp`` in the world,
+            or None.
+        error: why the rest is NaN, where the simulation diverged.
+        notes: what the replay took for granted, one line each.
+    """
+
+    trial: Trial
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    qpos: FloatArray
+    tcp_pose: FloatArray | None = None
+    error: SimulationError | None = None
+    notes: tuple[str, ...] = ()
+
+
+def replay(
+    realization: Realization,
+    trials: Sequence[Trial],
+    *,
+    tcp: bool = True,
+    threads: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> list[Replayed]:
+    """Replay trials on a realization, each under its own controller and payload.
+
+    A trial that diverges does not stop the others: see ``Replayed.error``.
+
+    Args:
+        realization: what to step.
+        trials: their metadata may name ``controller`` and ``payload`` of the twin.
+        tcp: whether to compute the pose of the twin's ``tcp``, where it names one.
+        threads: of the batch, 0 for all cores.
+        progress: called with the fraction of the steps done.
+
+    Raises:
+        SpecError: a joint, actuator, controller or payload that the realization lacks.
+    """
+    variants: dict[tuple[str | None, str | None], Realization] = {}
+    rows, used, notes = [], [], []
+    for trial in trials:
+        controller, payload, said = _variant_ids(realization, trial)
+        if (controller, payload) not in variants:
+            variants[controller, payload] = realization.variant(controller, payload)
+        variant = variants[controller, payload]
+        used.append(variant)
+        notes.append(said)
+        rows.append(Row(trial, variant.model, calibration_of(realization), realization.path))
+    replayed = replay_rows(rows, threads=threads, progress=progress)
+    frame = realization.twin.tcp if tcp and realization.twin is not None else None
+    return [
+        replace(
+            result,
+            tcp_pose=None if frame is None else frame_poses(variant, result.qpos, frame),
+            notes=said,
+        )
+        for result, variant, said in zip(replayed, used, notes, strict=True)
+    ]
+
+
+def replay_rows(
+    rows: Sequence[Row],
+    *,
+    threads: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> list[Replayed]:
+    """Replay rows: trials, perturbed models, rival hypotheses.
+
+    Rows whose models share a layout share a batch.
+
+    Raises:
+        SpecError: a joint or an actuator that a model lacks.
+    """
+    runs = [_Run(row) for row in rows]
+    total = max(1, sum(run.steps for run in runs))
+    done = 0
+
+    def advance(steps: int) -> None:
+        nonlocal done
+        done += steps
+        if progress is not None:
+            progress(min(1.0, done / total))
+
+    for group in _layouts(runs):
+        _step(group, threads, advance)
+    return [run.result() for run in runs]
+
+
+def calibration_of(realization: Realization) -> Mapping[str, JointCalibration]:
+    """Joint -> how its encoder relates to the model; empty where the twin does not say."""
+    twin = realization.twin
+    return {} if twin is None or twin.calibration is None else twin.calibration.joints
+
+
+def frame_poses(realization: Realization, qpos: FloatArray, frame: str) -> FloatArray:
+    """(n, 7) position (m) and quaternion (w x y z) of a frame in the world.
+
+    Args:
+        realization: the model.
+        qpos: (n, nq) configurations; rows with NaN give NaN.
+        frame: a site or a body.
+
+    Raises:
+        SpecError: no such frame.
+    """
+    data = mujoco.MjData(realization.model)
+    realization.frame_index(frame)
+    poses = np.full((len(qpos), 7), np.nan)
+    for i in np.flatnonzero(np.isfinite(qpos).all(axis=1)):
+        data.qpos[:] = qpos[i]
+        mujoco.mj_kinematics(realization.model, data)
+        pose = realization.frame_pose(data, frame)
+        poses[i, :3] = pose[:3, 3]
+        mujoco.mju_mat2Quat(poses[i, 3:], pose[:3, :3].ravel())
+    return poses
+
+
+def measured_qpos(realization: Realization, replayed: Replayed) -> FloatArray:
+    """(n, nq) configurations with the recorded joints where they were measured.
+
+    Joints outside the recording are where the replay has them.
+    """
+    calibration = calibration_of(realization)
+    qpos = replayed.qpos.copy()
+    for column, joint in enumerate(replayed.trial.joints):
+        item = calibration.get(joint, _IDENTITY)
+        qpos[:, realization.joint_qpos_index(joint)] = (
+            item.sign * replayed.trial.position[:, column] + item.offset
+        )
+    return qpos
+
+
+class _Run:
+    """One row on its way: its controls step by step, and what is kept of its states."""
+
+    def __init__(self, row: Row) -> None:
+        self.row = row
+        self.model, self.trial = row.model, row.trial
+        self.timestep = float(self.model.opt.timestep)
+        self.joint_ids = [self._joint_id(joint) for joint in self.trial.joints]
+        self.qpos_index = self.model.jnt_qposadr[self.joint_ids]
+        self.dof_index = self.model.jnt_dofadr[self.joint_ids]
+        calibration = [row.calibration.get(joint, _IDENTITY) for joint in self.trial.joints]
+        self.sign = np.array([item.sign for item in calibration])
+        self.offset = np.array([item.offset for item in calibration])
+        self.applies_effort = False
+        self._place_samples()
+        self.data = self._initial_state()
+        self._place_commands()
+        self._settle_actuators()
+        count = len(self.trial.time)
+        self.qpos = np.full((count, self.model.nq), np.nan)
+        self.velocity = np.full((count, len(self.joint_ids)), np.nan)
+        self.effort = np.full((count, len(self.joint_ids)), np.nan)
+        self.last_qpos = self.data.qpos.copy()
+        self.last_qvel = self.data.qvel.copy()
+        scalar = np.isin(
+            self.model.jnt_type, [mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE]
+        )
+        self.scalar_qpos = self.model.jnt_qposadr[scalar]
+        self.scalar_dof = self.model.jnt_dofadr[scalar]
+        self.step = 0
+        self.error: SimulationError | None = None
+
+    def _refuse(self, problem: str, joint: str, expected: str | None = None) -> SpecError:
+        return SpecError(problem, path=self.row.source, where=f"joint '{joint}'", expected=expected)
+
+    def _joint_id(self, joint: str) -> int:
+        index = int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint))
+        if index < 0:
+            raise self._refuse(f"in {self.trial.path.name} but not in the model", joint)
+        kind = int(self.model.jnt_type[index])
+        if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            raise self._refuse("a recording gives one number per joint", joint,
+                               expected="a hinge or a slide joint")  # fmt: skip
+        return index
+
+    def _place_samples(self) -> None:
+        at = self.trial.time / self.timestep
+        self.sample_step = np.floor(at + _ON_STEP).astype(np.int64)
+        fraction = np.clip(at - self.sample_step, 0.0, 1.0)
+        self.sample_fraction = np.where(fraction < _ON_STEP, 0.0, fraction)
+        # One step past the last stamp: its end closes the interval that holds the stamp.
+        self.steps = int(self.sample_step[-1]) + 1
+
+    def _initial_state(self) -> mujoco.MjData:
+        data = mujoco.MjData(self.model)
+        data.qpos[self.qpos_index] = self.sign * self.trial.position[0] + self.offset
+        if self.trial.velocity is not None:
+            velocity = self.sign * self.trial.velocity[0]
+            data.qvel[self.dof_index] = np.where(np.isfinite(velocity), velocity, 0.0)
+        _follow_joint_equalities(self.model, data, set(self.joint_ids))
+        return data
+
+    def _place_commands(self) -> None:
+        """Controls as steps: the values held, the step from which each holds, and corrections."""
+        model, trial = self.model, self.trial
+        width = model.nu
+        base = np.zeros(width + model.nv)
+        self._hold_uncommanded(base)
+        values = np.tile(base, (len(trial.command_time), 1))
+        for column, joint in enumerate(trial.command_joints):
+            joint_id = self._joint_id(joint)
+            item = self.row.calibration.get(joint, _IDENTITY)
+            command = item.sign * trial.command[:, column]
+            if trial.command_mode == "position":
+                command = command + item.offset
+            try:
+                target = command_input(model, joint, trial.command_mode)
+            except SpecError as error:
+                error.path = self.row.source
+                raise
+            if target is None:
+                self.applies_effort = True
+                values[:, width + model.jnt_dofadr[joint_id]] = command
+            else:
+                values[:, target.control] = target.scale * command
+        at = trial.command_time / self.timestep
+        inside = np.floor(at + _ON_STEP)
+        fraction = np.where(at - inside < _ON_STEP, 0.0, at - inside)
+        self.values = values
+        self.value_step = (inside + (fraction > 0.0)).astype(np.int64)
+        late = np.flatnonzero((fraction > 0.0) & (np.arange(len(at)) > 0))
+        self.split_step = inside[late].astype(np.int64)
+        self.split_values = (1.0 - fraction[late])[:, None] * (values[late] - values[late - 1])
+
+    def _hold_uncommanded(self, base: FloatArray) -> None:
+        commanded = set(self.trial.command_joints)
+        for joint_id in range(self.model.njnt):
+            name = mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint_id)
+            if name and name not in commanded:
+                for target in joint_inputs(self.model, name):
+                    if target.mode == "position":
+                        position = self.data.qpos[self.model.jnt_qposadr[joint_id]]
+                        base[target.control] = target.scale * position
+
+    def _settle_actuators(self) -> None:
+        model, data = self.model, self.data
+        data.ctrl[:] = self.values[0, : model.nu]
+        mujoco.mj_fwdPosition(model, data)
+        for actuator in range(model.nactuator):
+            steady = steady_activation(model, data, actuator)
+            if steady is not None:
+                data.act[steady[0]] = steady[1]
+            if model.actuator_historyadr[actuator] >= 0:
+                first = int(model.actuator_ctrladr[actuator])
+                held = data.ctrl[first : first + model.actuator_ctrlnum[actuator]]
+                samples = int(model.actuator_history[actuator, 0])
+                mujoco.mj_initCtrlHistory(model, data, actuator, None, np.tile(held, samples))
+
+    def controls(self, begin: int, end: int, out: FloatArray) -> None:
+        """Write the controls of steps ``begin`` to ``end`` into ``out`` (steps, controls)."""
+        width = out.shape[1]
+        first, last = np.searchsorted(self.value_step, (begin, end), side="right")
+        first = max(int(first) - 1, 0)
+        last = max(int(last), first + 1)
+        edges = np.clip(self.value_step[first:last], begin, end)
+        edges[0] = begin
+        lengths = np.diff(edges, append=end)
+        out[:] = np.repeat(self.values[first:last, :width], lengths, axis=0)
+        first, last = np.searchsorted(self.split_step, (begin, end))
+        np.add.at(out, self.split_step[first:last] - begin, self.split_values[first:last, :width])
+
+    def keep(self, qpos: FloatArray, qvel: FloatArray, effort: FloatArray) -> None:
+        """Take the records of the next steps: states at their ends, efforts during them."""
+        begin, end = self.step, min(self.step + len(qpos), self.steps)
+        first, last = np.searchsorted(self.sample_step, (begin, end))
+        if last > first:
+            index = self.sample_step[first:last] - begin
+            fraction = self.sample_fraction[first:last, None]
+            after_q, after_v = qpos[index], qvel[index]
+            previous = np.maximum(index - 1, 0)
+            at_start = (index == 0)[:, None]
+            before_q = np.where(at_start, self.last_qpos, qpos[previous])
+            before_v = np.where(at_start, self.last_qvel, qvel[previous])
+            at = slice(first, last)
+            self.qpos[at] = before_q + fraction * (after_q - before_q)
+            self.qpos[at, self.scalar_qpos] = _hermite(
+                fraction,
+                before_q[:, self.scalar_qpos],
+                after_q[:, self.scalar_qpos],
+                self.timestep * before_v[:, self.scalar_dof],
+                self.timestep * after_v[:, self.scalar_dof],
+            )
+            velocity = before_v + fraction * (after_v - before_v)
+            self.velocity[at] = velocity[:, self.dof_index]
+            self.effort[at] = effort[index][:, self.dof_index]
+        self.last_qpos, self.last_qvel = qpos[-1].copy(), qvel[-1].copy()
+        self.step += len(qpos)
+
+    def fail(self, problem: str, step: int, joint: str | None) -> None:
+        """Stop here: samples from ``step`` on stay NaN."""
+        self.error = SimulationError(
+            f"{problem} {step * self.timestep:.6g} s after the first state of "
+            f"{self.trial.path.name}",
+            path=self.row.source,
+            where=None if joint is None else f"joint '{joint}'",
+        )
+        gone = self.sample_step >= step
+        for kept in (self.qpos, self.velocity, self.effort):
+            kept[gone] = np.nan
+        self.steps = self.step
+
+    def result(self) -> Replayed:
+        """Everything in the encoders' own signs and zeros."""
+        return Replayed(
+            trial=self.trial,
+            time=self.trial.time,
+            position=self.sign * (self.qpos[:, self.qpos_index] - self.offset),
+            velocity=self.sign * self.velocity,
+            effort=self.sign * self.effort,
+            qpos=self.qpos,
+            error=self.error,
+        )
+
+
+def _hermite(
+    fraction: FloatArray,
+    start: FloatArray,
+    end: FloatArray,
+    start_slope: FloatArray,
+    end_slope: FloatArray,
+) -> FloatArray:
+    """The cubic through both ends; slopes per whole interval, ``fraction`` of it in 0 to 1."""
+    rest = 1.0 - fraction
+    straight = start + fraction * (end - start)
+    bend = rest * (start_slope - (end - start)) - fraction * (end_slope - (end - start))
+    curved: FloatArray = straight + fraction * rest * bend
+    return curved
+
+
+def _follow_joint_equalities(model: mujoco.MjModel, data: mujoco.MjData, placed: set[int]) -> None:
+    """Move joints that were not recorded to where active joint equalities put them."""
+    pending = [
+        i
+        for i in range(model.neq)
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT
+        and data.eq_active[i]
+        and model.eq_obj2id[i] >= 0
+    ]
+    moved = True
+    while moved:
+        moved = False
+        for i in pending:
+            follower, leader = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+            if follower in placed or leader not in placed:
+                continue
+            q1, q2 = model.jnt_qposadr[[follower, leader]]
+            v1, v2 = model.jnt_dofadr[[follower, leader]]
+            away = data.qpos[q2] - model.qpos0[q2]
+            law = np.polynomial.Polynomial(model.eq_data[i, :5])
+            data.qpos[q1] = model.qpos0[q1] + law(away)
+            data.qvel[v1] = law.deriv()(away) * data.qvel[v2]
+            placed.add(follower)
+            moved = True
+
+
+def _layouts(runs: Iterable[_Run]) -> list[list[_Run]]:
+    """Runs whose models a batch can hold together, and apply efforts alike."""
+    groups: dict[tuple[object, ...], list[_Run]] = {}
+    for run in runs:
+        m = run.model
+        key = (
+            m.nq, m.nv, m.nu, m.na, m.nactuator, m.nbody, m.njnt, m.ngeom, m.nsite, m.neq,
+            m.ntendon, m.nsensordata, m.nhistory, m.nmocap, m.nuserdata, m.npluginstate,
+            m.narena, run.applies_effort,
+        )  # fmt: skip
+        groups.setdefault(key, []).append(run)
+    return list(groups.values())
+
+
+def _step(runs: list[_Run], threads: int, advance: Callable[[int], None]) -> None:
+    model = runs[0].model
+    batch = mujoco_batch.Batch(model, nsim=len(runs), nthread=threads)
+    if any(run.model is not model for run in runs):
+        batch.set_models([run.model for run in runs])
+    for name in ("qpos", "qvel", "act", "history", "ctrl"):
+        rows = batch.bind(name)
+        for i, run in enumerate(runs):
+            rows[i] = getattr(run.data, name)
+    spec, width = _STATE.mjSTATE_CTRL, model.nu
+    if runs[0].applies_effort:
+        spec, width = spec | _STATE.mjSTATE_QFRC_APPLIED, model.nu + model.nv
+    records = ("qpos", "qvel", "qfrc_actuator", _TIME)
+    arrays: dict[str | int, NDArray[np.float64]] = {}
+    while active := [i for i, run in enumerate(runs) if run.step < run.steps]:
+        remaining = [runs[i].steps - runs[i].step for i in active]
+        steps = min(_BLOCK_STEPS, max(_SHORTEST_BLOCK, min(remaining)))
+        shape = (len(active), steps)
+        controls = np.empty((*shape, width))
+        for at, i in enumerate(active):
+            runs[i].controls(runs[i].step, runs[i].step + steps, controls[at])
+        if not arrays or arrays["qpos"].shape[:2] != shape:
+            arrays = {
+                "qpos": np.empty((*shape, model.nq)),
+                "qvel": np.empty((*shape, model.nv)),
+                "qfrc_actuator": np.empty((*shape, model.nv)),
+                _TIME: np.empty((*shape, 1)),
+            }
+        warned = batch.warning[active, :, 1].copy()
+        try:
+            batch.rollout(
+                steps,
+                controls,
+                control_spec=int(spec),
+                record=records,
+                ids=active,
+                out=arrays,
+            )
+        except mujoco_batch.SimulationError as error:
+            failed = {int(i) for i in error.ids}
+        else:
+            failed = set()
+        for at, i in enumerate(active):
+            run = runs[i]
+            begin = run.step
+            if i in failed:
+                run.fail(f"MuJoCo stopped: {' '.join(batch.error(i).split())},", begin, None)
+                continue
+            effort = arrays["qfrc_actuator"][at]
+            if run.applies_effort:
+                effort = effort + controls[at, :, model.nu :]
+            run.keep(arrays["qpos"][at], arrays["qvel"][at], effort)
+            risen = np.flatnonzero(batch.warning[i, :, 1] > warned[at])
+            if risen.size:
+                # A row that warned repeats its last record: the step that warned comes first.
+                repeats = np.diff(arrays[_TIME][at, :, 0], append=np.nan) == 0.0
+                stopped = int(np.argmax(repeats)) if repeats.any() else steps - 1
+                warning = int(risen[0])
+                problem, joint = _in_words(run.model, warning, int(batch.warning[i, warning, 0]))
+                run.fail(problem, begin + stopped, joint)
+        advance(sum(min(steps, left) for left in remaining))
+
+
+_WARNINGS = {
+    mujoco.mjtWarning.mjWARN_INERTIA: "the inertia matrix became singular",
+    mujoco.mjtWarning.mjWARN_CONTACTFULL: "more contacts than the model's arena holds",
+    mujoco.mjtWarning.mjWARN_CNSTRFULL: "more constraints than the model's arena holds",
+    mujoco.mjtWarning.mjWARN_BADQPOS: "the position diverged",
+    mujoco.mjtWarning.mjWARN_BADQVEL: "the velocity diverged",
+    mujoco.mjtWarning.mjWARN_BADQACC: "the acceleration diverged",
+    mujoco.mjtWarning.mjWARN_BADCTRL: "a control is not finite",
+}
+
+
+def _in_words(model: mujoco.MjModel, warning: int, index: int) -> tuple[str, str | None]:
+    """What a warning means, and the joint that it came from."""
+    problem = _WARNINGS.get(mujoco.mjtWarning(warning), "MuJoCo warned")
+    joint: int | None = None
+    if warning == mujoco.mjtWarning.mjWARN_BADQPOS:
+        joint = int(np.searchsorted(model.jnt_qposadr, index, side="right")) - 1
+    elif warning in (
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_INERTIA,
+    ):
+        joint = int(model.dof_jntid[index])
+    if joint is None:
+        return problem, None
+    return problem, mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+
+
+def _variant_ids(
+    realization: Realization, trial: Trial
+) -> tuple[str | None, str | None, tuple[str, ...]]:
+    """Controller and payload of the twin that a trial names, and what cannot be followed.
+
+    A twin that lists controllers (or payloads) must list the one that the trial names.
+    """
+    twin = realization.twin
+    found: dict[str, str | None] = {"controller": None, "payload": None}
+    notes = []
+    for key in found:
+        name = trial.metadata.get(key)
+        if not name:
+            continue
+        declared = {} if twin is None else getattr(twin, f"{key}s")
+        if declared:
+            found[key] = name
+        else:
+            notes.append(
+                f"{trial.path.name} names {key} {name!r}, and no twin.yaml says what that is: "
+                "the model was stepped as it stands"
+            )
+    return found["controller"], found["payload"], tuple(notes)
