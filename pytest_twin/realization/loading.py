@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 
 from pytest_twin.errors import ModelError, SpecError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
-from pytest_twin.realization import mjcf, patch
+from pytest_twin.realization import mjcf, patch, urdf, urdf_spec
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.model import Realization
+from pytest_twin.realization.node import Node
 from pytest_twin.twin import Fit, Twin
 
 
@@ -24,21 +25,27 @@ class Source:
 
     Attributes:
         kind: ``mjcf`` or ``urdf``.
-        document: the checked text and the files that it refers to.
+        root: the checked elements, includes spliced in.
+        assets: name in the spec -> file of each mesh, texture, or other asset.
+        urdf: the robot as read, None for MJCF.
         notes: what the conversion changed or left out, with file and line.
+        inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that stands for one
+            that no body can have, where such a repair was accepted.
         velocity_limit: joint -> rad/s or m/s.
     """
 
-    kind: str
-    document: mjcf.Document
+    kind: Literal["mjcf", "urdf"]
+    root: Node
+    assets: Mapping[str, Path]
+    urdf: urdf.Robot | None = None
     notes: tuple[str, ...] = ()
+    inertia_repairs: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     velocity_limit: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that was read, sorted."""
-        read = {node.path for node in self.document.root.walk()}
-        return tuple(sorted(read | set(self.document.asset_paths.values())))
+        return tuple(sorted({node.path for node in self.root.walk()} | set(self.assets.values())))
 
 
 def load(
@@ -47,6 +54,7 @@ def load(
     twin: Twin | None = None,
     name: str = "mujoco",
     roots: Roots | None = None,
+    accept_invalid_inertia: bool = False,
     limits: ModelLimits = LIMITS,
 ) -> Realization:
     """Load an MJCF or URDF file.
@@ -56,6 +64,8 @@ def load(
         twin: the twin that it belongs to: its fit is applied, its roots hold.
         name: the realization's name.
         roots: folders that references may lead into; the twin's, or the file's own, by default.
+        accept_invalid_inertia: of a URDF, repair inertias that no body can have and note it,
+            rather than raise; ``source.inertia_repairs`` then holds what a twin's fit can state.
         limits: bounds on what may be loaded.
 
     Raises:
@@ -65,21 +75,51 @@ def load(
         SpecError: the fit names what the model lacks.
     """
     path = path.absolute()
-    if roots is None:
-        roots = Roots(path.parent) if twin is None else twin.path_roots
+    fit = None if twin is None else twin.fit
     tag = xml.parse(path).tag
-    if tag != "mujoco":
+    if tag == "mujoco":
+        roots = roots or (Roots(path.parent) if twin is None else twin.path_roots)
+        document = mjcf.read(path, roots, limits=limits)
+        source = Source("mjcf", document.root, dict(document.asset_paths))
+        spec, places = mjcf.build(document), document.places
+    elif tag == "robot":
+        roots = roots or (_urdf_roots(path) if twin is None else twin.path_roots)
+        robot = urdf.read(path, limits=limits)
+        converted = urdf_spec.convert(
+            robot,
+            roots,
+            {} if twin is None else twin.roots,
+            accept_invalid_inertia=accept_invalid_inertia,
+            inertia_patches={} if fit is None else fit.patches.get("body", {}),
+            limits=limits,
+        )
+        source = Source(
+            "urdf",
+            robot.node,
+            converted.mesh_paths,
+            robot,
+            tuple(converted.notes),
+            converted.inertia_repairs,
+            converted.velocity_limit,
+        )
+        spec, places = converted.spec, None
+    else:
         raise ModelError("not a robot model", path=path, value=tag, expected="<mujoco> or <robot>")
-    document = mjcf.read(path, roots, limits=limits)
-    source = Source("mjcf", document)
-    spec = mjcf.build(document)
-    if twin is not None and twin.fit is not None:
-        patch.apply_fit(spec, twin.fit.patches, twin.fit.option, refuse=_fit_error(twin.fit))
+    if fit is not None:
+        patch.apply_fit(spec, fit.patches, fit.option, refuse=_fit_error(fit))
     try:
         model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise mjcf.translate(error, document) from None
+        raise mjcf.translate(error, path, places) from None
     return Realization(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
+
+
+def _urdf_roots(path: Path) -> Roots:
+    """The ROS package that the file lies in, or its folder alone."""
+    for folder in path.resolve().parents:
+        if (folder / "package.xml").is_file():
+            return Roots(path.parent, (folder,))
+    return Roots(path.parent)
 
 
 def _fit_error(fit: Fit) -> patch.Refuse:

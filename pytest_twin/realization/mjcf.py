@@ -10,7 +10,7 @@ import hashlib
 import math
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,36 +22,7 @@ from pytest_twin.errors import LimitError, ModelError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization.limits import LIMITS, ModelLimits
-
-
-@dataclass(slots=True)
-class Node:
-    """One element of a model, with the place that it was read from."""
-
-    tag: str
-    attributes: dict[str, str]
-    path: Path
-    line: int
-    children: list[Node] = field(default_factory=list)
-
-    def walk(self) -> Iterator[Node]:
-        """This element and all below it, in document order."""
-        stack = [self]
-        while stack:
-            node = stack.pop()
-            yield node
-            stack.extend(reversed(node.children))
-
-    @property
-    def label(self) -> str:
-        """How people find it: ``joint 'elbow'``, or the tag alone."""
-        name = self.attributes.get("name")
-        return self.tag if name is None else f"{self.tag} '{name}'"
-
-    def error(self, problem: str, attribute: str | None = None, **details: Any) -> ModelError:
-        """A :class:`ModelError` that points here."""
-        where = self.label if attribute is None else f"{self.label}.{attribute}"
-        return ModelError(problem, path=self.path, line=self.line, where=where, **details)
+from pytest_twin.realization.node import Node
 
 
 @dataclass(slots=True)
@@ -110,18 +81,25 @@ def build(document: Document) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_string(text, assets=document.assets)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise translate(error, document) from None
+        raise translate(error, document.root.path, document.places) from None
 
 
-def translate(error: Exception, document: Document) -> ModelError:
-    """MuJoCo's words, with the place in the file that the line number in them means."""
+def translate(
+    error: Exception, path: Path, places: Sequence[tuple[Path, int]] | None
+) -> ModelError:
+    """MuJoCo's words, with the place that the line number in them means.
+
+    Args:
+        places: file and line of each line that MuJoCo was given; None where its line numbers are
+            those of ``path``.
+    """
     words = " ".join(str(error).split())
-    path, line = document.root.path, None
+    line = None
     match = re.search(r",? line (\d+)", words)
     if match is not None:
-        number = int(match[1])
-        if 1 <= number <= len(document.places):
-            path, line = document.places[number - 1]
+        line = int(match[1])
+        if places is not None and 1 <= line <= len(places):
+            path, line = places[line - 1]
         words = words.replace(match[0], "")
     words = re.sub(r"^(XML )?Error: ", "", words)
     return ModelError(f"MuJoCo refuses the model: {words}", path=path, line=line)

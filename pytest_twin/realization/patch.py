@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import TwinError
+from pytest_twin.realization import inertia
 from pytest_twin.twin import Patch, Payload
 
 Refuse = Callable[..., TwinError]
@@ -69,33 +69,15 @@ def apply_payload(
     body_inertia = _BodyInertia(spec)
     for name, payload in bodies.items():
         body = _find(spec.bodies, name, "body", f"{where}.{name}", refuse)
-        mass, com, inertia = body_inertia.of(body)
-        added = _tensor(payload.inertia)
+        mass, com, moments = body_inertia.of(body)
         total = mass + payload.mass
         if total <= 0:
             continue
         added_com = np.array(payload.com)
         both = (mass * com + payload.mass * added_com) / total
-        body_inertia.set(
-            body,
-            total,
-            both,
-            inertia
-            + _point_inertia(mass, com - both)
-            + added
-            + _point_inertia(payload.mass, added_com - both),
-        )
-
-
-def _point_inertia(mass: float, offset: Vector) -> Vector:
-    """Inertia of a point mass at ``offset``: m (r.r 1 - r r^T)."""
-    return np.asarray(mass * (offset @ offset * np.eye(3) - np.outer(offset, offset)))
-
-
-def _tensor(values: Iterable[float]) -> Vector:
-    """(3, 3) from ixx iyy izz [ixy ixz iyz]."""
-    xx, yy, zz, xy, xz, yz = (*values, 0.0, 0.0, 0.0)[:6]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        moments = moments + inertia.of_point(mass, com - both)
+        added = inertia.tensor(payload.inertia) + inertia.of_point(payload.mass, added_com - both)
+        inertia.write(body, total, both, moments + added)
 
 
 class _BodyInertia:
@@ -115,11 +97,6 @@ class _BodyInertia:
             self._make_explicit(self._model)
         return _compiled_inertia(self._model, body.name)
 
-    def set(self, body: mujoco.MjsBody, mass: float, com: Vector, inertia: Vector) -> None:
-        """State them on the body itself."""
-        _state_inertia(body, mass, com, inertia)
-        self._model = None
-
     def _make_explicit(self, model: mujoco.MjModel) -> None:
         """Take the compiler's hands off: else it would derive or scale what is patched here."""
         compiler = self._spec.compiler
@@ -128,7 +105,7 @@ class _BodyInertia:
             return
         for body in self._spec.bodies:
             if body.name != "world" and _body_id(model, body.name) >= 0:
-                _state_inertia(body, *_compiled_inertia(model, body.name))
+                inertia.write(body, *_compiled_inertia(model, body.name))
         compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
         compiler.settotalmass = -1.0
 
@@ -142,23 +119,8 @@ def _compiled_inertia(model: mujoco.MjModel, name: str) -> tuple[float, Vector, 
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, model.body_iquat[index])
     rotation = rotation.reshape(3, 3)
-    inertia = rotation @ np.diag(model.body_inertia[index]) @ rotation.T
-    return float(model.body_mass[index]), model.body_ipos[index].copy(), inertia
-
-
-def _state_inertia(body: mujoco.MjsBody, mass: float, com: Vector, inertia: Vector) -> None:
-    body.explicitinertial = True
-    body.mass = mass
-    body.ipos = com
-    body.iquat = [1, 0, 0, 0]
-    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    principal = np.array_equal(inertia, np.diag(np.diag(inertia)))
-    body.inertia = np.diag(inertia) if principal else [0, 0, 0]
-    if principal:
-        body.fullinertia = [math.nan, 0, 0, 0, 0, 0]
-    else:
-        i = inertia
-        body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+    moments = rotation @ np.diag(model.body_inertia[index]) @ rotation.T
+    return float(model.body_mass[index]), model.body_ipos[index].copy(), moments
 
 
 def _patch_body(
@@ -173,14 +135,14 @@ def _patch_body(
         body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     if not {"mass", "com", "inertia"} & set(patch):
         return
-    mass, com, inertia = body_inertia.of(body)
+    mass, com, moments = body_inertia.of(body)
     if "mass" in patch:
         mass = float(patch["mass"])  # type: ignore[arg-type]
     if "com" in patch:
         com = np.array(patch["com"], dtype=float)
     if "inertia" in patch:
-        inertia = _tensor(patch["inertia"])  # type: ignore[arg-type]
-    body_inertia.set(body, mass, com, inertia)
+        moments = inertia.tensor(patch["inertia"])  # type: ignore[arg-type]
+    inertia.write(body, mass, com, moments)
 
 
 _JOINT_ANGLES = ("range", "ref", "springref")

@@ -1,0 +1,130 @@
+"""Triangles from STL, OBJ and COLLADA files, in metres, bounded."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.formats import xml
+from pytest_twin.formats.paths import read_bytes
+from pytest_twin.realization.limits import ModelLimits
+
+Vertices = NDArray[np.float64]
+Faces = NDArray[np.int32]
+SUFFIXES = (".stl", ".obj", ".dae")
+
+
+@dataclass(frozen=True, slots=True)
+class Triangles:
+    """A triangle mesh.
+
+    Attributes:
+        vertices: (n, 3) in m.
+        faces: (m, 3) indices, counter-clockwise seen from outside.
+        up_axis: what a COLLADA file names so, ``Z_UP`` otherwise.
+    """
+
+    vertices: Vertices
+    faces: Faces
+    up_axis: str = "Z_UP"
+
+    def scaled(self, scale: NDArray[np.float64]) -> Triangles:
+        """Scaled per axis; a mirror turns the faces around so that they still look out."""
+        faces = self.faces if np.prod(scale) > 0 else self.faces[:, ::-1]
+        return Triangles(self.vertices * scale, faces, self.up_axis)
+
+    @property
+    def thickness(self) -> float:
+        """Extent along the thinnest principal direction, in m."""
+        centred = self.vertices - self.vertices.mean(axis=0)
+        _, _, axes = np.linalg.svd(centred, full_matrices=False)
+        return float(np.ptp(centred @ axes.T, axis=0).min())
+
+
+def read(path: Path, limits: ModelLimits) -> Triangles:
+    """Read a mesh file.
+
+    COLLADA's unit is applied and its up axis is not: ROS tools show such meshes with the axes
+    that their vertices have.
+
+    Raises:
+        FormatError: not what its suffix says, without triangles, or with vertices that are not
+            finite.
+        LimitError: too many bytes or triangles.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise FormatError("not a mesh that can be read", path=path, expected=" or ".join(SUFFIXES))
+    data = read_bytes(path, limits.asset_bytes)
+    try:
+        triangles = _collada(data, path) if suffix == ".dae" else _trimesh(data, suffix[1:])
+    except (FormatError, MemoryError):
+        raise
+    except Exception as error:
+        # The parsers of meshes raise whatever a broken file leads them to.
+        words = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise FormatError(f"broken {suffix[1:].upper()} mesh: {words}", path=path) from None
+    if not len(triangles.faces):
+        raise FormatError("a mesh without triangles", path=path)
+    if len(triangles.faces) > limits.mesh_faces:
+        raise LimitError(
+            "too many triangles",
+            path=path,
+            value=len(triangles.faces),
+            expected=f"at most {limits.mesh_faces}",
+        )
+    if not np.isfinite(triangles.vertices).all():
+        raise FormatError("a vertex that is not finite", path=path)
+    if triangles.faces.min() < 0 or triangles.faces.max() >= len(triangles.vertices):
+        raise FormatError("a face with a vertex that is not there", path=path)
+    return triangles
+
+
+def _trimesh(data: bytes, kind: str) -> Triangles:
+    import trimesh
+
+    loaded = trimesh.load(
+        io.BytesIO(data), file_type=kind, force="mesh", process=False, skip_materials=True
+    )
+    vertices, inverse = np.unique(
+        np.asarray(loaded.vertices, dtype=np.float64), axis=0, return_inverse=True
+    )
+    faces = inverse.reshape(-1)[np.asarray(loaded.faces)]
+    return Triangles(vertices, faces.astype(np.int32))
+
+
+def _collada(data: bytes, path: Path) -> Triangles:
+    import collada
+
+    # Bounds, and no DTD, before a parser that would follow one.
+    xml.parse_bytes(data, path)
+    document = collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError])
+    scale = document.assetInfo.unitmeter or 1.0
+    vertices: list[Vertices] = []
+    faces: list[NDArray[np.int64]] = []
+    count = 0
+    for geometry in document.scene.objects("geometry") if document.scene else ():
+        for primitive in geometry.primitives():
+            kind = type(primitive).__name__
+            if kind in ("BoundPolylist", "BoundPolygons"):
+                primitive = primitive.triangleset()
+            elif kind != "BoundTriangleSet":
+                continue
+            if primitive.vertex_index is None or not len(primitive.vertex_index):
+                continue
+            vertices.append(np.asarray(primitive.vertex, dtype=np.float64) * scale)
+            faces.append(np.asarray(primitive.vertex_index, dtype=np.int64) + count)
+            count += len(primitive.vertex)
+    if not faces:
+        return Triangles(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32))
+    used, inverse = np.unique(np.vstack(faces), return_inverse=True)
+    return Triangles(
+        np.vstack(vertices)[used],
+        inverse.reshape(-1, 3).astype(np.int32),
+        str(document.assetInfo.upaxis),
+    )

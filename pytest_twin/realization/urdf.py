@@ -1,0 +1,372 @@
+"""URDF, read and checked as text: links, joints, and the tree that they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.errors import LimitError
+from pytest_twin.formats import xml
+from pytest_twin.realization import inertia
+from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.node import Node
+
+Vector = NDArray[np.float64]
+MOVING = ("revolute", "continuous", "prismatic", "planar", "floating")
+
+
+@dataclass(slots=True)
+class Link:
+    """A rigid body.
+
+    Attributes:
+        mass: kg.
+        com: (3,) centre of mass in the link's frame, m.
+        inertia: (3, 3) about the centre of mass, link axes, kg*m^2.
+        inertial: the element, None where the link has none.
+    """
+
+    name: str
+    node: Node
+    mass: float
+    com: Vector
+    inertia: Vector
+    inertial: Node | None
+
+
+@dataclass(slots=True)
+class Mimic:
+    """``value = multiplier * joint + offset``."""
+
+    node: Node
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(slots=True)
+class Joint:
+    """What ties a child link to its parent.
+
+    Attributes:
+        type: ``revolute``, ``continuous``, ``prismatic``, ``planar``, ``floating`` or ``fixed``.
+        position: (3,) of the child's frame in the parent's, m.
+        rotation: (3, 3) of the child's frame in the parent's.
+        axis: (3,) unit vector in the child's frame.
+        limits: (lower, upper) in rad or m, None where not stated.
+        velocity: rad/s or m/s; effort: N*m or N; None where not stated.
+        damping: N*m*s/rad or N*s/m; friction: N*m or N.
+    """
+
+    name: str
+    node: Node
+    type: str
+    parent: str
+    child: str
+    position: Vector
+    rotation: Vector
+    axis: Vector
+    limits: tuple[float, float] | None
+    velocity: float | None
+    effort: float | None
+    damping: float
+    friction: float
+    mimic: Mimic | None
+
+
+@dataclass(slots=True)
+class Robot:
+    """A tree of links.
+
+    Attributes:
+        node: the ``robot`` element.
+        root: the link without a parent.
+        links: in the order of the file.
+        joints: in the order of the file.
+        children: link -> joints whose parent it is.
+    """
+
+    node: Node
+    root: str
+    links: dict[str, Link]
+    joints: dict[str, Joint]
+    children: dict[str, list[Joint]] = field(default_factory=dict)
+
+    def in_order(self) -> list[Joint]:
+        """Joints, each after the one that carries it."""
+        found: list[Joint] = []
+        waiting = list(reversed(self.children[self.root]))
+        while waiting:
+            joint = waiting.pop()
+            found.append(joint)
+            waiting.extend(reversed(self.children[joint.child]))
+        return found
+
+
+def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
+    """Read a URDF file; the meshes that it names are not touched.
+
+    Raises:
+        FormatError: not well-formed, or beyond a bound.
+        ModelError: not a tree of links, or a value that no robot can have.
+    """
+    root = _nodes(xml.parse(path), path, limits)
+    if root.tag != "robot":
+        raise root.error("not a URDF", value=root.tag, expected="the root <robot>")
+    for node in root.walk():
+        if "}" in node.tag and "xacro" in node.tag:
+            raise node.error("a xacro macro, not a URDF", expected="the output of `xacro`")
+    links: dict[str, Link] = {}
+    for node in root.all("link"):
+        link = _link(node)
+        if link.name in links:
+            raise node.error(
+                "two links of one name",
+                "name",
+                expected=f"unlike line {links[link.name].node.line}",
+            )
+        links[link.name] = link
+    if not links:
+        raise root.error("a robot without links")
+    joints: dict[str, Joint] = {}
+    for node in root.all("joint"):
+        joint = _joint(node)
+        if joint.name in joints:
+            raise node.error(
+                "two joints of one name",
+                "name",
+                expected=f"unlike line {joints[joint.name].node.line}",
+            )
+        joints[joint.name] = joint
+    robot = Robot(root, "", links, joints, {name: [] for name in links})
+    _check_tree(robot)
+    _check_mimics(robot)
+    return robot
+
+
+def rotation(rpy: Vector) -> Vector:
+    """(3, 3) of roll, pitch, yaw about fixed axes: R_z(yaw) R_y(pitch) R_x(roll)."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def origin(node: Node) -> tuple[Vector, Vector]:
+    """(3,) position in m and (3, 3) rotation of the ``origin`` below ``node``."""
+    element = node.find("origin")
+    if element is None:
+        return np.zeros(3), np.eye(3)
+    position = element.numbers("xyz", (0.0, 0.0, 0.0), unit="m")
+    return position, rotation(element.numbers("rpy", (0.0, 0.0, 0.0), unit="rad"))
+
+
+def _nodes(root: xml.Element, path: Path, limits: ModelLimits) -> Node:
+    count = 0
+
+    def node(element: xml.Element) -> Node:
+        nonlocal count
+        count += 1
+        if count > limits.elements:
+            raise LimitError("too many elements", path=path, expected=f"at most {limits.elements}")
+        return Node(
+            str(element.tag),
+            {str(key): str(value) for key, value in element.attrib.items()},
+            path,
+            element.sourceline or 1,
+            [node(child) for child in element if isinstance(child.tag, str)],
+        )
+
+    return node(root)
+
+
+def _name(node: Node) -> str:
+    name = node.attributes.get("name", "")
+    if not name.strip():
+        raise node.error("no name", "name", expected="a name")
+    return name
+
+
+def _link(node: Node) -> Link:
+    name = _name(node)
+    inertial = node.find("inertial")
+    if inertial is None:
+        return Link(name, node, 0.0, np.zeros(3), np.zeros((3, 3)), None)
+    com, axes = origin(inertial)
+    mass_node, inertia_node = inertial.find("mass"), inertial.find("inertia")
+    mass = 0.0 if mass_node is None else mass_node.number("value", None, unit="kg")
+    if mass < 0 and mass_node is not None:
+        raise mass_node.error(
+            f"link '{name}' has a negative mass",
+            "value",
+            value=mass,
+            unit="kg",
+            expected="0 or more",
+        )
+    moments = np.zeros((3, 3))
+    if inertia_node is not None:
+        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        values = tuple(inertia_node.number(key, 0.0, unit="kg*m^2") for key in keys)
+        moments = axes @ inertia.tensor(values) @ axes.T
+    return Link(name, node, mass, com, moments, inertial)
+
+
+def _joint(node: Node) -> Joint:
+    name = _name(node)
+    kind = node.attributes.get("type", "")
+    if kind not in (*MOVING, "fixed"):
+        raise node.error(
+            "no such type of joint", "type", value=kind, expected=", ".join((*MOVING, "fixed"))
+        )
+    ends = {}
+    for end in ("parent", "child"):
+        element = node.find(end)
+        if element is None or not element.attributes.get("link"):
+            raise node.error("no link", end, expected=f"<{end} link='...'/>")
+        ends[end] = element.attributes["link"]
+    position, axes = origin(node)
+    linear = kind == "prismatic"
+    axis_node = node.find("axis")
+    axis = np.array([1.0, 0.0, 0.0])
+    if axis_node is not None and kind not in ("fixed", "floating"):
+        axis = axis_node.numbers("xyz", (1.0, 0.0, 0.0))
+        length = float(np.linalg.norm(axis))
+        if length < 1e-6:
+            raise axis_node.error(
+                f"joint '{name}' has an axis without direction", "xyz", value=length
+            )
+        axis = axis / length
+    velocity = effort = None
+    limits = None
+    limit = node.find("limit")
+    if limit is not None and kind != "fixed":
+        unit = "m" if linear else "rad"
+        if kind in ("revolute", "prismatic") and {"lower", "upper"} & set(limit.attributes):
+            lower = limit.number("lower", 0.0, unit=unit)
+            upper = limit.number("upper", 0.0, unit=unit)
+            if lower > upper:
+                raise limit.error(
+                    f"joint '{name}' has its lower limit above its upper",
+                    "lower",
+                    value=f"{lower:g} > {upper:g}",
+                    unit=unit,
+                )
+            limits = (lower, upper)
+        velocity = _not_negative(limit, "velocity", f"{unit}/s", name)
+        effort = _not_negative(limit, "effort", "N" if linear else "N*m", name)
+    dynamics = node.find("dynamics")
+    damping = friction = 0.0
+    if dynamics is not None:
+        unit = "N*s/m" if linear else "N*m*s/rad"
+        damping = _not_negative(dynamics, "damping", unit, name) or 0.0
+        friction = _not_negative(dynamics, "friction", "N" if linear else "N*m", name) or 0.0
+    return Joint(
+        name,
+        node,
+        kind,
+        ends["parent"],
+        ends["child"],
+        position,
+        axes,
+        axis,
+        limits,
+        velocity,
+        effort,
+        damping,
+        friction,
+        _mimic(node),
+    )
+
+
+def _not_negative(node: Node, attribute: str, unit: str, joint: str) -> float | None:
+    if attribute not in node.attributes:
+        return None
+    value = node.number(attribute, None, unit=unit)
+    if value < 0:
+        raise node.error(
+            f"joint '{joint}' has a negative {attribute}",
+            attribute,
+            value=value,
+            unit=unit,
+            expected="0 or more",
+        )
+    return value
+
+
+def _mimic(node: Node) -> Mimic | None:
+    mimic = node.find("mimic")
+    if mimic is None:
+        return None
+    joint = mimic.attributes.get("joint", "")
+    if not joint:
+        raise mimic.error("no joint", "joint", expected="the joint that is followed")
+    return Mimic(mimic, joint, mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
+
+
+def _check_tree(robot: Robot) -> None:
+    parent_of: dict[str, Joint] = {}
+    for joint in robot.joints.values():
+        for end in (joint.parent, joint.child):
+            if end not in robot.links:
+                raise joint.node.error("no such link", value=end)
+        if joint.child in parent_of:
+            other = parent_of[joint.child]
+            raise joint.node.error(
+                f"link '{joint.child}' already hangs on joint '{other.name}'",
+                value=f"lines {other.node.line} and {joint.node.line}",
+                expected="one parent for each link",
+            )
+        parent_of[joint.child] = joint
+        robot.children[joint.parent].append(joint)
+    roots = [name for name in robot.links if name not in parent_of]
+    if len(roots) != 1:
+        found = ", ".join(f"'{name}'" for name in roots[:6])
+        raise robot.node.error(
+            "the links make no single tree",
+            value=f"{len(roots)} roots" + (f": {found}" if roots else ", a loop"),
+            expected="one link without a parent",
+        )
+    robot.root = roots[0]
+    reached = len(robot.in_order()) + 1
+    if reached != len(robot.links):
+        raise robot.node.error(
+            "a loop of links apart from the tree", value=f"{len(robot.links) - reached} links"
+        )
+
+
+def _check_mimics(robot: Robot) -> None:
+    for joint in robot.joints.values():
+        if joint.mimic is None or joint.type == "fixed":
+            continue
+        if joint.type not in ("revolute", "continuous", "prismatic"):
+            raise joint.mimic.node.error(f"a {joint.type} joint cannot follow another")
+        seen = [joint.name]
+        follower = joint
+        while follower.mimic is not None:
+            leader = robot.joints.get(follower.mimic.joint)
+            if leader is None:
+                raise follower.mimic.node.error(
+                    "no such joint to follow", value=follower.mimic.joint
+                )
+            if leader.type not in ("revolute", "continuous", "prismatic"):
+                raise follower.mimic.node.error(
+                    f"a {leader.type} joint cannot be followed", value=leader.name
+                )
+            if leader.name in seen:
+                raise follower.mimic.node.error(
+                    "joints follow each other in a circle", value=" -> ".join((*seen, leader.name))
+                )
+            seen.append(leader.name)
+            follower = leader
+
+
+def principal_text(moments: Vector) -> str:
+    """Principal moments as people read them."""
+    return ", ".join(f"{m:.6g}" for m in np.linalg.eigvalsh(moments))

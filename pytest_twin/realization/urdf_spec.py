@@ -1,0 +1,538 @@
+"""From a URDF to a :class:`mujoco.MjSpec`, with a note on everything that is not carried as it is.
+
+What URDF says nothing of is decided here, and only here:
+
+- The root link stands fixed in the world.
+- Every link is a body, links behind fixed joints too, so that each frame can be asked for.
+- A joint that states an effort, and follows no other, is driven by a ``motor`` of its own name:
+  a torque or force in N*m or N, bounded by the effort. URDF describes no servo.
+- A mimic joint is a stiff equality.
+- Collision shapes collide; visual shapes are left out. Links on both sides of a joint do not
+  collide with each other.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.paths import Roots
+from pytest_twin.realization import inertia, mesh
+from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.node import Node
+from pytest_twin.realization.urdf import Joint, Link, Robot, origin, principal_text
+from pytest_twin.twin import Patch
+
+Vector = NDArray[np.float64]
+
+TIMESTEP = 0.002
+# Stiff and well-damped: twice the step is the shortest time constant that MuJoCo holds stable.
+_MIMIC_SOLREF = (2 * TIMESTEP, 1.0)
+_MIMIC_SOLIMP = (0.99, 0.9999, 0.001, 0.5, 2.0)
+# Thinner meshes have no convex hull that MuJoCo could build.
+_THINNEST = 1e-6
+_PLATE = 1e-3
+
+
+@dataclass(slots=True)
+class Converted:
+    """A URDF as MuJoCo will have it.
+
+    Attributes:
+        notes: what was changed or left out, one line each, with file and line.
+        inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz) that took the place of one
+            that no body can have.
+        velocity_limit: joint -> rad/s or m/s.
+        mesh_paths: name in the spec -> file.
+    """
+
+    spec: mujoco.MjSpec
+    notes: list[str] = field(default_factory=list)
+    inertia_repairs: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    velocity_limit: dict[str, float] = field(default_factory=dict)
+    mesh_paths: dict[str, Path] = field(default_factory=dict)
+
+
+def convert(
+    robot: Robot,
+    roots: Roots,
+    packages: Mapping[str, Path],
+    *,
+    accept_invalid_inertia: bool = False,
+    inertia_patches: Mapping[str, Patch] | None = None,
+    limits: ModelLimits = LIMITS,
+) -> Converted:
+    """Build the spec.
+
+    Args:
+        roots: where meshes may lie.
+        packages: name -> folder for ``package://name/``.
+        accept_invalid_inertia: repair inertias that no body can have, with a note, rather than
+            raise.
+        inertia_patches: link -> mass, com, inertia stated in their place.
+
+    Raises:
+        ModelError: an inertia that no body can have, or a shape without size.
+        PathError: a mesh outside the roots, or none.
+        FormatError: a broken mesh.
+    """
+    return _Converter(
+        robot, roots, packages, accept_invalid_inertia, inertia_patches or {}, limits
+    ).run()
+
+
+class _Converter:
+    def __init__(
+        self,
+        robot: Robot,
+        roots: Roots,
+        packages: Mapping[str, Path],
+        accept_invalid_inertia: bool,
+        inertia_patches: Mapping[str, Patch],
+        limits: ModelLimits,
+    ) -> None:
+        self.robot = robot
+        self.roots = roots
+        self.packages = packages
+        self.accept_invalid_inertia = accept_invalid_inertia
+        self.inertia_patches = inertia_patches
+        self.limits = limits
+        self.spec = mujoco.MjSpec()
+        self.out = Converted(self.spec)
+        self.bodies: dict[str, mujoco.MjsBody] = {}
+        self.meshes: dict[tuple[Path, tuple[float, ...]], mesh.Triangles] = {}
+        self.mesh_names: dict[tuple[Path, tuple[float, ...]], str] = {}
+        self.files: dict[Path, mesh.Triangles] = {}
+        self.geom_names: set[str] = set()
+        self.bytes = 0
+        self.faces = 0
+
+    def note(self, node: Node, text: str) -> None:
+        self.out.notes.append(f"{node.place}: {text}")
+
+    def run(self) -> Converted:
+        spec = self.spec
+        spec.modelname = self.robot.node.attributes.get("name", "robot")
+        spec.compiler.degree = False
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        spec.option.timestep = TIMESTEP
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self._links()
+        for joint in self.robot.in_order():
+            self._joint(joint)
+        for joint in self.robot.in_order():
+            self._mimic(joint)
+            self._actuator(joint)
+        for link in self.robot.links.values():
+            self._inertia(link)
+            self._collisions(link)
+        self._exclude_base()
+        self._left_out()
+        return self.out
+
+    # -- tree
+
+    def _links(self) -> None:
+        root = self.robot.links[self.robot.root]
+        world = self.spec.worldbody
+        # MuJoCo's own root has this name and stands still just so.
+        self.bodies[root.name] = world if root.name == "world" else world.add_body(name=root.name)
+        for joint in self.robot.in_order():
+            if joint.child == "world":
+                raise self.robot.links["world"].node.error("only the root may be named 'world'")
+            body = self.bodies[joint.parent].add_body(name=joint.child)
+            body.pos = joint.position
+            body.quat = _quaternion(joint.rotation)
+            body.info = f"line {self.robot.links[joint.child].node.line}"
+            self.bodies[joint.child] = body
+
+    def _joint(self, joint: Joint) -> None:
+        if joint.type == "fixed":
+            return
+        body = self.bodies[joint.child]
+        if joint.type == "floating":
+            self._floating(joint, body)
+        elif joint.type == "planar":
+            normal = joint.axis
+            first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+            first /= np.linalg.norm(first)
+            for suffix, axis in (("x", first), ("y", np.cross(normal, first))):
+                self._add(joint, body, f"{joint.name}_{suffix}", "mjJNT_SLIDE", axis)
+            self._add(joint, body, f"{joint.name}_yaw", "mjJNT_HINGE", normal)
+            self.note(joint.node, f"planar joint '{joint.name}' became joints _x, _y and _yaw")
+        else:
+            kind = "mjJNT_SLIDE" if joint.type == "prismatic" else "mjJNT_HINGE"
+            made = self._add(joint, body, joint.name, kind, joint.axis)
+            self._limit(joint, made)
+        if joint.velocity is not None:
+            self.out.velocity_limit[joint.name] = joint.velocity
+
+    def _floating(self, joint: Joint, body: mujoco.MjsBody) -> None:
+        if self.bodies[joint.parent].name == "world":
+            body.add_joint(name=joint.name, type=mujoco.mjtJoint.mjJNT_FREE)
+            return
+        for suffix, axis in zip("xyz", np.eye(3), strict=True):
+            self._add(joint, body, f"{joint.name}_{suffix}", "mjJNT_SLIDE", axis)
+        self._add(joint, body, f"{joint.name}_ball", "mjJNT_BALL", np.array([0.0, 0.0, 1.0]))
+        self.note(joint.node, f"floating joint '{joint.name}' became joints _x, _y, _z and _ball")
+
+    def _add(
+        self, joint: Joint, body: mujoco.MjsBody, name: str, kind: str, axis: Vector
+    ) -> mujoco.MjsJoint:
+        return body.add_joint(
+            name=name,
+            type=getattr(mujoco.mjtJoint, kind),
+            axis=axis,
+            damping=[joint.damping, 0, 0],
+            frictionloss=joint.friction,
+            limited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        )
+
+    def _limit(self, joint: Joint, made: mujoco.MjsJoint) -> None:
+        if joint.limits is None:
+            if joint.type != "continuous":
+                self.note(joint.node, f"joint '{joint.name}' states no range and is not limited")
+            return
+        lower, upper = joint.limits
+        if upper - lower < 1e-9:
+            # MuJoCo needs room between the two.
+            lower, upper = lower - 1e-9, upper + 1e-9
+            self.note(joint.node, f"joint '{joint.name}' has no range and is held at {upper:.6g}")
+        made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        made.range = [lower, upper]
+
+    def _mimic(self, joint: Joint) -> None:
+        if joint.mimic is None:
+            return
+        if joint.type == "fixed":
+            self.note(joint.mimic.node, f"fixed joint '{joint.name}' cannot follow another")
+            return
+        equality = self.spec.add_equality(
+            name=f"{joint.name}_mimic",
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            name1=joint.name,
+            name2=joint.mimic.joint,
+            solref=_MIMIC_SOLREF,
+            solimp=_MIMIC_SOLIMP,
+        )
+        data = np.zeros_like(equality.data)
+        data[:2] = joint.mimic.offset, joint.mimic.multiplier
+        equality.data = data
+        self.note(
+            joint.mimic.node,
+            f"mimic of '{joint.name}' became a stiff equality with '{joint.mimic.joint}'",
+        )
+
+    def _actuator(self, joint: Joint) -> None:
+        if joint.type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
+            return
+        if not joint.effort:
+            self.note(joint.node, f"joint '{joint.name}' states no effort and has no actuator")
+            return
+        bound = [-joint.effort, joint.effort]
+        actuator = self.spec.add_actuator(
+            name=joint.name,
+            target=joint.name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            ctrlrange=bound,
+            forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            forcerange=bound,
+        )
+        actuator.set_to_motor()
+        made = self.spec.joint(joint.name)
+        made.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        made.actfrcrange = bound
+
+    # -- inertia
+
+    def _inertia(self, link: Link) -> None:
+        mass, com, moments = link.mass, link.com, link.inertia
+        patched = self.inertia_patches.get(link.name, {})
+        if "mass" in patched:
+            mass = float(patched["mass"])  # type: ignore[arg-type]
+        if "com" in patched:
+            com = np.array(patched["com"], dtype=np.float64)
+        if "inertia" in patched:
+            moments = inertia.tensor(patched["inertia"])  # type: ignore[arg-type]
+        moments = self._possible(link, moments)
+        if self._moves(link) and not self._has_inertia(link):
+            kept = f"{mass:g} kg, {principal_text(moments)} kg*m^2"
+            mass = max(mass, inertia.MASS_FLOOR)
+            moments = inertia.consistent(moments, floor=inertia.MASS_FLOOR)
+            self.note(
+                link.inertial or link.node,
+                f"moving link '{link.name}' has no inertia ({kept}): raised to "
+                f"{inertia.MASS_FLOOR:g} kg and kg*m^2 so that it can be simulated",
+            )
+        body = self.bodies[link.name]
+        if body.name == "world":
+            return
+        inertia.write(body, mass, com, moments)
+
+    def _possible(self, link: Link, moments: Vector) -> Vector:
+        share = inertia.violation(moments)
+        if share == 0.0:
+            return moments
+        node = link.inertial or link.node
+        if share > inertia.ROUNDING and not self.accept_invalid_inertia:
+            raise node.error(
+                f"link '{link.name}' has an inertia that no body can have: "
+                "a principal moment exceeds the sum of the other two, or is negative",
+                "inertia",
+                value=principal_text(moments),
+                unit="kg*m^2",
+                expected="a <= b <= c with c <= a + b; state the true one under 'fit: body:'",
+            )
+        repaired = inertia.consistent(moments)
+        if share > inertia.ROUNDING:
+            self.out.inertia_repairs[link.name] = inertia.six(repaired)
+        why = "rounded digits" if share <= inertia.ROUNDING else "accepted repair"
+        self.note(
+            node,
+            f"inertia of link '{link.name}' breaks the triangle inequality: principal moments "
+            f"{principal_text(moments)} became {principal_text(repaired)} kg*m^2 ({why})",
+        )
+        return repaired
+
+    def _moves(self, link: Link) -> bool:
+        return any(
+            joint.child == link.name and joint.type != "fixed"
+            for joint in self.robot.joints.values()
+        )
+
+    def _has_inertia(self, link: Link) -> bool:
+        """Whether it, or a link fixed to it, has what MuJoCo asks of a moving body."""
+        waiting = [link]
+        while waiting:
+            candidate = waiting.pop()
+            smallest = np.linalg.eigvalsh(candidate.inertia).min()
+            if min(candidate.mass, smallest) >= inertia.MASS_FLOOR:
+                return True
+            waiting.extend(
+                self.robot.links[joint.child]
+                for joint in self.robot.children[candidate.name]
+                if joint.type == "fixed"
+            )
+        return False
+
+    # -- shapes
+
+    def _collisions(self, link: Link) -> None:
+        body = self.bodies[link.name]
+        for index, node in enumerate(link.node.all("collision")):
+            geometry = node.find("geometry")
+            shapes = [] if geometry is None else geometry.children
+            if len(shapes) != 1:
+                raise node.error(
+                    f"collision of link '{link.name}' has {len(shapes)} shapes", expected="one"
+                )
+            position, axes = origin(node)
+            details = self._shape(link, shapes[0], position, axes)
+            if details is None:
+                continue
+            name = node.attributes.get("name") or f"{link.name}_collision_{index}"
+            if name in self.geom_names:
+                name = f"{link.name}_{name}_{index}"
+            while name in self.geom_names:
+                name += "_"
+            self.geom_names.add(name)
+            body.add_geom(name=name, group=3, **details)
+
+    def _shape(
+        self, link: Link, node: Node, position: Vector, axes: Vector
+    ) -> dict[str, Any] | None:
+        place = {"pos": position, "quat": _quaternion(axes)}
+        kinds = mujoco.mjtGeom
+        if node.tag == "box":
+            size = node.numbers("size", None, size=3, unit="m") / 2
+            details = {"type": kinds.mjGEOM_BOX, "size": size}
+        elif node.tag in ("cylinder", "capsule"):
+            radius = node.number("radius", None, unit="m")
+            size = np.array([radius, node.number("length", None, unit="m") / 2, 0.0])
+            cylinder = node.tag == "cylinder"
+            details = {
+                "type": kinds.mjGEOM_CYLINDER if cylinder else kinds.mjGEOM_CAPSULE,
+                "size": size,
+            }
+        elif node.tag == "sphere":
+            size = np.array([node.number("radius", None, unit="m"), 0.0, 0.0])
+            details = {"type": kinds.mjGEOM_SPHERE, "size": size}
+        elif node.tag == "mesh":
+            return self._mesh(link, node, position, axes)
+        else:
+            raise node.error(
+                f"collision of link '{link.name}' has no known shape",
+                value=node.tag,
+                expected="box, cylinder, capsule, sphere or mesh",
+            )
+        needed = {"box": 3, "sphere": 1}.get(node.tag, 2)
+        if (size[:needed] < 0).any():
+            raise node.error(f"collision of link '{link.name}' has a negative size")
+        if (size[:needed] == 0).any():
+            self.note(node, f"collision of link '{link.name}' has no size and is left out")
+            return None
+        return {**place, **details}
+
+    def _mesh(
+        self, link: Link, node: Node, position: Vector, axes: Vector
+    ) -> dict[str, Any] | None:
+        path = self._mesh_file(node)
+        scale = node.numbers("scale", (1.0, 1.0, 1.0))
+        if (scale == 0).any():
+            raise node.error("a mesh without size", "scale", value=node.attributes["scale"])
+        triangles = self._triangles(node, path).scaled(scale)
+        if triangles.thickness < _THINNEST:
+            return self._plate(link, node, triangles, position, axes)
+        key = (path, tuple(scale.tolist()))
+        if key not in self.mesh_names:
+            name = path.stem
+            while name in self.out.mesh_paths:
+                name += "_"
+            self.mesh_names[key] = name
+            self.out.mesh_paths[name] = path
+            made = self.spec.add_mesh(name=name)
+            made.uservert = triangles.vertices.ravel()
+            made.userface = triangles.faces.ravel()
+            # Of no weight here, and a shell has one however the faces stand.
+            made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            if triangles.up_axis != "Z_UP":
+                self.note(node, f"mesh {path.name} states {triangles.up_axis}; taken as it stands")
+        return {
+            "type": mujoco.mjtGeom.mjGEOM_MESH,
+            "meshname": self.mesh_names[key],
+            "pos": position,
+            "quat": _quaternion(axes),
+        }
+
+    def _plate(
+        self, link: Link, node: Node, triangles: mesh.Triangles, position: Vector, axes: Vector
+    ) -> dict[str, Any]:
+        """The thin box around a mesh without volume."""
+        centre = triangles.vertices.mean(axis=0)
+        _, _, rows = np.linalg.svd(triangles.vertices - centre, full_matrices=False)
+        frame = rows.T
+        if np.linalg.det(frame) < 0:
+            frame[:, 2] *= -1
+        local = (triangles.vertices - centre) @ frame
+        half = np.maximum(np.ptp(local, axis=0) / 2, _PLATE / 2)
+        middle = centre + frame @ ((local.max(axis=0) + local.min(axis=0)) / 2)
+        self.note(
+            node,
+            f"flat collision mesh of link '{link.name}' became a box {_PLATE * 1e3:g} mm thick",
+        )
+        return {
+            "type": mujoco.mjtGeom.mjGEOM_BOX,
+            "size": half,
+            "pos": position + axes @ middle,
+            "quat": _quaternion(axes @ frame),
+        }
+
+    def _triangles(self, node: Node, path: Path) -> mesh.Triangles:
+        if path not in self.files:
+            try:
+                found = mesh.read(path, self.limits)
+            except TwinError as error:
+                error.problem += f"; wanted by {node.place}"
+                raise
+            self.files[path] = found
+            self.bytes += path.stat().st_size
+            self.faces += len(found.faces)
+            if self.bytes > self.limits.total_asset_bytes:
+                raise node.limit(
+                    "the meshes are too large", expected=f"{self.limits.total_asset_bytes} bytes"
+                )
+            if self.faces > self.limits.total_mesh_faces:
+                raise node.limit(
+                    "the meshes have too many triangles",
+                    expected=f"at most {self.limits.total_mesh_faces}",
+                )
+        return self.files[path]
+
+    def _mesh_file(self, node: Node) -> Path:
+        reference = node.attributes.get("filename", "")
+        if not reference:
+            raise node.error("no file", "filename", expected="the path of a mesh")
+        details: dict[str, Any] = {"at": node.path, "line": node.line, "where": "mesh.filename"}
+        if reference.startswith("package://"):
+            package, _, rest = reference.removeprefix("package://").lstrip("/").partition("/")
+            folder = self.packages.get(package) or find_package(package, node.path, self.roots)
+            if folder is None:
+                raise node.error(
+                    f"package '{package}' is not found",
+                    "filename",
+                    value=reference,
+                    expected="its folder above this file, or under 'roots:'",
+                )
+            return self.roots.resolve(str(folder / rest), **details)
+        if reference.startswith("file://"):
+            return self.roots.resolve(reference.removeprefix("file://"), **details)
+        return self.roots.resolve(reference, **details)
+
+    # -- the rest
+
+    def _exclude_base(self) -> None:
+        """Links on both sides of a joint do not collide.
+
+        MuJoCo leaves such pairs out by itself, but not where the parent stands still.
+        """
+        still = [self.robot.root]
+        for joint in self.robot.in_order():
+            if joint.type == "fixed" and joint.parent in still:
+                still.append(joint.child)
+        for joint in self.robot.in_order():
+            if joint.type == "fixed" or joint.parent not in still:
+                continue
+            moving = [joint.child]
+            for other in self.robot.in_order():
+                if other.type == "fixed" and other.parent in moving:
+                    moving.append(other.child)
+            for first in still:
+                for second in moving:
+                    if self.bodies[first].geoms and self.bodies[second].geoms:
+                        self.spec.add_exclude(
+                            name=f"{first}_{second}",
+                            bodyname1=self.bodies[first].name,
+                            bodyname2=second,
+                        )
+
+    def _left_out(self) -> None:
+        counts = Counter[str]()
+        for node in self.robot.node.walk():
+            if node.tag in ("visual", "gazebo", "transmission", "sensor", "ros2_control"):
+                counts[node.tag] += 1
+            if node.tag in ("safety_controller", "calibration"):
+                counts[node.tag] += 1
+        if counts:
+            listed = ", ".join(f"{count} {tag}" for tag, count in sorted(counts.items()))
+            self.note(self.robot.node, f"left out: {listed}")
+
+
+def find_package(package: str, urdf: Path, roots: Roots) -> Path | None:
+    """The folder of a ROS package: one that holds the URDF, or lies in a root, by its name."""
+    real = urdf.resolve()
+    for folder in real.parents:
+        if folder.name == package and roots.contains(folder):
+            return folder
+    for root in roots.folders:
+        if root.name == package:
+            return root
+        candidate = root / package
+        if package and candidate.is_dir() and roots.contains(candidate):
+            return candidate
+    return None
+
+
+def _quaternion(axes: Vector) -> Vector:
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(axes).ravel())
+    return quaternion
