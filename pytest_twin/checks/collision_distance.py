@@ -1,0 +1,273 @@
+"""Distances of declared pairs, MuJoCo against coal, and a reason for every pair that is off."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.fields import known_name, spec_error, tolerance
+from pytest_twin.checks.poses import (
+    POSES_SCHEMA,
+    REFERENCE,
+    keyframes_of,
+    recorded_poses,
+    resolve_poses,
+)
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+_NAN = float("nan")
+_FIRST_PAIRS = 12  # pairs of a first spec
+_NAMES_SCHEMA: Mapping[str, Any] = {
+    "type": "array",
+    "items": {"type": "string", "minLength": 1},
+    "minItems": 2,
+    "uniqueItems": True,
+}
+
+
+class CollisionDistance(Check):
+    """Signed distance of pairs of bodies or geoms: positive apart, negative the depth of overlap.
+
+    MuJoCo's distance is held against the record and against coal's, which gets the same shapes at
+    the same places: primitives as they are, and of a mesh the convex hull of its vertices, built
+    anew. Between bodies it is the least distance of their geoms that can collide.
+
+    A pair of bodies is disabled where an ``exclude`` element or the collision masks keep geoms of
+    theirs apart that could otherwise meet; a body and its parent, which MuJoCo never lets
+    collide, do not count. Each needs an entry under ``disabled`` with the reason.
+
+    ``values``: ``poses`` (the drawn ones), ``distance`` pair ``a - b`` -> pose -> m, ``disabled``
+    pair -> what disables it.
+    """
+
+    kind: ClassVar[str] = "collision_distance"
+    libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy", "coal")
+    tolerances: ClassVar[Mapping[str, str]] = {"distance": "m", "penetration": "m"}
+    required_tolerances: ClassVar[frozenset[str]] = frozenset({"distance"})
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "pairs": {
+                    "type": "array",
+                    "items": {**_NAMES_SCHEMA, "maxItems": 2},
+                    "description": "Pairs of bodies or geoms (a geom goes before a body).",
+                },
+                "disabled": {
+                    "type": "array",
+                    "description": "Every pair of bodies that the model keeps from colliding.",
+                    "items": {
+                        "type": "object",
+                        "properties": {
+                            "pair": {**_NAMES_SCHEMA, "maxItems": 2},
+                            "among": {
+                                **_NAMES_SCHEMA,
+                                "description": "Bodies of which every pair has the same reason.",
+                            },
+                            "reason": {
+                                "type": "string",
+                                "pattern": "\\S",
+                                "description": "Why these may pass through each other.",
+                            },
+                        },
+                        "required": ["reason"],
+                        "oneOf": [{"required": ["pair"]}, {"required": ["among"]}],
+                        "additionalProperties": False,
+                    },
+                },
+            },
+            "required": ["pairs", "disabled"],
+            "additionalProperties": False,
+        },
+        "stimulus": {
+            "type": "object",
+            "properties": {"poses": POSES_SCHEMA},
+            "required": ["poses"],
+            "additionalProperties": False,
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """Shapes and chains of the pairs, the masks of all bodies, and the disabled pairs."""
+        bodies = {
+            structure.geom_body.get(name, name) for pair in golden.target["pairs"] for name in pair
+        }
+        masks = {
+            part
+            for part in structure.part_ids
+            if part.startswith(f"{structure.realization}/collision:")
+        }
+        keyframes = [structure.keyframe(name) for name in keyframes_of(golden)]
+        return structure.contact(bodies).union(
+            masks, {f"{structure.realization}/contact:pairs"}, *keyframes
+        )
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Distances at every pose, by MuJoCo and by coal, and the pairs that are disabled."""
+        import mujoco
+
+        from pytest_twin.realization import collision
+
+        shapes = collision.Shapes(realization)
+        pairs = []
+        for i, pair in enumerate(golden.target["pairs"]):
+            place = f"target.pairs.{i}"
+            sides = []
+            for name in pair:
+                known_name(golden, place, name, shapes.names, "geom or collision body")
+                sides.append(shapes.geoms(name))
+            if sides[0] & sides[1]:
+                raise spec_error(golden, place, "a pair of one thing with itself", value=pair)
+            pairs.append((f"{pair[0]} - {pair[1]}", sides[0], sides[1]))
+        for i, entry in enumerate(golden.target["disabled"]):
+            for name in entry.get("pair", entry.get("among", ())):
+                known_name(golden, f"target.disabled.{i}", name, shapes.bodies, "body")
+        poses = resolve_poses(golden, realization)
+        data = mujoco.MjData(realization.model)
+        found: dict[str, dict[str, float]] = {name: {} for name, _, _ in pairs}
+        reference: dict[str, dict[str, float]] = {name: {} for name, _, _ in pairs}
+        for number, pose in enumerate(poses):
+            data.qpos[:] = pose.qpos
+            mujoco.mj_kinematics(realization.model, data)
+            for name, first, second in pairs:
+                found[name][pose.name] = shapes.distance(data, first, second)
+                reference[name][pose.name] = shapes.distance_by_coal(data, first, second)
+            progress((number + 1) / len(poses))
+        disabled = {f"{a} - {b}": why for (a, b), why in collision.disabled_pairs(realization)}
+        return Observation(
+            {"poses": recorded_poses(poses), "distance": found, "disabled": disabled},
+            reference={"distance": reference},
+        )
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Per pair the worst pose against each source; every disabled pair without a reason."""
+        measures = []
+        sources = [("coal", observation.reference["distance"])]
+        if golden.expected is not None:
+            sources.insert(0, ("golden", golden.expected.get("distance", {})))
+        for pair, found in observation.values["distance"].items():
+            for against, expected in sources:
+                candidates = [
+                    self._measure(
+                        golden, pair, pose, value, expected.get(pair, {}).get(pose, _NAN), against
+                    )
+                    for pose, value in found.items()
+                ]
+                measures.append(max(candidates, key=_use))
+        measures.extend(_reasons(golden, observation.values["disabled"]))
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Pairs of bodies that can collide, the closest first, and what the model disables."""
+        import mujoco
+
+        from pytest_twin.realization import collision
+
+        shapes = collision.Shapes(realization)
+        data = mujoco.MjData(realization.model)
+        mujoco.mj_kinematics(realization.model, data)
+        disabled = collision.disabled_pairs(realization)
+        pairs = sorted(
+            (shapes.distance(data, shapes.geoms(a), shapes.geoms(b)), a, b)
+            for a, b in collision.enabled_pairs(realization)
+        )
+        apart = [[a, b] for distance, a, b in pairs if distance > 0.0][:_FIRST_PAIRS]
+        if not apart and not disabled:
+            return []
+        return [
+            {
+                "name": "collision_distance",
+                "title": "Distances of the pairs that come closest, and every disabled pair",
+                "target": {
+                    "pairs": apart,
+                    "disabled": [
+                        {"pair": list(pair), "reason": _first_reason(shapes, data, pair, why)}
+                        for pair, why in disabled
+                    ],
+                },
+                "stimulus": {"poses": [REFERENCE]},
+                "tolerance": {"distance": "10 um", "penetration": "0.5 mm"},
+            }
+        ]
+
+    def _measure(
+        self,
+        golden: Golden,
+        pair: str,
+        pose: str,
+        measured: float,
+        expected: float,
+        against: str,
+    ) -> Measure:
+        overlap = measured < 0.0 or expected < 0.0
+        name = "penetration" if overlap and "penetration" in golden.tolerance else "distance"
+        return Measure(
+            name=name,
+            subject=f"{pair} at {pose}",
+            measured=measured,
+            golden=expected,
+            error=abs(measured - expected),
+            tolerance=tolerance(golden, name, "every collision_distance golden bounds it"),
+            unit="m",
+            against=against,
+        )
+
+
+def _use(measure: Measure) -> float:
+    """Error over tolerance; NaN before all."""
+    if np.isnan(measure.error):
+        return float("inf")
+    return measure.error / max(measure.tolerance, 1e-300)
+
+
+def _reasons(golden: Golden, disabled: Mapping[str, str]) -> list[Measure]:
+    """One measure per disabled pair without a reason, and per reason without such a pair."""
+    declared: set[frozenset[str]] = set()
+    for entry in golden.target["disabled"]:
+        if "pair" in entry:
+            declared.add(frozenset(entry["pair"]))
+        else:
+            declared.update(frozenset(pair) for pair in itertools.combinations(entry["among"], 2))
+    found = {frozenset(pair.split(" - ")): (pair, why) for pair, why in disabled.items()}
+    faults = [
+        (f"{pair}: {why}, and no reason stands under target.disabled", 1.0, 0.0)
+        for key, (pair, why) in found.items()
+        if key not in declared
+    ]
+    faults += [
+        (f"{' - '.join(entry['pair'])}: declared as disabled, but can collide", 0.0, 1.0)
+        for entry in golden.target["disabled"]
+        if "pair" in entry and frozenset(entry["pair"]) not in found
+    ]
+    if not faults:
+        faults = [("every disabled pair has its reason", 0.0, 0.0)]
+    return [
+        Measure(
+            name="disabled",
+            subject=subject,
+            measured=measured,
+            golden=expected,
+            error=abs(measured - expected),
+            tolerance=0.0,
+            unit="1",
+            against="declared",
+        )
+        for subject, measured, expected in faults
+    ]
+
+
+def _first_reason(shapes: Any, data: Any, pair: tuple[str, str], why: str) -> str:
+    distance = shapes.distance(data, shapes.geoms(pair[0]), shapes.geoms(pair[1]))
+    if distance < 0.0:
+        return f"{why}; they overlap by {-1e3 * distance:.2g} mm at the reference pose"
+    return f"{why} in the supplier's model; {1e3 * distance:.3g} mm apart at the reference pose"

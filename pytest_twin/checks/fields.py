@@ -1,0 +1,80 @@
+"""Reads the fields of a spec: names that the model has, quantities in the units that fit."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pytest_twin.errors import SpecError
+from pytest_twin.golden import Golden
+from pytest_twin.units import parse_quantity
+
+POSITION_UNIT: Mapping[str, str] = {"hinge": "rad", "slide": "m"}
+VELOCITY_UNIT: Mapping[str, str] = {"hinge": "rad/s", "slide": "m/s"}
+EFFORT_UNIT: Mapping[str, str] = {"hinge": "N*m", "slide": "N"}
+
+QUANTITY_SCHEMA: Mapping[str, Any] = {
+    "description": "A number in SI units, or a string with a unit such as '90 deg' or '5 mm'.",
+    "anyOf": [{"type": "number"}, {"type": "string"}],
+}
+
+
+def spec_error(golden: Golden, field: str, problem: str, **details: Any) -> SpecError:
+    """A :class:`SpecError` at ``field`` (dotted) of the golden's file, or at its nearest parent."""
+    place = field
+    while place not in golden.lines and "." in place:
+        place = place.rpartition(".")[0]
+    return SpecError(
+        problem, path=golden.path, line=golden.lines.get(place), where=field, **details
+    )
+
+
+def known_name(golden: Golden, field: str, name: str, known: Iterable[str], noun: str) -> str:
+    """``name`` itself, when the model has it.
+
+    Raises:
+        SpecError: it has not; says which name was probably meant.
+    """
+    names = sorted(known)
+    if name in names:
+        return name
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    if close:
+        expected = f"did you mean {close[0]!r}?"
+    elif names:
+        expected = f"one of {', '.join(names[:8])}" + (", ..." if len(names) > 8 else "")
+    else:
+        expected = f"a model that has a {noun}"
+    raise spec_error(golden, field, f"no {noun} of this name", value=name, expected=expected)
+
+
+def quantity(golden: Golden, field: str, value: object, unit: str) -> float:
+    """``value`` in the SI ``unit``; a bare number already is.
+
+    Raises:
+        SpecError: not finite, or a unit of another dimension.
+    """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise spec_error(golden, field, "not a finite number", value=value, unit=unit)
+        return float(value)
+    try:
+        return parse_quantity(value, (unit,)).value
+    except SpecError as error:
+        raise spec_error(
+            golden, field, error.problem, value=error.value, expected=error.expected
+        ) from None
+
+
+def tolerance(golden: Golden, name: str, why: str) -> float:
+    """The golden's tolerance ``name``, in its SI unit.
+
+    Raises:
+        SpecError: the spec states none; ``why`` says what needs it.
+    """
+    stated = golden.tolerance.get(name)
+    if stated is None:
+        raise spec_error(golden, f"tolerance.{name}", f"missing: {why}")
+    return stated.value

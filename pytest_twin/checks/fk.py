@@ -1,0 +1,183 @@
+"""Forward kinematics: named frames at poses, against the record and against Pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.fields import known_name, tolerance
+from pytest_twin.checks.poses import (
+    POSES_SCHEMA,
+    REFERENCE,
+    keyframes_of,
+    recorded_poses,
+    resolve_poses,
+)
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+from pytest_twin.metrics.pose import (
+    orientation_error,
+    pose_vector,
+    position_error,
+    rotation_of,
+)
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+_NOWHERE = [float("nan")] * 7
+
+
+class ForwardKinematics(Check):
+    """Pose of named frames (bodies or sites) in the world.
+
+    ``values``: ``poses`` (the drawn ones) and ``frames``: pose -> frame -> position in m and
+    quaternion (w, x, y, z).
+    """
+
+    kind: ClassVar[str] = "fk"
+    libraries: ClassVar[tuple[str, ...]] = ("numpy", "pin")
+    tolerances: ClassVar[Mapping[str, str]] = {"position": "m", "orientation": "rad"}
+    required_tolerances: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "frames": {
+                    "type": "array",
+                    "minItems": 1,
+                    "items": {"type": "string", "minLength": 1},
+                    "uniqueItems": True,
+                    "description": "Bodies or sites whose pose in the world is compared.",
+                }
+            },
+            "required": ["frames"],
+            "additionalProperties": False,
+        },
+        "stimulus": {
+            "type": "object",
+            "properties": {"poses": POSES_SCHEMA},
+            "required": ["poses"],
+            "additionalProperties": False,
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """Kinematics of the chains to the frames, what couples them, and the named keyframes."""
+        return structure.chain(golden.target["frames"]) | {
+            f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
+        }
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Frames at every pose, by MuJoCo and by Pinocchio."""
+        import mujoco
+
+        structure = realization.structure
+        frames = [
+            known_name(golden, f"target.frames.{i}", name, structure.frame_body, "frame")
+            for i, name in enumerate(golden.target["frames"])
+        ]
+        moved = frozenset(
+            joint
+            for joint, body in structure.joint_body.items()
+            if any(body in structure.ancestors(structure.frame_body[frame]) for frame in frames)
+        )
+        poses = resolve_poses(golden, realization, moved=moved)
+        data = mujoco.MjData(realization.model)
+        found: dict[str, dict[str, list[float]]] = {}
+        reference: dict[str, dict[str, list[float]]] = {}
+        for number, pose in enumerate(poses):
+            data.qpos[:] = pose.qpos
+            mujoco.mj_kinematics(realization.model, data)
+            found[pose.name] = {
+                frame: pose_vector(realization.frame_pose(data, frame)).tolist() for frame in frames
+            }
+            reference[pose.name] = {
+                frame: pose_vector(realization.reference.frame_pose(pose.joints, frame)).tolist()
+                for frame in frames
+            }
+            progress((number + 1) / len(poses))
+        return Observation(
+            {"poses": recorded_poses(poses), "frames": found}, reference={"frames": reference}
+        )
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Per frame, the worst pose in position and in orientation, against each source."""
+        found = observation.values["frames"]
+        sources = [("pinocchio", observation.reference["frames"])]
+        if golden.expected is not None:
+            sources.insert(0, ("golden", golden.expected.get("frames", {})))
+        measures = []
+        for frame in golden.target["frames"]:
+            for against, expected in sources:
+                errors = {
+                    pose: _errors(at[frame], expected.get(pose, {}).get(frame, _NOWHERE))
+                    for pose, at in found.items()
+                }
+                for index, name in enumerate(("position", "orientation")):
+                    pose = max(errors, key=lambda key: _worst_first(errors[key][index]))
+                    error = errors[pose][index]
+                    bound = tolerance(golden, name, "every fk golden bounds it")
+                    measures.append(
+                        Measure(
+                            name=name,
+                            subject=f"{frame} at {pose}",
+                            measured=error,
+                            golden=0.0,
+                            error=error,
+                            tolerance=bound,
+                            unit=self.tolerances[name],
+                            against=against,
+                        )
+                    )
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """The ends of all chains at the reference, at each keyframe, and at twenty random poses."""
+        frames = end_frames(realization)
+        if not frames:
+            return []
+        model = realization.model
+        keyframes = [name for i in range(model.nkey) if (name := model.key(i).name)]
+        return [
+            {
+                "name": "frames",
+                "title": "Ends of the kinematic chains, in the world",
+                "target": {"frames": frames},
+                "stimulus": {"poses": [REFERENCE, *keyframes, {"seed": 1, "count": 20}]},
+                "tolerance": {"position": "1 um", "orientation": "1e-6 rad"},
+            }
+        ]
+
+
+def end_frames(realization: Realization) -> list[str]:
+    """Named leaf bodies that move, and the twin's TCP."""
+    structure = realization.structure
+    parents = set(structure.body_parent.values())
+    leaves = {body for body in structure.body_parent if body not in parents}
+    jointed = set(structure.joint_body.values())
+    moving = {body for body in leaves if jointed.intersection(structure.ancestors(body))}
+    frames = moving & set(structure.frame_body)
+    twin = realization.twin
+    if twin is not None and twin.tcp is not None and twin.tcp in structure.frame_body:
+        frames.add(twin.tcp)
+    return sorted(frames)
+
+
+def _errors(found: list[float], expected: list[float]) -> tuple[float, float]:
+    """Distance in m and angle in rad of two poses (position, quaternion); NaN where one is."""
+    if not np.isfinite([*found, *expected]).all() or len(found) != len(expected):
+        return float("nan"), float("nan")
+    return (
+        position_error(found[:3], expected[:3]),
+        orientation_error(rotation_of(found[3:]), rotation_of(expected[3:])),
+    )
+
+
+def _worst_first(error: float) -> float:
+    return float("inf") if np.isnan(error) else error

@@ -1,0 +1,328 @@
+"""Which way each joint moves, for a displacement and for a command, against the declaration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.fields import POSITION_UNIT, known_name, quantity, spec_error, tolerance
+from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, Pose, keyframes_of, resolve_pose
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+from pytest_twin.metrics.pose import direction_error, rotation_vector
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from pytest_twin.realization import Realization
+
+FloatArray = NDArray[np.float64]
+
+WORLD = "world"
+_DISPLACEMENT = {"hinge": 0.02, "slide": 0.002}  # rad, m
+_STILL = 1e-9  # rad or m: a smaller motion has no direction
+_PULSE = 0.1  # s
+_STEPS = 20_000  # bound on the steps of a pulse
+
+_VECTOR: dict[str, Any] = {
+    "type": "array",
+    "items": {"type": "number"},
+    "minItems": 3,
+    "maxItems": 3,
+}
+
+
+class JointDirection(Check):
+    """One joint at a time: where a named frame goes when the joint's value grows.
+
+    The displacement is symmetric about the pose, so that a frame on an arc moves along its
+    tangent. The command is a short pulse on one actuator without gravity, contact, stops and dry
+    friction; the joint's motion is what the pulse adds to the same simulation without it.
+
+    ``values``: ``direction`` joint -> (3,) unit vector in the declared frame, ``command`` joint
+    -> rad or m that the pulse added.
+    """
+
+    kind: ClassVar[str] = "joint_direction"
+    tolerances: ClassVar[Mapping[str, str]] = {"direction": "rad"}
+    required_tolerances: ClassVar[frozenset[str]] = frozenset({"direction"})
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "joints": {
+                    "type": "object",
+                    "minProperties": 1,
+                    "description": "Joint name to what it does when its value grows.",
+                    "additionalProperties": {
+                        "type": "object",
+                        "properties": {
+                            "frame": {
+                                "type": "string",
+                                "minLength": 1,
+                                "description": "Body or site that is watched.",
+                            },
+                            "rotation": _VECTOR
+                            | {"description": "Axis about which the frame turns, right-handed."},
+                            "translation": _VECTOR
+                            | {"description": "Direction in which the frame's origin moves."},
+                            "in": {
+                                "type": "string",
+                                "minLength": 1,
+                                "description": (
+                                    "Frame, as it stands at the pose, that the vector is given "
+                                    "in; 'world' when left out."
+                                ),
+                            },
+                            "actuator": {
+                                "type": "string",
+                                "minLength": 1,
+                                "description": "Actuator whose command is tried too.",
+                            },
+                            "command": {
+                                "enum": ["positive", "negative"],
+                                "description": (
+                                    "Way the joint moves for a growing command; positive when "
+                                    "left out."
+                                ),
+                            },
+                        },
+                        "required": ["frame"],
+                        "oneOf": [{"required": ["rotation"]}, {"required": ["translation"]}],
+                        "additionalProperties": False,
+                    },
+                }
+            },
+            "required": ["joints"],
+            "additionalProperties": False,
+        },
+        "stimulus": {
+            "type": "object",
+            "properties": {
+                "pose": POSE_SCHEMA,
+                "duration": {
+                    "type": "string",
+                    "description": "How long the command is applied, '100 ms' when left out.",
+                },
+            },
+            "additionalProperties": False,
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """Kinematics of the watched frames; with an actuator also the dynamics of its joint."""
+        name = structure.realization
+        joints = golden.target["joints"]
+        frames = {
+            frame
+            for entry in joints.values()
+            for frame in (entry["frame"], entry.get("in", WORLD))
+            if frame != WORLD
+        }
+        commanded = [joint for joint, entry in joints.items() if "actuator" in entry]
+        parts = {
+            *structure.chain(frames),
+            *(f"{name}/keyframe:{key}" for key in keyframes_of(golden)),
+        }
+        return parts | (structure.dynamics(commanded) if commanded else frozenset())
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Move each joint, then command it."""
+        structure = realization.structure
+        kinds = {j: kind for j, kind in structure.joint_type.items() if kind in POSITION_UNIT}
+        pose = resolve_pose(
+            golden, realization, golden.stimulus.get("pose", REFERENCE), "stimulus.pose"
+        )
+        duration = quantity(
+            golden, "stimulus.duration", golden.stimulus.get("duration", _PULSE), "s"
+        )
+        directions: dict[str, list[float]] = {}
+        commands: dict[str, float] = {}
+        joints = golden.target["joints"]
+        for number, (joint, entry) in enumerate(joints.items()):
+            place = f"target.joints.{joint}"
+            known_name(golden, place, joint, kinds, "hinge or slide joint")
+            known_name(golden, f"{place}.frame", entry["frame"], structure.frame_body, "frame")
+            base = entry.get("in", WORLD)
+            known_name(golden, f"{place}.in", base, {WORLD, *structure.frame_body}, "frame")
+            directions[joint] = _displaced(realization, joint, entry, pose).tolist()
+            if "actuator" in entry:
+                actuator = known_name(
+                    golden,
+                    f"{place}.actuator",
+                    entry["actuator"],
+                    realization.actuators,
+                    "actuator",
+                )
+                if joint not in structure.actuator_joints.get(actuator, ()):
+                    raise spec_error(
+                        golden,
+                        f"{place}.actuator",
+                        f"this actuator does not drive joint {joint!r}",
+                        value=actuator,
+                        expected=_drivers(structure, joint),
+                    )
+                commands[joint] = pulse(realization, joint, actuator, pose.qpos, duration)
+            progress((number + 1) / len(joints))
+        return Observation({"direction": directions, "command": commands})
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Angle between found and declared direction; a command the wrong way is off by pi."""
+        bound = tolerance(golden, "direction", "every joint_direction golden bounds it")
+        measures = []
+        for joint, entry in golden.target["joints"].items():
+            motion = "rotation" if "rotation" in entry else "translation"
+            error = direction_error(observation.values["direction"][joint], entry[motion])
+            measures.append(
+                Measure(
+                    name="direction",
+                    subject=f"{joint}: {motion} of {entry['frame']}",
+                    measured=error,
+                    golden=0.0,
+                    error=error,
+                    tolerance=bound,
+                    unit="rad",
+                    against="declared",
+                )
+            )
+            if joint in observation.values["command"]:
+                added = observation.values["command"][joint]
+                sign = -1.0 if entry.get("command") == "negative" else 1.0
+                turned = float("nan") if not abs(added) > _STILL else 0.0
+                turned += np.pi if sign * added < 0.0 else 0.0
+                measures.append(
+                    Measure(
+                        name="direction",
+                        subject=f"{joint}: command of {entry['actuator']}",
+                        measured=turned,
+                        golden=0.0,
+                        error=turned,
+                        tolerance=bound,
+                        unit="rad",
+                        against="declared",
+                    )
+                )
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Every hinge and slide joint with the body that it moves, as the model has it."""
+        structure = realization.structure
+        pose = Pose(REFERENCE, {}, None, realization.model.qpos0.copy())
+        joints: dict[str, Any] = {}
+        for joint in realization.joints:
+            kind = structure.joint_type.get(joint)
+            if kind not in POSITION_UNIT or structure.joint_body[joint] not in structure.frame_body:
+                continue
+            motion = "rotation" if kind == "hinge" else "translation"
+            entry: dict[str, Any] = {"frame": structure.joint_body[joint], motion: [0.0, 0.0, 0.0]}
+            direction = _displaced(realization, joint, entry, pose)
+            if not np.isfinite(direction).all():
+                continue
+            entry[motion] = [round(float(value), 6) + 0.0 for value in direction]
+            for actuator in realization.actuators:
+                if structure.actuator_joints.get(actuator) == (joint,):
+                    added = pulse(realization, joint, actuator, pose.qpos, _PULSE)
+                    if abs(added) > _STILL:
+                        entry["actuator"] = actuator
+                        entry["command"] = "positive" if added > 0.0 else "negative"
+                        break
+            joints[joint] = entry
+        if not joints:
+            return []
+        return [
+            {
+                "name": "joint_direction",
+                "title": "Every joint moves its body the declared way",
+                "target": {"joints": joints},
+                "stimulus": {"pose": REFERENCE},
+                "tolerance": {"direction": "0.1 deg"},
+            }
+        ]
+
+
+def _drivers(structure: Structure, joint: str) -> str:
+    drivers = [name for name, driven in structure.actuator_joints.items() if joint in driven]
+    return " or ".join(repr(name) for name in drivers) or "no actuator: nothing drives this joint"
+
+
+def _displaced(
+    realization: Realization, joint: str, entry: Mapping[str, Any], pose: Pose
+) -> FloatArray:
+    """Unit direction (3,) in the declared frame; NaN where the watched frame does not move."""
+    import mujoco
+
+    model = realization.model
+    data = mujoco.MjData(model)
+    transforms = []
+    half = 0.5 * _DISPLACEMENT[realization.structure.joint_type[joint]]
+    for step in (0.0, half, -half):
+        data.qpos[:] = pose.qpos
+        data.qpos[realization.joint_qpos_index(joint)] += step
+        mujoco.mj_kinematics(model, data)
+        if step == 0.0:
+            base = entry.get("in", WORLD)
+            rotation = np.eye(3) if base == WORLD else realization.frame_pose(data, base)[:3, :3]
+        else:
+            transforms.append(realization.frame_pose(data, entry["frame"]))
+    after, before = transforms
+    if "rotation" in entry:
+        motion = rotation_vector(after[:3, :3] @ before[:3, :3].T)
+    else:
+        motion = after[:3, 3] - before[:3, 3]
+    length = float(np.linalg.norm(motion))
+    if not length > _STILL:
+        return np.full(3, np.nan)
+    return np.asarray(rotation.T @ motion / length, dtype=np.float64)
+
+
+def pulse(
+    realization: Realization, joint: str, actuator: str, qpos: FloatArray, duration: float
+) -> float:
+    """What a growing command adds to a joint's position, in rad or m.
+
+    Two simulations from rest at ``qpos``, without gravity, contact, stops and dry friction: one
+    that holds the command at which the actuator pushes least, one with 5 % of its range more.
+
+    Raises:
+        SimulationError: the simulation diverged.
+    """
+    import mujoco
+
+    from pytest_twin.realization import simulate
+
+    model = simulate.bench(realization, gravity=False)
+    disable = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(
+        disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT | disable.mjDSBL_FRICTIONLOSS
+    )
+    control = realization.control_index(actuator)
+    address = realization.joint_qpos_index(joint)
+    steps = min(simulate.steps_in(model, duration), _STEPS)
+    rest: float | None = None
+    ends = []
+    for raised in (False, True):
+        data = simulate.start(model, realization, qpos)
+        data.ctrl[:] = simulate.hold(model, data)
+        if rest is None:
+            rest, more = _commands(model, control, float(data.ctrl[control]))
+        data.ctrl[control] = more if raised else rest
+        mujoco.mj_step(model, data, nstep=steps)
+        simulate.check_finite(model, data)
+        ends.append(float(data.qpos[address]))
+    return ends[1] - ends[0]
+
+
+def _commands(model: mujoco.MjModel, control: int, rest: float) -> tuple[float, float]:
+    """A command near rest, and a greater one, both within the actuator's range."""
+    if not model.actuator_ctrllimited[control]:
+        return rest, rest + max(0.05, 0.05 * abs(rest))
+    lower, upper = (float(bound) for bound in model.actuator_ctrlrange[control])
+    step = 0.05 * (upper - lower)
+    rest = min(max(rest, lower), upper - step)
+    return rest, rest + step

@@ -1,0 +1,610 @@
+"""Hard and soft range, velocity and effort: declared, in the model, and when commanded past."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.fields import (
+    EFFORT_UNIT,
+    POSITION_UNIT,
+    QUANTITY_SCHEMA,
+    VELOCITY_UNIT,
+    known_name,
+    quantity,
+    spec_error,
+    tolerance,
+)
+from pytest_twin.checks.poses import configuration
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+from pytest_twin.units import Quantity
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from pytest_twin.realization import Realization
+
+FloatArray = NDArray[np.float64]
+
+_BEYOND = 1e3  # how many times past its range a command goes
+_DURATION = 0.5  # s
+_RANGE_SCHEMA: Mapping[str, Any] = {
+    "type": "array",
+    "items": QUANTITY_SCHEMA,
+    "minItems": 2,
+    "maxItems": 2,
+}
+_TOLERANCE = {
+    "range": {"hinge": "angle", "slide": "length"},
+    "stop": {"hinge": "stop_angle", "slide": "stop_length"},
+    "velocity": {"hinge": "angular_velocity", "slide": "linear_velocity"},
+    "effort": {"hinge": "torque", "slide": "force"},
+}
+
+
+class Limits(Check):
+    """What bounds each joint, and that commands past the bounds come to nothing.
+
+    - ``hard``: the range equals the model's; pushed against each stop with its full effort, the
+      joint does not pass it by more than ``stop_angle`` or ``stop_length``.
+    - ``soft``: lies inside the hard range; a position servo commanded far past it aims at its
+      bounds.
+    - ``velocity``: equals the limit of the model's source; where the source has none, the joint
+      under its strongest command stays below it.
+    - ``effort``: equals the model's limit; the strongest command on the held joint stays below it.
+
+    The tried joint moves without gravity and contact, all others (but those coupled to it) held.
+    """
+
+    kind: ClassVar[str] = "limits"
+    tolerances: ClassVar[Mapping[str, str]] = {
+        "angle": "rad",
+        "length": "m",
+        "stop_angle": "rad",
+        "stop_length": "m",
+        "angular_velocity": "rad/s",
+        "linear_velocity": "m/s",
+        "torque": "N*m",
+        "force": "N",
+    }
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "joints": {
+                    "type": "object",
+                    "minProperties": 1,
+                    "description": "Joint name to what bounds it.",
+                    "additionalProperties": {
+                        "type": "object",
+                        "minProperties": 1,
+                        "properties": {
+                            "hard": {
+                                "description": "Lower and upper stop, or 'none'.",
+                                "anyOf": [{"const": "none"}, _RANGE_SCHEMA],
+                            },
+                            "soft": {
+                                **_RANGE_SCHEMA,
+                                "description": "Range that commanded positions stay in.",
+                            },
+                            "velocity": {
+                                **QUANTITY_SCHEMA,
+                                "description": "Greatest speed, such as '180 deg/s'.",
+                            },
+                            "effort": {
+                                **QUANTITY_SCHEMA,
+                                "description": "Greatest torque or force, such as '10 N*m'.",
+                            },
+                        },
+                        "additionalProperties": False,
+                    },
+                }
+            },
+            "required": ["joints"],
+            "additionalProperties": False,
+        },
+        "stimulus": {
+            "type": "object",
+            "properties": {
+                "duration": {
+                    "type": "string",
+                    "description": "How long each push lasts, '500 ms' when left out.",
+                }
+            },
+            "additionalProperties": False,
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """All that moves the joints: range and actuators, and the inertia that a push moves."""
+        joints = golden.target["joints"]
+        return structure.dynamics(joints) | structure.limits(joints)
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Read every limit of the model, then command and push each joint past it."""
+        kinds = {
+            joint: kind
+            for joint, kind in realization.structure.joint_type.items()
+            if kind in POSITION_UNIT
+        }
+        duration = quantity(
+            golden, "stimulus.duration", golden.stimulus.get("duration", _DURATION), "s"
+        )
+        joints = golden.target["joints"]
+        found: dict[str, dict[str, Any]] = {}
+        for number, joint in enumerate(joints):
+            place = f"target.joints.{joint}"
+            known_name(golden, place, joint, kinds, "hinge or slide joint")
+            declared = _declared(golden, joint, kinds[joint])
+            found[joint] = {"type": kinds[joint]} | _observed(
+                realization, joint, declared, duration
+            )
+            progress((number + 1) / len(joints))
+        return Observation({"joints": found})
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Every declared limit against the model's and against what the push reached."""
+        measures: list[Measure] = []
+        for joint, found in observation.values["joints"].items():
+            declared = _declared(golden, joint, found["type"])
+            measures.extend(_compare_range(golden, joint, declared, found))
+            measures.extend(_compare_effort(golden, joint, declared, found))
+            measures.extend(_compare_velocity(golden, joint, declared, found))
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Every limit that the model or its source states, as it stands there."""
+        structure = realization.structure
+        joints: dict[str, Any] = {}
+        for joint in realization.joints:
+            kind = structure.joint_type.get(joint)
+            if kind in POSITION_UNIT and (entry := _stated(realization, joint)):
+                joints[joint] = entry
+        if not joints:
+            return []
+        target = {"joints": joints}
+        draft = Golden(
+            id="limits",
+            path=Path("limits.yaml"),
+            kind=self.kind,
+            title="",
+            realizations=(realization.name,),
+            criticality="critical",
+            target=target,
+            stimulus={},
+            tolerance={name: Quantity(math.inf, unit) for name, unit in self.tolerances.items()},
+        )
+        observation = self.observe(draft, realization, lambda fraction: None)
+        measures = self.compare(draft, observation, None)
+        bounds: dict[str, str] = {}
+        for name, unit in self.tolerances.items():
+            errors = [measure.error for measure in measures if measure.name == name]
+            if errors:
+                # Half as much again as the model's own stops give way, two digits.
+                least = 1e-4 if name in _TOLERANCE["stop"].values() else 1e-6
+                bounds[name] = f"{_round_up(max(1.5 * max(errors), least)):g} {unit}"
+        return [
+            {
+                "name": "limits",
+                "title": "Ranges, speeds and efforts of all joints",
+                "target": target,
+                "stimulus": {},
+                "tolerance": bounds,
+            }
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Declared:
+    """What a spec says of one joint, in SI units; ``hard`` is False where it says 'none'."""
+
+    hard: tuple[float, float] | bool | None
+    soft: tuple[float, float] | None
+    velocity: float | None
+    effort: float | None
+
+
+def _declared(golden: Golden, joint: str, kind: str) -> _Declared:
+    place = f"target.joints.{joint}"
+    entry = golden.target["joints"][joint]
+
+    def number(name: str, unit: str) -> float | None:
+        if name not in entry:
+            return None
+        value = quantity(golden, f"{place}.{name}", entry[name], unit)
+        if not value > 0.0:
+            raise spec_error(
+                golden, f"{place}.{name}", "not a limit", value=entry[name], expected="above zero"
+            )
+        return value
+
+    def bounds(name: str) -> tuple[float, float] | None:
+        if name not in entry:
+            return None
+        lower, upper = (
+            quantity(golden, f"{place}.{name}", value, POSITION_UNIT[kind]) for value in entry[name]
+        )
+        if not lower < upper:
+            raise spec_error(
+                golden, f"{place}.{name}", "not a range", value=entry[name], expected="lower, upper"
+            )
+        return lower, upper
+
+    return _Declared(
+        hard=False if entry.get("hard") == "none" else bounds("hard"),
+        soft=bounds("soft"),
+        velocity=number("velocity", VELOCITY_UNIT[kind]),
+        effort=number("effort", EFFORT_UNIT[kind]),
+    )
+
+
+# -- what the model states
+
+
+def _model_range(model: mujoco.MjModel, index: int) -> list[float] | None:
+    return model.jnt_range[index].tolist() if model.jnt_limited[index] else None
+
+
+def _drivers(realization: Realization, joint: str) -> list[str]:
+    """Actuators whose transmission is the joint alone."""
+    driven = realization.structure.actuator_joints
+    return [name for name in realization.actuators if driven.get(name) == (joint,)]
+
+
+def _model_effort(realization: Realization, joint: str) -> list[float] | None:
+    """Least and greatest generalized force (N*m or N) that the model lets actuators apply.
+
+    Force ranges of the actuators through their gears, within the joint's own; None where
+    neither is limited.
+    """
+    model = realization.model
+    index = realization.joint_index(joint)
+    lower = upper = 0.0
+    for actuator in _drivers(realization, joint):
+        i = realization.actuator_index(actuator)
+        gear = float(model.actuator_gear[model.actuator_outadr[i], 0])
+        ends = [-math.inf, math.inf]
+        if model.actuator_forcelimited[i]:
+            ends = [gear * float(end) for end in model.actuator_forcerange[i]]
+        lower, upper = lower + min(ends), upper + max(ends)
+    if not _drivers(realization, joint):
+        lower, upper = -math.inf, math.inf
+    if model.jnt_actfrclimited[index]:
+        own = model.jnt_actfrcrange[index]
+        lower, upper = max(lower, float(own[0])), min(upper, float(own[1]))
+    return [lower, upper] if math.isfinite(lower) and math.isfinite(upper) else None
+
+
+def _stated(realization: Realization, joint: str) -> dict[str, Any]:
+    """A first declaration of one joint, from the model and its source."""
+    model = realization.model
+    entry: dict[str, Any] = {}
+    hard = _model_range(model, realization.joint_index(joint))
+    entry["hard"] = hard if hard is not None else "none"
+    soft = _servo_range(realization, joint)
+    if soft is not None and hard is not None and soft[0] < soft[1]:
+        slack = 1e-3 * (hard[1] - hard[0])
+        if hard[0] - slack <= soft[0] and soft[1] <= hard[1] + slack:
+            entry["soft"] = soft
+    velocity = realization.velocity_limit.get(joint)
+    if velocity is not None and 0.0 < velocity < math.inf:
+        entry["velocity"] = velocity
+    effort = _model_effort(realization, joint)
+    if effort is not None and effort[1] > 0.0 and math.isclose(-effort[0], effort[1]):
+        entry["effort"] = effort[1]
+    return {} if entry == {"hard": "none"} else entry
+
+
+# -- what commands and pushes reach
+
+
+def _observed(
+    realization: Realization, joint: str, declared: _Declared, duration: float
+) -> dict[str, Any]:
+    model = realization.model
+    found: dict[str, Any] = {"range": _model_range(model, realization.joint_index(joint))}
+    if declared.soft is not None:
+        found["aim"] = _servo_range(realization, joint)
+    limit = _model_effort(realization, joint)
+    reached = None
+    drivers = _drivers(realization, joint)
+    if drivers and (declared.effort is not None or declared.hard):
+        reached = _strongest(realization, joint, drivers, duration)
+    if declared.effort is not None:
+        found["effort_limit"], found["effort_reached"] = limit, reached
+    if declared.velocity is not None:
+        stated = realization.velocity_limit.get(joint)
+        found["velocity_limit"] = stated
+        if stated is None and drivers:
+            found["velocity_reached"] = _fastest(realization, joint, drivers, duration)
+    if declared.hard and found["range"] is not None:
+        push = declared.effort
+        if push is None and limit is not None:
+            push = max(abs(end) for end in limit)
+        elif push is None and reached is not None:
+            push = max(abs(end) for end in reached)
+        if push is not None:
+            found["stop"] = _pushed(realization, joint, found["range"], push, duration)
+    return found
+
+
+def _bench(realization: Realization, free: frozenset[str]) -> mujoco.MjModel:
+    """The robot without gravity and contact, all joints held but ``free``."""
+    import mujoco
+
+    from pytest_twin.realization import simulate
+
+    held = [joint for joint in realization.joints if joint not in free]
+    model = simulate.bench(realization, gravity=False, locked=held)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return model
+
+
+def _far(model: mujoco.MjModel, control: int, sign: float) -> float:
+    """A command far past the actuator's range, or far from zero where it has none."""
+    largest = 1.0
+    if model.actuator_ctrllimited[control]:
+        largest = max(1e-3, *(abs(float(end)) for end in model.actuator_ctrlrange[control]))
+    return sign * _BEYOND * largest
+
+
+def _command(
+    realization: Realization,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    drivers: list[str],
+    sign: float,
+) -> None:
+    """Set every driver of a joint to push it the way of ``sign`` as hard as it can."""
+    for actuator in drivers:
+        i = realization.actuator_index(actuator)
+        gear = float(model.actuator_gear[model.actuator_outadr[i], 0])
+        control = int(model.actuator_ctrladr[i])
+        data.ctrl[control] = _far(model, control, sign * math.copysign(1.0, gear))
+
+
+def _strongest(
+    realization: Realization, joint: str, drivers: list[str], duration: float
+) -> list[float]:
+    """Least and greatest generalized force of the actuators on the held joint, N*m or N.
+
+    The joint stands at the far end of its range, where a servo pulls hardest.
+    """
+    import mujoco
+
+    from pytest_twin.realization import simulate
+
+    model = _bench(realization, frozenset())
+    dof = realization.joint_dof_index(joint)
+    bounds = _model_range(realization.model, realization.joint_index(joint))
+    reached = []
+    for sign in (-1.0, 1.0):
+        values = {} if bounds is None else {joint: bounds[0] if sign > 0.0 else bounds[1]}
+        data = simulate.start(model, realization, configuration(realization, values))
+        data.ctrl[:] = simulate.hold(model, data)
+        _command(realization, model, data, drivers, sign)
+        extreme = 0.0
+        for _ in range(simulate.steps_in(model, duration)):
+            mujoco.mj_step(model, data)
+            simulate.check_finite(model, data)
+            force = float(data.qfrc_actuator[dof])
+            extreme = max(extreme, force) if sign > 0.0 else min(extreme, force)
+        reached.append(extreme)
+    return reached
+
+
+def _fastest(realization: Realization, joint: str, drivers: list[str], duration: float) -> float:
+    """Greatest speed under the strongest command from one end of the range to the other."""
+    import mujoco
+
+    from pytest_twin.realization import simulate
+
+    model = _bench(realization, simulate.coupled_joints(realization, joint))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    address, dof = realization.joint_qpos_index(joint), realization.joint_dof_index(joint)
+    bounds = _model_range(realization.model, realization.joint_index(joint))
+    fastest = 0.0
+    for sign in (-1.0, 1.0):
+        near, far = (None, math.inf) if bounds is None else (bounds[0], bounds[1])
+        if sign < 0.0:
+            near, far = (None, -math.inf) if bounds is None else (bounds[1], bounds[0])
+        values = {} if near is None else {joint: near}
+        data = simulate.start(model, realization, configuration(realization, values))
+        data.ctrl[:] = simulate.hold(model, data)
+        _command(realization, model, data, drivers, sign)
+        for _ in range(simulate.steps_in(model, duration)):
+            mujoco.mj_step(model, data)
+            simulate.check_finite(model, data)
+            if sign * float(data.qpos[address]) > sign * far:
+                break
+            fastest = max(fastest, abs(float(data.qvel[dof])))
+    return fastest
+
+
+def _pushed(
+    realization: Realization, joint: str, bounds: list[float], push: float, duration: float
+) -> list[float]:
+    """How far past its lower and upper stop a joint gets, in rad or m, pushed from rest there."""
+    import mujoco
+
+    from pytest_twin.realization import simulate
+
+    model = _bench(realization, simulate.coupled_joints(realization, joint))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    address, dof = realization.joint_qpos_index(joint), realization.joint_dof_index(joint)
+    passed = []
+    for stop, sign in zip(bounds, (-1.0, 1.0), strict=True):
+        data = simulate.start(model, realization, configuration(realization, {joint: stop}))
+        data.qfrc_applied[dof] = sign * push
+        furthest = 0.0
+        for _ in range(simulate.steps_in(model, duration)):
+            mujoco.mj_step(model, data)
+            simulate.check_finite(model, data)
+            furthest = max(furthest, sign * (float(data.qpos[address]) - stop))
+        passed.append(furthest)
+    return passed
+
+
+def _servo_range(realization: Realization, joint: str) -> list[float] | None:
+    """Joint positions that the joint's position servo aims at when commanded far past them.
+
+    None where no position servo drives the joint. The aim follows from the servo's force, which
+    is linear in the command up to where the command is clipped.
+    """
+
+    from pytest_twin.realization import simulate
+
+    model = simulate.bench(realization)
+    model.actuator_forcelimited[:] = 0
+    model.jnt_actfrclimited[:] = 0
+    for actuator in _drivers(realization, joint):
+        i = realization.actuator_index(actuator)
+        if simulate.command_kind(model, i) == "position":
+            return _aim(model, simulate.start(model, realization, realization.model.qpos0), i)
+    return None
+
+
+def _aim(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> list[float] | None:
+    """Lower and upper joint position that a servo aims at; None behind a filter."""
+    import mujoco
+
+    from pytest_twin.realization import simulate
+
+    output, control = int(model.actuator_outadr[actuator]), int(model.actuator_ctrladr[actuator])
+    gear = float(model.actuator_gear[output, 0])
+    rest = simulate.hold(model, data)
+
+    def force(command: float) -> float:
+        data.ctrl[:] = rest
+        data.ctrl[control] = command
+        mujoco.mj_forward(model, data)
+        return float(data.actuator_force[output])
+
+    low, high = float(rest[control]) - 0.1, float(rest[control]) + 0.1
+    if model.actuator_ctrllimited[control]:
+        lower, upper = (float(end) for end in model.actuator_ctrlrange[control])
+        low, high = lower + 0.25 * (upper - lower), lower + 0.75 * (upper - lower)
+    at = force(low)
+    slope = (force(high) - at) / (high - low)
+    if slope == 0.0 or gear == 0.0:
+        return None
+    return sorted(
+        (low + (force(_far(model, control, sign)) - at) / slope) / gear for sign in (-1.0, 1.0)
+    )
+
+
+# -- verdicts
+
+
+def _measure(
+    golden: Golden,
+    family: str,
+    kind: str,
+    subject: str,
+    measured: float,
+    bound: float,
+    error: float,
+) -> Measure:
+    name = _TOLERANCE[family][kind]
+    return Measure(
+        name=name,
+        subject=subject,
+        measured=measured,
+        golden=bound,
+        error=error,
+        tolerance=tolerance(golden, name, f"{subject} is held against it"),
+        unit=Limits.tolerances[name],
+        against="declared",
+    )
+
+
+def _compare_range(
+    golden: Golden, joint: str, declared: _Declared, found: Mapping[str, Any]
+) -> list[Measure]:
+    kind, model_range = found["type"], found["range"]
+    measures = []
+    if declared.hard is False:
+        limited = 0.0 if model_range is None else math.inf
+        measures.append(_measure(golden, "range", kind, f"{joint}: no stop", limited, 0.0, limited))
+    elif isinstance(declared.hard, tuple):
+        actual = (-math.inf, math.inf) if model_range is None else model_range
+        for side, end, was in zip(("lower", "upper"), actual, declared.hard, strict=True):
+            measures.append(
+                _measure(golden, "range", kind, f"{joint}: {side} stop", end, was, abs(end - was))
+            )
+        for side, passed in zip(("lower", "upper"), found.get("stop", ()), strict=False):
+            subject = f"{joint}: pushed past the {side} stop"
+            measures.append(_measure(golden, "stop", kind, subject, passed, 0.0, passed))
+    if declared.soft is None:
+        return measures
+    if isinstance(declared.hard, tuple):
+        for side, sign, soft, hard in zip(
+            ("lower", "upper"), (-1.0, 1.0), declared.soft, declared.hard, strict=True
+        ):
+            error = max(0.0, sign * (soft - hard))
+            subject = f"{joint}: {side} soft bound, inside the stop"
+            measures.append(_measure(golden, "range", kind, subject, soft, hard, error))
+    if found["aim"] is not None:
+        for side, aim, soft in zip(("lower", "upper"), found["aim"], declared.soft, strict=True):
+            subject = f"{joint}: commanded past the {side} soft bound"
+            measures.append(_measure(golden, "range", kind, subject, aim, soft, abs(aim - soft)))
+    return measures
+
+
+def _compare_effort(
+    golden: Golden, joint: str, declared: _Declared, found: Mapping[str, Any]
+) -> list[Measure]:
+    if declared.effort is None:
+        return []
+    bound, kind = declared.effort, found["type"]
+    limit, reached = found["effort_limit"], found["effort_reached"]
+    measures = []
+    if limit is not None:
+        for side, end, sign in zip(("negative", "positive"), limit, (-1.0, 1.0), strict=True):
+            error = abs(end - sign * bound)
+            subject = f"{joint}: {side} effort limit"
+            measures.append(_measure(golden, "effort", kind, subject, end, sign * bound, error))
+    if reached is not None:
+        for side, end, sign in zip(("negative", "positive"), reached, (-1.0, 1.0), strict=True):
+            # Without a limit of its own the model must saturate at the declared effort.
+            error = abs(end) - bound
+            error = max(0.0, error) if limit is not None else abs(error)
+            subject = f"{joint}: {side} effort, commanded past"
+            measures.append(_measure(golden, "effort", kind, subject, end, sign * bound, error))
+    if not measures:
+        subject = f"{joint}: effort limit, which the model lacks"
+        measures.append(_measure(golden, "effort", kind, subject, math.inf, bound, math.inf))
+    return measures
+
+
+def _compare_velocity(
+    golden: Golden, joint: str, declared: _Declared, found: Mapping[str, Any]
+) -> list[Measure]:
+    if declared.velocity is None:
+        return []
+    bound, stated = declared.velocity, found["velocity_limit"]
+    if stated is not None:
+        subject, speed, error = f"{joint}: velocity limit", stated, abs(stated - bound)
+    elif "velocity_reached" in found:
+        speed = found["velocity_reached"]
+        subject, error = f"{joint}: speed, commanded past", max(0.0, speed - bound)
+    else:
+        subject = f"{joint}: velocity limit, which the model lacks"
+        speed = error = math.inf
+    return [_measure(golden, "velocity", found["type"], subject, speed, bound, error)]
+
+
+def _round_up(value: float) -> float:
+    """To two digits, never below ``value``."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(value / step - 1e-9) * step

@@ -1,0 +1,283 @@
+"""Mass, centre of mass and gravity torque, against the record and against Pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.fields import known_name, tolerance
+from pytest_twin.checks.poses import (
+    POSES_SCHEMA,
+    REFERENCE,
+    keyframes_of,
+    recorded_poses,
+    resolve_poses,
+)
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+from pytest_twin.metrics.pose import position_error
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+_NAN = float("nan")
+_GRAVITY = {"hinge": "gravity_torque", "slide": "gravity_force"}
+
+
+class MassProperties(Check):
+    """What the robot weighs, where, and what each joint must hold.
+
+    The gravity torque of a joint is the generalized force that keeps it still at the pose: N*m
+    for a hinge, N for a slide, positive along the joint's axis.
+
+    ``values``: ``mass`` in kg, ``poses`` (the drawn ones), ``center_of_mass`` pose -> (3,) m in
+    the world, ``gravity`` pose -> joint -> N*m or N, ``bodies`` body -> mass in kg and centre of
+    mass (3,) m in the body frame.
+    """
+
+    kind: ClassVar[str] = "mass_properties"
+    libraries: ClassVar[tuple[str, ...]] = ("numpy", "pin")
+    tolerances: ClassVar[Mapping[str, str]] = {
+        "mass": "kg",
+        "center_of_mass": "m",
+        "gravity_torque": "N*m",
+        "gravity_force": "N",
+    }
+    required_tolerances: ClassVar[frozenset[str]] = frozenset({"mass", "center_of_mass"})
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "joints": {
+                    "type": "array",
+                    "items": {"type": "string", "minLength": 1},
+                    "uniqueItems": True,
+                    "description": "Joints whose gravity torque is compared; all when left out.",
+                },
+                "bodies": {
+                    "type": "array",
+                    "items": {"type": "string", "minLength": 1},
+                    "uniqueItems": True,
+                    "description": "Bodies whose own mass and centre of mass are compared too.",
+                },
+            },
+            "additionalProperties": False,
+        },
+        "stimulus": {
+            "type": "object",
+            "properties": {"poses": POSES_SCHEMA},
+            "required": ["poses"],
+            "additionalProperties": False,
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """Every body's inertia and place, what couples the joints, and gravity."""
+        name = structure.realization
+        layers = tuple(f"{name}/{layer}:" for layer in ("inertia", "kinematics", "coupling"))
+        return {
+            *(part for part in structure.part_ids if part.startswith(layers)),
+            f"{name}/option:gravity",
+            *(f"{name}/keyframe:{key}" for key in keyframes_of(golden)),
+        }
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Mass properties at every pose, by MuJoCo and by Pinocchio."""
+        import mujoco
+
+        model = realization.model
+        structure = realization.structure
+        scalar = [
+            joint for joint in realization.joints if structure.joint_type.get(joint) in _GRAVITY
+        ]
+        joints = [
+            known_name(golden, f"target.joints.{i}", joint, scalar, "hinge or slide joint")
+            for i, joint in enumerate(golden.target.get("joints", scalar))
+        ]
+        bodies = [
+            known_name(golden, f"target.bodies.{i}", body, structure.body_parent, "body")
+            for i, body in enumerate(golden.target.get("bodies", []))
+        ]
+        poses = resolve_poses(golden, realization)
+        reference = realization.reference
+        data = mujoco.MjData(model)
+        force = np.zeros(model.nv)
+        center: dict[str, list[float]] = {}
+        gravity: dict[str, dict[str, float]] = {}
+        reference_center: dict[str, list[float]] = {}
+        reference_gravity: dict[str, dict[str, float]] = {}
+        for number, pose in enumerate(poses):
+            data.qpos[:] = pose.qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            mujoco.mj_rne(model, data, 0, force)
+            center[pose.name] = data.subtree_com[0].tolist()
+            gravity[pose.name] = {
+                joint: float(force[realization.joint_dof_index(joint)]) for joint in joints
+            }
+            reference_center[pose.name] = np.asarray(reference.center_of_mass(pose.joints)).tolist()
+            torque = reference.gravity_torque(pose.joints)
+            reference_gravity[pose.name] = {
+                joint: float(torque.get(joint, _NAN)) for joint in joints
+            }
+            progress((number + 1) / len(poses))
+        own = {
+            body: {
+                "mass": float(model.body(body).mass[0]),
+                "center_of_mass": model.body(body).ipos.tolist(),
+            }
+            for body in bodies
+        }
+        return Observation(
+            {
+                "mass": float(np.sum(model.body_mass)),
+                "poses": recorded_poses(poses),
+                "center_of_mass": center,
+                "gravity": gravity,
+                "bodies": own,
+                "joint_type": {joint: structure.joint_type[joint] for joint in joints},
+            },
+            reference={
+                "mass": float(reference.mass()),
+                "center_of_mass": reference_center,
+                "gravity": reference_gravity,
+            },
+        )
+
+    def expect(
+        self, golden: Golden, observation: Observation
+    ) -> tuple[Mapping[str, Any], Trace | None]:
+        """All but the types of the joints, which are the model's."""
+        return {k: v for k, v in observation.values.items() if k != "joint_type"}, None
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Total mass, the worst pose of the centre of mass and of each joint, each body."""
+        found = observation.values
+        sources = [("pinocchio", observation.reference)]
+        if golden.expected is not None:
+            sources.insert(0, ("golden", golden.expected))
+        measures: list[Measure] = []
+        for against, expected in sources:
+            measures.append(
+                self._scalar(golden, "mass", "robot", found["mass"], expected.get("mass"), against)
+            )
+            measures.append(self._center(golden, found, expected, against))
+            measures.extend(self._gravity(golden, found, expected, against))
+        if golden.expected is not None:
+            recorded = golden.expected.get("bodies", {})
+            for body, own in found["bodies"].items():
+                was = recorded.get(body, {})
+                measures.append(
+                    self._scalar(golden, "mass", body, own["mass"], was.get("mass"), "golden")
+                )
+                measures.append(
+                    self._offset(
+                        golden,
+                        f"{body}, in its frame",
+                        _distance(own["center_of_mass"], was.get("center_of_mass")),
+                        "golden",
+                    )
+                )
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """The whole robot at the reference, at each keyframe, and at ten random poses."""
+        import mujoco
+
+        model = realization.model
+        if float(np.sum(model.body_mass)) <= 0.0:
+            return []
+        keyframes = [name for i in range(model.nkey) if (name := model.key(i).name)]
+        bounds = {"mass": "1e-6 kg", "center_of_mass": "1 um"}
+        types = {int(kind) for kind in model.jnt_type}
+        if int(mujoco.mjtJoint.mjJNT_HINGE) in types:
+            bounds["gravity_torque"] = "1e-6 N*m"
+        if int(mujoco.mjtJoint.mjJNT_SLIDE) in types:
+            bounds["gravity_force"] = "1e-6 N"
+        return [
+            {
+                "name": "mass_properties",
+                "title": "Mass, centre of mass and gravity torque of the whole robot",
+                "target": {},
+                "stimulus": {"poses": [REFERENCE, *keyframes, {"seed": 1, "count": 10}]},
+                "tolerance": bounds,
+            }
+        ]
+
+    def _scalar(
+        self,
+        golden: Golden,
+        name: str,
+        subject: str,
+        measured: float,
+        expected: float | None,
+        against: str,
+    ) -> Measure:
+        value = _NAN if expected is None else float(expected)
+        return Measure(
+            name=name,
+            subject=subject,
+            measured=measured,
+            golden=value,
+            error=abs(measured - value),
+            tolerance=tolerance(golden, name, f"the {name.replace('_', ' ')} of {subject}"),
+            unit=self.tolerances[name],
+            against=against,
+        )
+
+    def _offset(self, golden: Golden, subject: str, error: float, against: str) -> Measure:
+        return Measure(
+            name="center_of_mass",
+            subject=subject,
+            measured=error,
+            golden=0.0,
+            error=error,
+            tolerance=tolerance(golden, "center_of_mass", "every golden of this kind bounds it"),
+            unit="m",
+            against=against,
+        )
+
+    def _center(
+        self, golden: Golden, found: Mapping[str, Any], expected: Mapping[str, Any], against: str
+    ) -> Measure:
+        was = expected.get("center_of_mass", {})
+        errors = {
+            pose: _distance(center, was.get(pose))
+            for pose, center in found["center_of_mass"].items()
+        }
+        pose = max(errors, key=lambda key: _nan_first(errors[key]))
+        return self._offset(golden, f"robot at {pose}", errors[pose], against)
+
+    def _gravity(
+        self, golden: Golden, found: Mapping[str, Any], expected: Mapping[str, Any], against: str
+    ) -> list[Measure]:
+        measures = []
+        was = expected.get("gravity", {})
+        for joint, kind in found["joint_type"].items():
+            candidates = [
+                self._scalar(
+                    golden,
+                    _GRAVITY[kind],
+                    f"{joint} at {pose}",
+                    torques[joint],
+                    was.get(pose, {}).get(joint),
+                    against,
+                )
+                for pose, torques in found["gravity"].items()
+            ]
+            measures.append(max(candidates, key=lambda measure: _nan_first(measure.error)))
+        return measures
+
+
+def _distance(found: list[float], expected: list[float] | None) -> float:
+    return _NAN if expected is None else position_error(found, expected)
+
+
+def _nan_first(error: float) -> float:
+    return float("inf") if np.isnan(error) else error

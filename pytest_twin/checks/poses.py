@@ -1,0 +1,380 @@
+"""Poses as a spec gives them: the model's own, joint by joint, or drawn from a seed."""
+
+from __future__ import annotations
+
+import copy
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.checks.fields import (
+    POSITION_UNIT,
+    QUANTITY_SCHEMA,
+    known_name,
+    quantity,
+    spec_error,
+)
+from pytest_twin.golden import Golden
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+FloatArray = NDArray[np.float64]
+
+REFERENCE = "reference"
+_DRAWS = 200  # redraws of a coupled group before a seed is given up
+_CLOSED = 1e-10  # residual of a closed loop, m or rad
+
+POSE_SCHEMA: Mapping[str, Any] = {
+    "description": (
+        "'reference' (the model's zero), the name of a keyframe of the model, or joints by name. "
+        "Joints left out stand at the reference; coupled (mimic) joints follow their master."
+    ),
+    "anyOf": [
+        {"type": "string", "minLength": 1},
+        {
+            "type": "object",
+            "properties": {
+                "name": {"type": "string", "minLength": 1, "description": "What reports call it."},
+                "joints": {
+                    "type": "object",
+                    "description": "Joint name to value: rad or m, or with a unit, '90 deg'.",
+                    "additionalProperties": QUANTITY_SCHEMA,
+                },
+            },
+            "required": ["joints"],
+            "additionalProperties": False,
+        },
+    ],
+}
+"""JSON Schema of one pose."""
+
+POSES_SCHEMA: Mapping[str, Any] = {
+    "type": "array",
+    "minItems": 1,
+    "maxItems": 1000,
+    "description": "Poses to look at, each named, given by its joints, or drawn from a seed.",
+    "items": {
+        "anyOf": [
+            *POSE_SCHEMA["anyOf"],
+            {
+                "type": "object",
+                "description": (
+                    "Random poses within the joint limits (a joint without limits: one turn, or "
+                    "1 m to each side), drawn once and then recorded in the spec."
+                ),
+                "properties": {
+                    "seed": {"type": "integer", "minimum": 0},
+                    "count": {"type": "integer", "minimum": 1, "maximum": 1000},
+                },
+                "required": ["seed", "count"],
+                "additionalProperties": False,
+            },
+        ]
+    },
+}
+"""JSON Schema of a list of poses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """One configuration that satisfies the model's couplings.
+
+    Attributes:
+        name: unique within its golden; ``seed 7 #3`` for a drawn one.
+        joints: every hinge and slide joint of the model -> value, rad or m.
+        drawn: the independent joints of a drawn pose, as they are recorded; None for others.
+        qpos: (nq,) MuJoCo's coordinates; ball and free joints stand at the reference.
+    """
+
+    name: str
+    joints: Mapping[str, float]
+    drawn: Mapping[str, float] | None
+    qpos: FloatArray
+
+
+def resolve_poses(
+    golden: Golden,
+    realization: Realization,
+    *,
+    moved: frozenset[str] | None = None,
+    field: str = "stimulus.poses",
+) -> list[Pose]:
+    """All poses of a golden, in order.
+
+    Drawn poses are taken from the golden's ``expected.poses`` where it has them: a changed joint
+    range then moves no recorded result.
+
+    Args:
+        golden: its stimulus holds ``poses`` as ``POSES_SCHEMA`` says.
+        realization: the model.
+        moved: joints that seeds draw, with what they are coupled to; None: all.
+        field: dotted place of the list.
+
+    Raises:
+        SpecError: a joint or keyframe that the model lacks, a value in the wrong unit, two poses
+            of one name, or no pose that satisfies the couplings.
+    """
+    recorded = (golden.expected or {}).get("poses", {})
+    solver = _Coupled(realization)
+    poses: list[Pose] = []
+    for number, entry in enumerate(golden.stimulus["poses"]):
+        place = f"{field}.{number}"
+        if isinstance(entry, Mapping) and "seed" in entry:
+            seed = int(entry["seed"])
+            for index in range(1, int(entry["count"]) + 1):
+                name = f"seed {seed} #{index}"
+                known = recorded.get(name)
+                if known is not None and set(known) <= set(solver.joint_type):
+                    drawn = {joint: float(value) for joint, value in known.items()}
+                else:
+                    drawn = solver.draw(golden, place, seed, index, moved)
+                poses.append(solver.pose(golden, place, name, drawn, drawn))
+        else:
+            poses.append(_given(golden, place, entry, number, solver))
+    seen: set[str] = set()
+    for pose in poses:
+        if pose.name in seen:
+            raise spec_error(golden, field, "two poses of one name", value=pose.name)
+        seen.add(pose.name)
+    return poses
+
+
+def resolve_pose(golden: Golden, realization: Realization, entry: object, field: str) -> Pose:
+    """One pose, as ``POSE_SCHEMA`` says; raises as ``resolve_poses`` does."""
+    return _given(golden, field, entry, 0, _Coupled(realization))
+
+
+def configuration(realization: Realization, values: Mapping[str, float]) -> FloatArray:
+    """(nq,) with ``values`` (rad or m), the joints coupled to them following."""
+    return _Coupled(realization).configuration(values)
+
+
+def recorded_poses(poses: list[Pose]) -> dict[str, dict[str, float]]:
+    """What ``expected.poses`` holds: the drawn ones."""
+    return {pose.name: dict(pose.drawn) for pose in poses if pose.drawn is not None}
+
+
+def keyframes_of(golden: Golden) -> list[str]:
+    """Keyframes that the poses of a golden name."""
+    entries = [*golden.stimulus.get("poses", []), golden.stimulus.get("pose")]
+    return [entry for entry in entries if isinstance(entry, str) and entry != REFERENCE]
+
+
+def _given(golden: Golden, place: str, entry: object, number: int, solver: _Coupled) -> Pose:
+    if isinstance(entry, str):
+        values = {} if entry == REFERENCE else solver.keyframe(golden, place, entry)
+        return solver.pose(golden, place, entry, values, None)
+    if not isinstance(entry, Mapping):
+        raise spec_error(golden, place, "not a pose", value=entry, expected="a name or joints")
+    values = {}
+    for joint, value in entry["joints"].items():
+        at = f"{place}.joints.{joint}"
+        known_name(golden, at, joint, solver.joint_type, "hinge or slide joint")
+        values[joint] = quantity(golden, at, value, POSITION_UNIT[solver.joint_type[joint]])
+    return solver.pose(golden, place, str(entry.get("name", f"pose {number + 1}")), values, None)
+
+
+class _Coupled:
+    """Joint values of a model that satisfy its equality constraints."""
+
+    def __init__(self, realization: Realization) -> None:
+        import mujoco
+
+        self._mujoco = mujoco
+        self._model = model = realization.model
+        types = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
+        self._joint = {
+            model.joint(i).name: i for i in range(model.njnt) if int(model.jnt_type[i]) in types
+        }
+        self.joint_type = {name: types[int(model.jnt_type[i])] for name, i in self._joint.items()}
+        self._names = {i: name for name, i in self._joint.items()}
+        self._masters: dict[str, tuple[str | None, FloatArray]] = {}
+        self._loops = False
+        for i in range(model.neq):
+            if not model.eq_active0[i]:
+                continue
+            first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+            if int(model.eq_type[i]) != int(mujoco.mjtEq.mjEQ_JOINT):
+                self._loops = True
+            elif first in self._names and (second < 0 or second in self._names):
+                master = self._names[second] if second >= 0 else None
+                self._masters[self._names[first]] = (master, model.eq_data[i, :5].copy())
+
+    def keyframe(self, golden: Golden, place: str, name: str) -> dict[str, float]:
+        model = self._model
+        keys = {model.key(i).name: i for i in range(model.nkey)}
+        known_name(golden, place, name, [REFERENCE, *keys], "pose or keyframe")
+        qpos = model.key_qpos[keys[name]]
+        return {joint: float(qpos[model.jnt_qposadr[i]]) for joint, i in self._joint.items()}
+
+    def configuration(self, values: Mapping[str, float]) -> FloatArray:
+        qpos: FloatArray = self._model.qpos0.copy()
+        for joint, value in values.items():
+            qpos[self._address(joint)] = value
+        self._follow(qpos)
+        return qpos
+
+    def pose(
+        self,
+        golden: Golden,
+        place: str,
+        name: str,
+        values: Mapping[str, float],
+        drawn: Mapping[str, float] | None,
+    ) -> Pose:
+        qpos = self.configuration(values)
+        if self._loops and values:
+            open_joints = self._close(qpos, frozenset(values))
+            if open_joints:
+                raise spec_error(
+                    golden,
+                    place,
+                    "no such pose: a closed loop of the model does not close there",
+                    value=name,
+                    expected="joint values that the model's equality constraints allow",
+                )
+        joints = {joint: float(qpos[self._address(joint)]) for joint in self._joint}
+        return Pose(name, joints, drawn, qpos)
+
+    def draw(
+        self, golden: Golden, place: str, seed: int, index: int, moved: frozenset[str] | None
+    ) -> dict[str, float]:
+        """Independent joints of one random pose.
+
+        Every joint has its own stream, keyed by its name: another joint, or another order of the
+        joints in the file, changes nothing here.
+        """
+        groups: dict[str, list[str]] = {}
+        for joint in sorted(self._joint):
+            root = self._root(joint)
+            if root is not None:
+                groups.setdefault(root, []).append(joint)
+        wanted = {
+            root: members
+            for root, members in groups.items()
+            if moved is None or moved.intersection(members)
+        }
+        streams = {
+            root: np.random.default_rng([seed, index, zlib.crc32(root.encode())]) for root in wanted
+        }
+        values = {root: self._draw_group(streams[root], root, wanted[root]) for root in wanted}
+        if not self._loops:
+            return values
+        for _ in range(_DRAWS):
+            qpos = self.configuration(values)
+            open_joints = self._close(qpos, frozenset())
+            if not open_joints:
+                return {root: float(qpos[self._address(root)]) for root in values}
+            for root in wanted:
+                if open_joints.intersection(wanted[root]):
+                    values[root] = self._draw_group(streams[root], root, wanted[root])
+        raise spec_error(
+            golden, place, "no random pose closes the model's loops", expected="poses by joint"
+        )
+
+    def _draw_group(self, stream: np.random.Generator, root: str, members: list[str]) -> float:
+        """A value of ``root`` that keeps all that follow it within their limits."""
+        lower, upper = self._range(root)
+        qpos = self._model.qpos0.copy()
+        value = 0.0
+        for _ in range(_DRAWS):
+            # Six digits: a recorded pose stays readable.
+            value = min(max(round(lower + (upper - lower) * stream.random(), 6), lower), upper)
+            qpos[self._address(root)] = value
+            self._follow(qpos)
+            within = True
+            for member in members:
+                low, high = self._range(member)
+                slack = 1e-6 + 1e-3 * (high - low)
+                within &= low - slack <= qpos[self._address(member)] <= high + slack
+            if within:
+                break
+        return value
+
+    def _range(self, joint: str) -> tuple[float, float]:
+        i = self._joint[joint]
+        if self._model.jnt_limited[i]:
+            lower, upper = self._model.jnt_range[i]
+            return float(lower), float(upper)
+        reference = float(self._model.qpos0[self._address(joint)])
+        reach = math.pi if self.joint_type[joint] == "hinge" else 1.0
+        return reference - reach, reference + reach
+
+    def _address(self, joint: str) -> int:
+        return int(self._model.jnt_qposadr[self._joint[joint]])
+
+    def _root(self, joint: str) -> str | None:
+        """The independent joint that ``joint`` follows; None where a constant holds it."""
+        seen = {joint}
+        while joint in self._masters:
+            master = self._masters[joint][0]
+            if master is None:
+                return None
+            if master in seen:
+                return min(seen)
+            joint = master
+            seen.add(joint)
+        return joint
+
+    def _follow(self, qpos: FloatArray) -> None:
+        """Set the joints that follow others; a chain of n couplings settles in n rounds.
+
+        MuJoCo: y - y0 = a0 + a1 (x - x0) + ... + a4 (x - x0)^4, at the reference x0, y0.
+        """
+        for _ in range(len(self._masters)):
+            before = qpos.copy()
+            for joint, (master, coefficients) in self._masters.items():
+                offset = 0.0
+                if master is not None:
+                    at = self._address(master)
+                    offset = float(qpos[at] - self._model.qpos0[at])
+                own = self._address(joint)
+                qpos[own] = self._model.qpos0[own] + np.polynomial.polynomial.polyval(
+                    offset, coefficients
+                )
+            if np.array_equal(before, qpos):
+                return
+
+    def _close(self, qpos: FloatArray, held: frozenset[str]) -> frozenset[str]:
+        """Close kinematic loops in place by Gauss-Newton steps of the joints that are not held.
+
+        Returns:
+            Joints of the loops that stay open; empty where all are closed.
+        """
+        mujoco = self._mujoco
+        model = copy.copy(self._model)
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        data = mujoco.MjData(model)
+        dofs = np.array(
+            [int(model.jnt_dofadr[i]) for name, i in self._joint.items() if name not in held],
+            dtype=int,
+        )
+        dof_joint = {int(model.jnt_dofadr[i]): name for name, i in self._joint.items()}
+        residual = np.empty(0)
+        jacobian = np.empty((0, model.nv))
+        for _ in range(100):
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_tendon(model, data)
+            mujoco.mj_makeConstraint(model, data)
+            rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+            residual = data.efc_pos[rows]
+            jacobian = data.efc_J.reshape(data.nefc, model.nv)[rows]
+            if np.all(np.abs(residual) <= _CLOSED):
+                return frozenset()
+            step = np.zeros(model.nv)
+            step[dofs] = np.linalg.lstsq(jacobian[:, dofs], -residual, rcond=1e-9)[0]
+            largest = float(np.max(np.abs(step)))
+            if largest > 0.5:
+                step *= 0.5 / largest
+            mujoco.mj_integratePos(model, qpos, step, 1.0)
+        still_open = np.abs(residual) > 1e-7
+        touched = np.any(np.abs(jacobian[still_open]) > 0.0, axis=0)
+        return frozenset(dof_joint[d] for d in np.flatnonzero(touched).tolist() if d in dof_joint)

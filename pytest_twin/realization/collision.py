@@ -1,0 +1,291 @@
+"""Shapes that can collide: their distances by MuJoCo and by coal, and the pairs kept apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+import coal
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from pytest_twin.errors import ModelError
+from pytest_twin.realization.model import Realization
+
+Vector = NDArray[np.float64]
+Geom = mujoco.mjtGeom
+
+_GJK_TOLERANCE = 1e-8
+# Tighter, and EPA gives up on round shapes in deep overlap.
+_EPA_TOLERANCE = 1e-6
+_ITERATIONS = 1000
+_SUPPORTED = frozenset(
+    {
+        Geom.mjGEOM_PLANE,
+        Geom.mjGEOM_SPHERE,
+        Geom.mjGEOM_CAPSULE,
+        Geom.mjGEOM_ELLIPSOID,
+        Geom.mjGEOM_CYLINDER,
+        Geom.mjGEOM_BOX,
+        Geom.mjGEOM_MESH,
+    }
+)
+
+
+class Shapes:
+    """Geoms of a realization that can collide, by name and by body, and their distances."""
+
+    def __init__(self, realization: Realization) -> None:
+        self._realization = realization
+        self._model = realization.model
+        self._coal: dict[int, Any] = {}
+
+    @cached_property
+    def bodies(self) -> tuple[str, ...]:
+        """Bodies with a geom that can collide, the world too."""
+        return tuple(_body_name(self._model, body) for body in sorted(_bodies(self._model)))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Every name that :meth:`geoms` takes: named geoms, and ``bodies``."""
+        return (*self._realization.names("geom"), *self.bodies)
+
+    def geoms(self, name: str) -> frozenset[int]:
+        """Index of a geom, or indices of the geoms of a body that can collide."""
+        geom = int(mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, name))
+        if geom >= 0:
+            return frozenset({geom})
+        for body, geoms in _bodies(self._model).items():
+            if _body_name(self._model, body) == name:
+                return frozenset(geoms)
+        return frozenset()
+
+    def distance(self, data: mujoco.MjData, first: frozenset[int], second: frozenset[int]) -> float:
+        """Least signed distance of two sets of geoms, m, by MuJoCo, after ``mj_kinematics``.
+
+        Raises:
+            ModelError: height fields and signed distance fields have no distance to all shapes.
+        """
+        return min(
+            mujoco.mj_geomDistance(self._model, data, a, b, self._bound(data, a, b), None)
+            for a, b in self._ordered(first, second)
+        )
+
+    def distance_by_coal(
+        self, data: mujoco.MjData, first: frozenset[int], second: frozenset[int]
+    ) -> float:
+        """The same by coal; NaN where its solver does not converge.
+
+        Primitives are coal's own; of a mesh it gets the convex hull of the vertices, built by
+        qhull and not taken from MuJoCo (unless the mesh bounds the number of hull vertices: then
+        it is the hull of those that MuJoCo kept). A plane is a half space.
+        """
+        least = np.inf
+        request = coal.DistanceRequest()
+        request.enable_signed_distance = True
+        request.gjk_tolerance, request.epa_tolerance = _GJK_TOLERANCE, _EPA_TOLERANCE
+        request.gjk_max_iterations = request.epa_max_iterations = _ITERATIONS
+        for a, b in self._ordered(first, second):
+            kinds = {int(self._model.geom_type[a]), int(self._model.geom_type[b])}
+            # coal's own sphere-cylinder depth leaves out ways through the curved side.
+            plain = kinds == {int(Geom.mjGEOM_SPHERE), int(Geom.mjGEOM_CYLINDER)}
+            distance = coal.distance(
+                self._shape(a, plain),
+                self._transform(data, a),
+                self._shape(b, plain),
+                self._transform(data, b),
+                request,
+                coal.DistanceResult(),
+            )
+            if not abs(distance) < 1e9:
+                return float("nan")
+            least = min(least, distance)
+        return float(least)
+
+    def _ordered(self, first: frozenset[int], second: frozenset[int]) -> Iterator[tuple[int, int]]:
+        for geom in sorted(first | second):
+            kind = Geom(self._model.geom_type[geom])
+            if kind not in _SUPPORTED:
+                raise ModelError(
+                    "no distance to this shape can be checked",
+                    path=self._realization.path,
+                    where=f"geom {_geom_name(self._model, geom)!r}",
+                    value=kind.name.removeprefix("mjGEOM_").lower(),
+                    expected="plane, sphere, capsule, ellipsoid, cylinder, box or mesh",
+                )
+        for a in sorted(first):
+            for b in sorted(second):
+                yield a, b
+
+    def _bound(self, data: mujoco.MjData, a: int, b: int) -> float:
+        """A distance in m that the pair cannot exceed: beyond it MuJoCo finds none."""
+        centers = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
+        return 1.0 + 2.0 * centers + float(self._model.geom_rbound[a] + self._model.geom_rbound[b])
+
+    @staticmethod
+    def _transform(data: mujoco.MjData, geom: int) -> Any:
+        return coal.Transform3s(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+
+    def _shape(self, geom: int, plain: bool) -> Any:
+        key = -1 - geom if plain else geom
+        if key not in self._coal:
+            self._coal[key] = self._build(geom, plain)
+        return self._coal[key]
+
+    def _build(self, geom: int, plain: bool) -> Any:
+        kind = Geom(self._model.geom_type[geom])
+        size = self._model.geom_size[geom]
+        if kind == Geom.mjGEOM_SPHERE:
+            return coal.Ellipsoid(size[0], size[0], size[0]) if plain else coal.Sphere(size[0])
+        if kind == Geom.mjGEOM_CAPSULE:
+            return coal.Capsule(size[0], 2.0 * size[1])
+        if kind == Geom.mjGEOM_CYLINDER:
+            return coal.Cylinder(size[0], 2.0 * size[1])
+        if kind == Geom.mjGEOM_ELLIPSOID:
+            return coal.Ellipsoid(*size)
+        if kind == Geom.mjGEOM_BOX:
+            return coal.Box(*(2.0 * size))
+        if kind == Geom.mjGEOM_PLANE:
+            return coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+        return self._hull(int(self._model.geom_dataid[geom]))
+
+    def _hull(self, mesh: int) -> Any:
+        points = hull_points(self._model, self._realization.spec, mesh)
+        try:
+            hull = ConvexHull(points)
+        except QhullError as error:
+            name = self._model.mesh(mesh).name
+            raise ModelError(
+                "a mesh without a convex hull",
+                path=self._realization.path,
+                where=f"mesh {name!r}",
+                expected="vertices that do not lie in one plane",
+            ) from error
+        corner = np.full(len(points), -1)
+        corner[hull.vertices] = np.arange(len(hull.vertices))
+        vertices = coal.StdVec_Vec3s()
+        for vertex in hull.vertices:
+            vertices.append(points[vertex])
+        triangles = coal.StdVec_Triangle()
+        for simplex, equation in zip(hull.simplices, hull.equations, strict=True):
+            a, b, c = points[simplex]
+            outward = float(np.cross(b - a, c - a) @ equation[:3]) > 0.0
+            i, j, k = (int(index) for index in corner[simplex])
+            triangles.append(coal.Triangle(i, j, k) if outward else coal.Triangle(i, k, j))
+        return coal.Convex(vertices, triangles)
+
+
+def hull_points(model: mujoco.MjModel, spec: mujoco.MjSpec, mesh: int) -> Vector:
+    """Vertices (n, 3) in m, in the mesh's compiled frame, whose hull collides."""
+    start = int(model.mesh_vertadr[mesh])
+    points = model.mesh_vert[start : start + int(model.mesh_vertnum[mesh])].astype(np.float64)
+    graph = int(model.mesh_graphadr[mesh])
+    named = spec.mesh(model.mesh(mesh).name)
+    if graph < 0 or named is None or named.maxhullvert < 0:
+        return np.asarray(points)
+    # mesh_graph: numvert, numface, numvert edge addresses, numvert indices of the vertices.
+    count = int(model.mesh_graph[graph])
+    kept = model.mesh_graph[graph + 2 + count : graph + 2 + 2 * count]
+    return np.asarray(points[kept])
+
+
+def enabled_pairs(realization: Realization) -> list[tuple[str, str]]:
+    """Pairs of bodies of which some geoms can collide, sorted by name."""
+    model = realization.model
+    excluded = _excluded(model)
+    found = set()
+    for a, b in _candidates(model):
+        masks = _mask_verdicts(model, a, b)
+        if any(masks) and (a, b) not in excluded:
+            found.add(_names(model, a, b))
+    return sorted(found)
+
+
+def disabled_pairs(realization: Realization) -> list[tuple[tuple[str, str], str]]:
+    """Pairs of bodies of which geoms could meet but are kept apart, and by what, sorted by name.
+
+    Not counted: geoms without any mask (they are drawn and never collide), bodies that do not
+    move against each other, a body and its parent (where the model keeps MuJoCo's filter), and
+    geoms that an explicit ``pair`` brings together.
+    """
+    model = realization.model
+    excluded = _excluded(model)
+    found = {}
+    for a, b in _candidates(model):
+        masks = _mask_verdicts(model, a, b)
+        if (a, b) in excluded:
+            found[_names(model, a, b)] = "an exclude element keeps them apart"
+        elif not any(masks):
+            found[_names(model, a, b)] = "contype and conaffinity keep them apart"
+        elif not all(masks):
+            found[_names(model, a, b)] = "contype and conaffinity keep some of their geoms apart"
+    return sorted(found.items())
+
+
+def _bodies(model: mujoco.MjModel) -> dict[int, list[int]]:
+    """Body -> its geoms that can collide: those with a mask, or in an explicit pair."""
+    paired = {int(g) for g in (*model.pair_geom1, *model.pair_geom2)}
+    bodies: dict[int, list[int]] = {}
+    for geom in range(model.ngeom):
+        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired:
+            bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
+    return bodies
+
+
+def _candidates(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
+    """Pairs of collision bodies that MuJoCo's own rules would let collide."""
+    parents = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    bodies = sorted(_bodies(model))
+    for i, a in enumerate(bodies):
+        for b in bodies[i + 1 :]:
+            weld_a, weld_b = int(model.body_weldid[a]), int(model.body_weldid[b])
+            if weld_a == weld_b:
+                continue
+            above_a = int(model.body_weldid[model.body_parentid[weld_a]])
+            above_b = int(model.body_weldid[model.body_parentid[weld_b]])
+            family = weld_a == above_b or weld_b == above_a
+            if parents and family and weld_a and weld_b:
+                continue
+            yield a, b
+
+
+def _excluded(model: mujoco.MjModel) -> set[tuple[int, int]]:
+    pairs = set()
+    for signature in model.exclude_signature:
+        a, b = int(signature) >> 16, int(signature) & 0xFFFF
+        pairs.add((min(a, b), max(a, b)))
+    return pairs
+
+
+def _mask_verdicts(model: mujoco.MjModel, a: int, b: int) -> list[bool]:
+    """For all pairs of geoms of two bodies, whether masks or an explicit pair let them collide."""
+    bodies = _bodies(model)
+    explicit = {
+        frozenset((int(first), int(second)))
+        for first, second in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    }
+    return [
+        bool(
+            model.geom_contype[first] & model.geom_conaffinity[second]
+            or model.geom_contype[second] & model.geom_conaffinity[first]
+        )
+        or frozenset((first, second)) in explicit
+        for first in bodies[a]
+        for second in bodies[b]
+    ]
+
+
+def _names(model: mujoco.MjModel, a: int, b: int) -> tuple[str, str]:
+    first, second = sorted((_body_name(model, a), _body_name(model, b)))
+    return first, second
+
+
+def _body_name(model: mujoco.MjModel, body: int) -> str:
+    return str(model.body(body).name) or f"body {body}"
+
+
+def _geom_name(model: mujoco.MjModel, geom: int) -> str:
+    return str(model.geom(geom).name) or f"of {_body_name(model, int(model.geom_bodyid[geom]))}"
