@@ -136,7 +136,7 @@ class Settling(Check):
             raise spec_error(golden, "stimulus.band", "nothing settles within an empty band")
         final, excess, columns = _joints(realization, run, wanted, bands)
         growth = energy_growth(run.energy, run.actuator_work, run.constraint_work)
-        grid = sample_grid(float(run.time[-1]), SAMPLES)
+        grid = sample_grid(duration, SAMPLES)
         columns |= {
             "energy": ("J", run.energy),
             "actuator_work": ("J", run.actuator_work),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
@@ -269,8 +270,8 @@ class Run:
 
 
 def steps_in(model: mujoco.MjModel, duration: float) -> int:
-    """How many steps make up ``duration`` s, at least one."""
-    return max(1, round(duration / float(model.opt.timestep)))
+    """How many steps cover ``duration`` s, at least one."""
+    return max(1, math.ceil(duration / float(model.opt.timestep) - 1e-6))
 
 
 def simulate(

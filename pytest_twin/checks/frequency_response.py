@@ -1,0 +1,363 @@
+"""Frequency response: command to joint, on the lines that excitation and coherence carry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.checks.base import Check, FloatArray, Measure, Observation, Progress, Trace
+from pytest_twin.checks.drive import (
+    BENCH_SCHEMA,
+    TARGET_SCHEMA,
+    Drive,
+    command_unit,
+    drivable,
+    first_amplitude,
+    first_bench,
+    prepare,
+)
+from pytest_twin.checks.fields import QUANTITY_SCHEMA, quantity, spec_error
+from pytest_twin.checks.poses import keyframes_of
+from pytest_twin.checks.scalars import scalar_measures
+from pytest_twin.dependency import Structure
+from pytest_twin.errors import TwinError
+from pytest_twin.golden import Golden
+from pytest_twin.metrics import frequency
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+_SCALARS = {"bandwidth": "Hz", "resonance": "Hz", "resonance_peak": "dB"}
+_UNDEFINED = {
+    "bandwidth": "no fall by 3 dB on the lines that are carried",
+    "resonance": "no peak inside the band that is carried",
+    "resonance_peak": "no peak inside the band that is carried",
+}
+_LINES = 30
+_REALIZATIONS = 6
+_PERIODS = 2
+_TRANSIENT_PERIODS = 1
+_COHERENCE = 0.95
+_SAMPLES = 1_000_000  # bound on steps of all realizations together
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """The excitation: one period of every realization, peak 1, and how often it repeats."""
+
+    signals: FloatArray  # (realizations, samples)
+    harmonics: frequency.IntArray
+    period: float
+    transient_periods: int
+    periods: int
+
+
+class FrequencyResponse(Check):
+    """Periodic multisine or chirp on one joint's command, the rest as declared.
+
+    Spectra are taken over whole periods after the transient ones, so nothing leaks. A command is
+    held over each timestep h, which alone lags by half a step: phase error of about pi f h rad.
+
+    ``values``: ``bandwidth``, ``resonance`` in Hz, ``resonance_peak`` in dB over the lowest line,
+    each None where the carried lines do not show it; ``lines_excited``, ``lines_carried``,
+    ``coherence_required``. The trace has magnitude, phase and coherence of the carried lines only.
+    """
+
+    kind: ClassVar[str] = "frequency_response"
+    tolerances: ClassVar[Mapping[str, str]] = {
+        "magnitude": "dB",
+        "phase": "rad",
+        "coherence": "1",
+        **_SCALARS,
+    }
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": TARGET_SCHEMA,
+        "stimulus": {
+            "type": "object",
+            "properties": {
+                "signal": {
+                    "enum": ["multisine", "chirp"],
+                    "description": "multisine (default): chosen lines of equal amplitude, random "
+                    "phases, low crest. chirp: a sweep over every line of the band.",
+                },
+                "amplitude": {
+                    **QUANTITY_SCHEMA,
+                    "description": "Peak of the command about the hold: '2 deg', '0.1 N*m'.",
+                },
+                "band": {
+                    "type": "array",
+                    "items": {**QUANTITY_SCHEMA, "description": "A frequency: '0.5 Hz'."},
+                    "minItems": 2,
+                    "maxItems": 2,
+                    "description": "Lowest and highest frequency.",
+                },
+                "period": {
+                    **QUANTITY_SCHEMA,
+                    "description": "Length of one period; its inverse is the resolution.",
+                },
+                "lines": {
+                    "type": "integer",
+                    "minimum": 2,
+                    "maximum": 400,
+                    "description": "Lines of a multisine, spaced by ratio; 30 by default.",
+                },
+                "realizations": {
+                    "type": "integer",
+                    "minimum": 2,
+                    "maximum": 64,
+                    "description": "Different commands of the same spectrum; 6 by default, 8 at "
+                    "most for a chirp.",
+                },
+                "periods": {
+                    "type": "integer",
+                    "minimum": 1,
+                    "maximum": 64,
+                    "description": "Periods that are evaluated; 2 by default.",
+                },
+                "transient_periods": {
+                    "type": "integer",
+                    "minimum": 1,
+                    "maximum": 64,
+                    "description": "Periods before, which are not; 1 by default.",
+                },
+                "coherence": {
+                    "type": "number",
+                    "exclusiveMinimum": 0,
+                    "maximum": 1,
+                    "description": "Lines below it are not reported; 0.95 by default.",
+                },
+                "seed": {"type": "integer", "minimum": 0, "description": "1 by default."},
+                **BENCH_SCHEMA,
+            },
+            "required": ["amplitude", "band", "period"],
+            "additionalProperties": False,
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """All that moves the joint, and the named keyframe."""
+        return set(structure.dynamics([golden.target["joint"]])) | {
+            f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
+        }
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Hold, settle, excite; realizations are rows of one batch."""
+        unit = command_unit(golden, realization)
+        amplitude = quantity(golden, "stimulus.amplitude", golden.stimulus["amplitude"], unit)
+        if not amplitude > 0.0:
+            raise spec_error(
+                golden, "stimulus.amplitude", "excites nothing", value=amplitude, unit=unit,
+                expected="more than 0",
+            )  # fmt: skip
+        plan = _plan(golden, float(realization.model.opt.timestep))
+        drive = prepare(golden, realization, (-amplitude, amplitude))
+        command = amplitude * np.tile(plan.signals, (1, plan.transient_periods + plan.periods))
+        response = _excite(drive, command, plan, progress)
+        shape = (plan.signals.shape[0], plan.periods, plan.signals.shape[1])
+        first = plan.transient_periods * plan.signals.shape[1]
+        required = float(golden.stimulus.get("coherence", _COHERENCE))
+        found = frequency.frequency_response(
+            command[:, first:].reshape(shape),
+            response[:, first:].reshape(shape),
+            plan.harmonics,
+            plan.period,
+            coherence=required,
+        )
+        if found.frequency.size == 0:
+            raise spec_error(
+                golden,
+                "stimulus",
+                f"no line of {found.excited.size} carries a response: highest coherence "
+                f"{found.best:.3g}",
+                expected=f"coherence of at least {required:g}, by another amplitude or band",
+            )
+        peak = frequency.resonance(found)
+        return Observation(
+            values={
+                "bandwidth": frequency.bandwidth(found),
+                "resonance": None if peak is None else peak[0],
+                "resonance_peak": None if peak is None else peak[1],
+                "lines_excited": int(found.excited.size),
+                "lines_carried": int(found.frequency.size),
+                "coherence_required": required,
+            },
+            trace=Trace(
+                axis=("frequency", "Hz"),
+                x=found.frequency,
+                columns={
+                    "magnitude": (_ratio(drive.response_unit, unit), found.magnitude),
+                    "phase": ("rad", found.phase),
+                    "coherence": ("1", found.coherence),
+                },
+            ),
+        )
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Worst line of magnitude, phase and coherence; bandwidth and resonance."""
+        joint = golden.target["joint"]
+        measures = scalar_measures(
+            golden, _SCALARS, observation.values, joint, undefined=_UNDEFINED
+        )
+        if stored is None or observation.trace is None:
+            return measures
+        return measures + _line_measures(golden, joint, observation.trace, stored)
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """The first, middle and last joint that take a command, where lines are carried."""
+        joints = drivable(realization)
+        chosen = sorted({0, len(joints) // 2, len(joints) - 1}) if joints else []
+        timestep = float(realization.model.opt.timestep)
+        highest = min(20.0, float(f"{0.1 / timestep:.1g}"))
+        specs: list[Mapping[str, Any]] = []
+        for joint, command in (joints[i] for i in chosen):
+            spec = {
+                "name": joint.replace("/", "_"),
+                "title": f"Frequency response of {joint}",
+                "target": {"joint": joint, "command": command},
+                "stimulus": {
+                    "amplitude": abs(first_amplitude(realization, joint, command, 0.5)),
+                    "band": ["0.5 Hz", f"{highest:g} Hz"],
+                    "period": "4 s",
+                    **first_bench(realization, command),
+                },
+                "tolerance": {
+                    "magnitude": "0.1 dB",
+                    "phase": "1 deg",
+                    "bandwidth": "0.1 Hz",
+                    "resonance": "0.1 Hz",
+                    "resonance_peak": "0.2 dB",
+                },
+            }
+            if self._carried(spec, realization):
+                specs.append(spec)
+        return specs
+
+    def _carried(self, spec: Mapping[str, Any], realization: Realization) -> bool:
+        """Whether the stimulus brings out anything: dry friction or a stop can swallow it."""
+        trial = Golden(
+            id=spec["name"],
+            path=realization.path,
+            kind=self.kind,
+            title="",
+            realizations=(realization.name,),
+            criticality="critical",
+            target=spec["target"],
+            stimulus=spec["stimulus"],
+            tolerance={},
+        )
+        try:
+            values = self.observe(trial, realization, lambda _: None).values
+        except TwinError:
+            return False
+        return bool(values["lines_carried"] >= 0.5 * values["lines_excited"])
+
+
+def _ratio(response_unit: str, command_unit: str) -> str:
+    return "1" if response_unit == command_unit else f"({response_unit})/({command_unit})"
+
+
+def _plan(golden: Golden, timestep: float) -> _Plan:
+    stimulus = golden.stimulus
+    period = quantity(golden, "stimulus.period", stimulus["period"], "s")
+    low, high = (
+        quantity(golden, f"stimulus.band.{i}", value, "Hz")
+        for i, value in enumerate(stimulus["band"])
+    )
+    samples = round(period / timestep) if 0.0 < period <= 600.0 else 0
+    realizations = int(stimulus.get("realizations", _REALIZATIONS))
+    periods = int(stimulus.get("periods", _PERIODS))
+    transient = int(stimulus.get("transient_periods", _TRANSIENT_PERIODS))
+    total = samples * realizations * (periods + transient)
+    if not samples >= 4 or total > _SAMPLES:
+        raise spec_error(
+            golden, "stimulus.period", "out of bounds", value=period, unit="s",
+            expected=f"up to {_SAMPLES} steps of {timestep:g} s in all",
+        )  # fmt: skip
+    period = samples * timestep
+    lowest, highest = math.ceil(low * period - 1e-6), math.floor(high * period + 1e-6)
+    if not 1 <= lowest < highest or 4 * highest > samples:
+        raise spec_error(
+            golden, "stimulus.band", "no band that one period and the timestep can carry",
+            value=f"{low:g} to {high:g}", unit="Hz",
+            expected=f"within {1.0 / period:.6g} to {0.25 / timestep:.6g} Hz, lowest first",
+        )  # fmt: skip
+    if stimulus.get("signal", "multisine") == "chirp":
+        if realizations > 8:
+            raise spec_error(
+                golden, "stimulus.realizations", "a chirp has no more", value=realizations,
+                expected="2 to 8",
+            )  # fmt: skip
+        harmonics = np.arange(lowest, highest + 1)
+        signals = [frequency.chirp(samples, lowest, highest, i) for i in range(realizations)]
+    else:
+        harmonics = frequency.log_harmonics(lowest, highest, int(stimulus.get("lines", _LINES)))
+        seed = int(stimulus.get("seed", 1))
+        signals = [frequency.multisine(samples, harmonics, (seed, i)) for i in range(realizations)]
+    return _Plan(np.stack(signals), harmonics, period, transient, periods)
+
+
+def _excite(drive: Drive, command: FloatArray, plan: _Plan, progress: Progress) -> FloatArray:
+    """Response (realizations, steps) at the time of each command sample."""
+    from pytest_twin.realization import simulate
+
+    model, data = drive.model, drive.data
+    samples = plan.signals.shape[1]
+    # Faded in over the first period, the command starts no drift of a joint that nothing holds.
+    fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(samples) / samples)
+    faded = command.copy()
+    faded[:, :samples] *= fade
+    rows, steps = command.shape
+    control = np.tile(data.ctrl, (rows, steps, 1))
+    applied = np.zeros((rows, steps, 0))
+    if drive.input is None:
+        applied = np.zeros((rows, steps, model.nv))
+        applied[..., drive.dof] = faded
+    else:
+        control[..., drive.input.control] = drive.input.scale * (drive.hold + faded)
+    qpos, qvel = simulate.periodic(model, data, control, applied, progress)
+    after = drive.series(qpos, qvel)
+    start = drive.series(data.qpos, data.qvel)
+    return np.concatenate((np.full((rows, 1), start), after[:, :-1]), axis=1)
+
+
+def _line_measures(golden: Golden, joint: str, now: Trace, stored: Trace) -> list[Measure]:
+    """Every stored line against the same one now; lines that are not carried now fail."""
+    resolution = float(np.diff(stored.x).min()) if stored.x.size > 1 else float(stored.x[0])
+    nearest = np.abs(stored.x[:, None] - now.x).min(axis=1)
+    lost = nearest > 0.25 * resolution
+    measures = []
+    for name in ("magnitude", "phase", "coherence"):
+        bound = golden.tolerance.get(name)
+        if bound is None or name not in stored.columns:
+            continue
+        then = stored.columns[name][1]
+        found = np.interp(stored.x, now.x, now.columns[name][1])
+        error = np.abs(found - then)
+        if name == "magnitude":
+            found, then = frequency.decibel(found), frequency.decibel(then)
+            error = np.abs(found - then)
+        elif name == "phase":
+            error = np.abs((found - then + np.pi) % (2.0 * np.pi) - np.pi)
+        error = np.where(lost, np.nan, error)
+        worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+        at = f"{joint} at {stored.x[worst]:.4g} Hz"
+        if lost[worst]:
+            at += f": not carried now ({int(lost.sum())} of {lost.size} lines are not)"
+        measures.append(
+            Measure(
+                name=name,
+                subject=at,
+                measured=math.nan if lost[worst] else float(found[worst]),
+                golden=float(then[worst]),
+                error=float(error[worst]),
+                tolerance=bound.value,
+                unit=bound.unit,
+            )
+        )
+    return measures

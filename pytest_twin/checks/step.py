@@ -1,0 +1,201 @@
+"""Step: one joint, one bounded step of its command, and how it answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.drive import (
+    BENCH_SCHEMA,
+    TARGET_SCHEMA,
+    command_unit,
+    drivable,
+    first_amplitude,
+    first_bench,
+    prepare,
+)
+from pytest_twin.checks.fields import QUANTITY_SCHEMA, quantity, spec_error
+from pytest_twin.checks.poses import keyframes_of
+from pytest_twin.checks.scalars import sample_grid, scalar_measures
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+from pytest_twin.metrics.time_response import step_metrics, worst_sample
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+SAMPLES = 401
+_METRICS = {"rise_time": "s", "overshoot": "1", "settling_time": "s", "steady_state_error": "1"}
+_TRACE = {"rad": "angle", "m": "position", "rad/s": "angular_velocity", "m/s": "linear_velocity"}
+_UNDEFINED = {
+    "rise_time": "the response comes to no steady state",
+    "overshoot": "the response comes to no steady state",
+    "settling_time": "the response does not stay within 2 %",
+    "steady_state_error": "no steady state, or a command of another quantity than the response",
+}
+_STILL = 1e-9  # fraction of the step; below it nothing answered
+
+
+class Step(Check):
+    """A step of one joint's command, after the robot has settled under its hold.
+
+    ``values``: ``rise_time`` (10 to 90 %) and ``settling_time`` (2 %) in s, ``overshoot`` and
+    ``steady_state_error`` as fractions of the step, each None where the response does not carry
+    it, and ``final`` in the response's unit. The trace has command and response from the step on.
+    """
+
+    kind: ClassVar[str] = "step"
+    tolerances: ClassVar[Mapping[str, str]] = {
+        **_METRICS,
+        **{name: unit for unit, name in _TRACE.items()},
+    }
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": TARGET_SCHEMA,
+        "stimulus": {
+            "type": "object",
+            "properties": {
+                "amplitude": {
+                    **QUANTITY_SCHEMA,
+                    "description": "Size of the step over the hold: '5 deg', '0.2 N*m'. A bare "
+                    "number is in rad, m, rad/s, m/s, N*m or N.",
+                },
+                "duration": {
+                    **QUANTITY_SCHEMA,
+                    "description": "How long the answer is watched: '1 s'.",
+                },
+                **BENCH_SCHEMA,
+            },
+            "required": ["amplitude", "duration"],
+            "additionalProperties": False,
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """All that moves the joint, and the named keyframe."""
+        return set(structure.dynamics([golden.target["joint"]])) | {
+            f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
+        }
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Hold, settle, step."""
+        from pytest_twin.realization import simulate
+
+        unit = command_unit(golden, realization)
+        amplitude = quantity(golden, "stimulus.amplitude", golden.stimulus["amplitude"], unit)
+        if amplitude == 0.0:
+            raise spec_error(golden, "stimulus.amplitude", "a step of nothing", value=0, unit=unit)
+        duration = quantity(golden, "stimulus.duration", golden.stimulus["duration"], "s")
+        if not 0.0 < duration <= 60.0:
+            raise spec_error(
+                golden, "stimulus.duration", "out of bounds", value=duration, unit="s",
+                expected="0 to 60 s",
+            )  # fmt: skip
+        drive = prepare(golden, realization, (min(0.0, amplitude), max(0.0, amplitude)))
+        fitting = _TRACE[drive.response_unit]
+        for name in set(golden.tolerance) & set(_TRACE.values()) - {fitting}:
+            raise spec_error(
+                golden,
+                f"tolerance.{name}",
+                f"joint {drive.joint!r} answers in {drive.response_unit}",
+                expected=f"tolerance.{fitting}",
+            )
+        drive.apply(drive.hold + amplitude)
+        steps = simulate.steps_in(drive.model, duration)
+        run = simulate.simulate(drive.model, drive.data, steps, progress=progress)
+        time = run.time - run.time[0]
+        response = drive.series(run.qpos, run.qvel)
+        same = drive.command == drive.response
+        metrics = step_metrics(
+            time,
+            response,
+            target=drive.hold + amplitude if same else None,
+            smallest=_STILL * abs(amplitude),
+        )
+        grid = sample_grid(duration, min(SAMPLES, steps + 1))
+        command = np.full(grid.size, drive.hold + amplitude)
+        return Observation(
+            values=asdict(metrics),
+            trace=Trace(
+                axis=("time", "s"),
+                x=grid,
+                columns={
+                    f"command:{drive.joint}": (drive.command_unit, command),
+                    f"{drive.response}:{drive.joint}": (
+                        drive.response_unit,
+                        simulate.resample(time, response, grid),
+                    ),
+                },
+            ),
+        )
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Metrics and the worst sample of the response against the record."""
+        joint = golden.target["joint"]
+        measures = scalar_measures(
+            golden, _METRICS, observation.values, joint, undefined=_UNDEFINED
+        )
+        if stored is None or observation.trace is None:
+            return measures
+        for column, (unit, now) in observation.trace.columns.items():
+            bound = golden.tolerance.get(_TRACE.get(unit, ""))
+            if column.startswith("command:") or bound is None:
+                continue
+            there = column in stored.columns
+            then = stored.columns[column][1] if there else np.full(stored.x.size, np.nan)
+            error, time, found, expected = worst_sample(
+                stored.x,
+                np.interp(stored.x, observation.trace.x, now),
+                then,
+            )
+            measures.append(
+                Measure(
+                    name=_TRACE[unit],
+                    subject=joint if there else f"{joint}: the golden's trace has no {column!r}",
+                    measured=found,
+                    golden=expected,
+                    error=error,
+                    tolerance=bound.value,
+                    unit=unit,
+                    time=time,
+                )
+            )
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """A small step of every joint that takes a command, or of all as efforts if none does."""
+        specs: list[Mapping[str, Any]] = []
+        for joint, command in drivable(realization):
+            hinge = realization.structure.joint_type[joint] == "hinge"
+            duration = 1.0 if command == "position" else 0.5
+            tolerance = {
+                "rise_time": "5 ms",
+                "overshoot": "1 %",
+                "settling_time": "20 ms",
+                "steady_state_error": "1 %",
+            }
+            if command == "position":
+                tolerance |= {"angle": "1 mrad"} if hinge else {"position": "0.1 mm"}
+            else:
+                tolerance |= (
+                    {"angular_velocity": "0.01 rad/s"} if hinge else {"linear_velocity": "1 mm/s"}
+                )
+            specs.append(
+                {
+                    "name": joint.replace("/", "_"),
+                    "title": f"Step of {joint}",
+                    "target": {"joint": joint, "command": command},
+                    "stimulus": {
+                        "amplitude": first_amplitude(realization, joint, command, duration),
+                        "duration": f"{duration:g} s",
+                        **first_bench(realization, command),
+                    },
+                    "tolerance": tolerance,
+                }
+            )
+        return specs
