@@ -1,1 +1,99 @@
-"""The pytest door: golden specs become items, a session becomes a verdict."""
+"""The pytest door. Loaded in every run of every project: does nothing until a twin is seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_twin.session.options import Options, add_options, read_options
+
+if TYPE_CHECKING:
+    from pytest_twin.session.session import TwinSession
+
+_TWIN_FILE = "twin.yaml"
+_GOLDEN_FOLDER = "golden"
+_OWN_OUTPUT = ("releases", "keys", ".twin")
+_OPTIONS: pytest.StashKey[Options] = pytest.StashKey()
+_SESSION: pytest.StashKey[TwinSession] = pytest.StashKey()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Declare the flags."""
+    add_options(parser)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Read the flags; refuse those that contradict one another."""
+    config.stash[_OPTIONS] = read_options(config)
+    if config.getoption("markers", False):
+        _session(config)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Look for twins at once where the run is about them; elsewhere collection meets them."""
+    config = session.config
+    options = config.stash[_OPTIONS]
+    if options.needs_twin and not _is_worker(config):
+        _discover(config)
+        if _SESSION not in config.stash:
+            raise pytest.UsageError(
+                f"no {_TWIN_FILE} at, above or below {', '.join(map(str, config.args))}: "
+                "pytest-twin init ROBOT makes one"
+            )
+
+
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    """Keep out of a twin's own output: a release holds copies of specs."""
+    if collection_path.name in _OWN_OUTPUT and (collection_path.parent / _TWIN_FILE).is_file():
+        return True
+    return None
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+    """A YAML file below a folder ``golden`` of a twin is a golden spec."""
+    if file_path.suffix != ".yaml":
+        return None
+    if file_path.name == _TWIN_FILE:
+        _session(parent.config).gate(file_path)
+        return None
+    if _GOLDEN_FOLDER not in file_path.parts:
+        return None
+    twin_file = next(
+        (folder / _TWIN_FILE for folder in file_path.parents if (folder / _TWIN_FILE).is_file()),
+        None,
+    )
+    return None if twin_file is None else _session(parent.config).spec(file_path, twin_file, parent)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Hand the plan to a worker of pytest-xdist: the controller alone decides what is stale."""
+    config: pytest.Config = node.config
+    if _SESSION not in config.stash:
+        _discover(config)
+    if _SESSION in config.stash:
+        node.workerinput["twin"] = config.stash[_SESSION].for_workers()
+
+
+def _session(config: pytest.Config) -> TwinSession:
+    if _SESSION not in config.stash:
+        from pytest_twin.session.session import TwinSession
+
+        config.stash[_SESSION] = session = TwinSession(config, config.stash[_OPTIONS])
+        config.pluginmanager.register(session, "twin-session")
+    return config.stash[_SESSION]
+
+
+def _discover(config: pytest.Config) -> None:
+    from pytest_twin.session.discovery import twin_files
+
+    arguments = [Path(str(argument).split("::")[0]) for argument in config.args]
+    around = config.stash[_OPTIONS].needs_twin
+    for path in twin_files(arguments, config, around=around):
+        _session(config).gate(path)
+
+
+def _is_worker(config: pytest.Config) -> bool:
+    return hasattr(config, "workerinput")

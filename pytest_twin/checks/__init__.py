@@ -27,10 +27,17 @@ def check_of(kind: str) -> Check:
     """The check that runs goldens of ``kind``.
 
     Raises:
-        SpecError: no such kind is installed.
+        SpecError: no such kind is installed, or what brings it cannot be loaded.
     """
     point = _entry_points().get(kind)
     if point is None:
         raise SpecError("unknown kind", where="kind", value=kind, expected=", ".join(kinds()))
-    check: Check = point.load()()  # type: ignore[attr-defined]
+    try:
+        check: Check = point.load()()  # type: ignore[attr-defined]
+    except Exception as error:  # an installed package's own code
+        raise SpecError(
+            f"the package that brings this kind cannot be loaded: {type(error).__name__}: {error}",
+            where="kind",
+            value=kind,
+        ) from error
     return check

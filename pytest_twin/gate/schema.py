@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
-from pytest_twin.checks import Check, check_of
+from pytest_twin.checks import Check, check_of, kinds
+from pytest_twin.formats import atomic
 
 SCHEMA_VERSION = 1
 SHIPPED = "schemas/golden.schema.json"
@@ -133,5 +136,18 @@ def _fragment(check: Check) -> dict[str, Any]:
         "additionalProperties": False,
     }
     required = ["tolerance"] if check.required_tolerances else []
-    required += [name for name in ("target", "stimulus") if properties.get(name, {}).get("required")]
+    required += [
+        name for name in ("target", "stimulus") if properties.get(name, {}).get("required")
+    ]
     return {"properties": properties, "required": required}
+
+
+def _ship() -> None:
+    """Write the schema that ships: of the kinds that this package brings."""
+    ours = [kind for kind in kinds() if type(check_of(kind)).__module__.startswith("pytest_twin.")]
+    path = Path(__file__).parent.parent / SHIPPED
+    atomic.write_text(path, json.dumps(golden_schema(ours), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    _ship()

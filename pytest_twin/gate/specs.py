@@ -13,7 +13,7 @@ from pytest_twin.formats import yaml
 from pytest_twin.formats.schema import validate
 from pytest_twin.gate.schema import schema_of
 from pytest_twin.golden import Golden, Provenance, TraceRef
-from pytest_twin.twin import FILE_NAME, Twin, find_twin
+from pytest_twin.twin import FILE_NAME, Twin
 from pytest_twin.units import Quantity, parse_quantity
 
 GOLDEN_FOLDER = "golden"
@@ -60,9 +60,7 @@ def _files(twin: Twin) -> Iterator[Path]:
 
 
 def _below_golden(folder: Path, twin: Twin) -> bool:
-    return (
-        twin.root.name == GOLDEN_FOLDER or GOLDEN_FOLDER in folder.relative_to(twin.root).parts
-    )
+    return twin.root.name == GOLDEN_FOLDER or GOLDEN_FOLDER in folder.relative_to(twin.root).parts
 
 
 def _named(twin: Twin) -> frozenset[Path]:
@@ -97,7 +95,7 @@ def load_golden(path: Path, twin: Twin) -> Golden:
     try:
         schema = schema_of(kind)
     except SpecError as error:
-        raise _placed(error, path, lines, "kind") from None
+        raise _placed(error, path, lines, "kind") from error.__cause__
     validate(document, schema, path)
     provenance = data.get("provenance")
     trace = data.get("trace")

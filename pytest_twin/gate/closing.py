@@ -1,0 +1,218 @@
+"""The end of a run: verdict, signed release, report, and the lines that a person reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pytest_twin.errors import TwinError
+from pytest_twin.formats import atomic
+from pytest_twin.formats.paths import read_bytes
+from pytest_twin.gate.gate import Gate
+from pytest_twin.gate.plan import NEVER_PROVEN, Task
+from pytest_twin.gate.runner import plot_path
+from pytest_twin.gate.verdict import Facts, Holds, Refused, SessionFacts, Signed, judge
+from pytest_twin.outcome import Outcome
+from pytest_twin.report.model import Entry, Report
+
+if TYPE_CHECKING:
+    from pytest_twin.release import Header, Release
+
+_PLOT_BYTES = 8 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """What the user asked for.
+
+    Attributes:
+        sign: whether a release is wanted.
+        key, ini_key: the signing key by flag and by configuration file.
+        report: where the report goes, None for its place in the twin's own output.
+    """
+
+    sign: bool
+    key: str | None = None
+    ini_key: str | None = None
+    report: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """What came of a run.
+
+    Attributes:
+        blocked: whether a release was wanted and refused.
+        lines: what to say, the verdict last.
+    """
+
+    blocked: bool
+    lines: tuple[str, ...]
+
+
+def close(gate: Gate, session: SessionFacts, policy: Policy) -> Closed:
+    """Judge a run, sign it where that was asked for and earned, write its report."""
+    plan = gate.plan()
+    facts = gate.facts(session)
+    lines = [*plan.notes]
+    if plan.fresh and plan.baseline is not None:
+        lines.append(f"{len(plan.fresh)} still proven by release {plan.baseline.number:04d}")
+    lines += [f"changed while it ran: {changed}" for changed in facts.changed]
+    refusals: tuple[str, ...] = ()
+    released: Release | None = None
+    verdict = judge(facts) if policy.sign else None
+    if isinstance(verdict, Signed):
+        try:
+            released, notes = _sign(gate, facts, policy)
+            lines += notes
+        except TwinError as error:
+            verdict = Refused((str(error),))
+    if isinstance(verdict, Refused):
+        refusals = verdict.reasons
+    path = policy.report or gate.root / ".twin" / "report.html"
+    report = _report(gate, facts, verdict, refusals, released.header if released else None)
+    try:
+        _write_report(path, report)
+        lines.append(f"report: {path}")
+    except TwinError as error:
+        lines.append(f"no report: {error}")
+    if isinstance(verdict, Holds):
+        lines.append(f"release {verdict.release:04d} still holds")
+    elif released is not None:
+        folder = gate.root / "releases" / f"{released.number:04d}"
+        lines.append(f"release {released.number:04d} signed: {folder}")
+    elif refusals:
+        lines.append("no release:")
+        lines += [f"  {reason}" for reason in refusals]
+    return Closed(bool(refusals), tuple(lines))
+
+
+def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]:
+    from pytest_twin import release
+
+    plan = gate.plan()
+    signer, notes = release.signer(gate.root, policy.key, policy.ini_key)
+    used = {ident for task in plan.tasks.values() for ident in task.parts}
+    draft = release.Draft(
+        twin=gate.twin.name,
+        valid_days=gate.twin.release.valid_days,
+        ids=gate.ids(),
+        parts={ident: part for ident, part in plan.parts.items() if ident in used},
+        proofs=tuple(_proof(task, facts) for task in plan.tasks.values()),
+        environment=release.environment(),
+        files=plan.files,
+    )
+
+    def page(header: Header) -> str:
+        from pytest_twin.report.html import render
+
+        return render(_report(gate, facts, Signed(), (), header))
+
+    written, more = release.write(gate.root, draft, signer, page)
+    return written, [*notes, *more]
+
+
+def _proof(task: Task, facts: Facts) -> Any:
+    from pytest_twin.release import Proof
+
+    outcome = facts.outcomes.get(task.key)
+    if outcome is not None or task.proof is None:
+        assert outcome is not None
+        return Proof(outcome, task.golden.title, task.parts)
+    return Proof(
+        task.proof.outcome, task.golden.title, task.parts, task.proof.release, task.proof.at
+    )
+
+
+def _report(
+    gate: Gate,
+    facts: Facts,
+    verdict: Signed | Holds | Refused | None,
+    refusals: tuple[str, ...],
+    header: Header | None,
+) -> Report:
+    from pytest_twin.release import environment
+
+    plan = gate.plan()
+    failed = [
+        outcome
+        for outcome in facts.outcomes.values()
+        if outcome.status != "passed" and outcome.criticality == "critical"
+    ]
+    return Report(
+        twin=gate.twin.name,
+        verdict=_word(verdict, bool(failed)),
+        headline=_headline(facts, verdict, len(failed)),
+        created=header.created if header else datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        entries=tuple(_entries(gate, facts)),
+        refusals=refusals,
+        notes=plan.notes,
+        release=header.number if header else None,
+        previous=facts.baseline,
+        expires=header.expires if header else None,
+        key_id=header.key_id if header else None,
+        ids=gate.ids(),
+        parts={ident: part.digest for ident, part in plan.parts.items()},
+        changed=frozenset(reason.part for task in plan.tasks.values() for reason in task.reasons),
+        environment=environment(),
+    )
+
+
+def _word(verdict: Signed | Holds | Refused | None, failed: bool) -> Any:
+    if verdict is None:
+        return "failed" if failed else "passed"
+    return {Signed: "released", Holds: "holds", Refused: "refused"}[type(verdict)]
+
+
+def _headline(facts: Facts, verdict: Signed | Holds | Refused | None, failed: int) -> str:
+    ran, proven = len(facts.outcomes), len(facts.proven)
+    counts = f"{ran} ran, {failed} critical failed, {proven} still proven"
+    if isinstance(verdict, Refused):
+        return f"{verdict.reasons[0]} ({counts})"
+    return counts
+
+
+def _entries(gate: Gate, facts: Facts) -> Iterator[Entry]:
+    for task in gate.plan().tasks.values():
+        golden = task.golden
+        ran = facts.outcomes.get(task.key)
+        proof = None if ran is not None else task.proof
+        outcome = ran or (proof.outcome if proof and not task.stale else None)
+        if outcome is None:
+            proof = None
+            outcome = Outcome(
+                golden=golden.id,
+                kind=golden.kind,
+                realization=task.realization,
+                criticality=golden.criticality,
+                status="error",
+                error="did not run" if golden.provenance else NEVER_PROVEN,
+                reasons=task.reasons,
+            )
+        yield Entry(
+            outcome=outcome,
+            title=golden.title,
+            location=f"{golden.path.relative_to(gate.root).as_posix()}:{golden.lines.get('', 1)}",
+            release=proof.release if proof else None,
+            at=proof.at if proof else "",
+            parts=task.parts,
+            plot=_plot(gate, outcome) if outcome.plot or proof else None,
+        )
+
+
+def _plot(gate: Gate, outcome: Outcome) -> bytes | None:
+    path = gate.root / plot_path(outcome.golden, outcome.realization)
+    try:
+        return read_bytes(path, _PLOT_BYTES)
+    except TwinError:
+        return None
+
+
+def _write_report(path: Path, report: Report) -> None:
+    from pytest_twin.report.html import render
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic.write_text(path, render(report))

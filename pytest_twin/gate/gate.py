@@ -1,0 +1,183 @@
+"""One twin in one session: its goldens, its plan, its outcomes, its verdict."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from functools import cached_property
+from pathlib import Path
+
+from pytest_twin.errors import TwinError
+from pytest_twin.gate import specs
+from pytest_twin.gate.parts import changed_since, take_stock
+from pytest_twin.gate.plan import NEVER_PROVEN, Plan, make_plan
+from pytest_twin.gate.runner import Runner
+from pytest_twin.gate.update import Update, record
+from pytest_twin.gate.verdict import Facts, SessionFacts
+from pytest_twin.golden import Golden
+from pytest_twin.outcome import Outcome, Reason
+from pytest_twin.twin import load_twin
+
+Progress = Callable[[float], None]
+
+
+class Gate:
+    """The gate of one twin.
+
+    Args:
+        twin_file: its ``twin.yaml``.
+
+    Raises:
+        TwinError: ``twin.yaml`` is broken.
+    """
+
+    def __init__(self, twin_file: Path) -> None:
+        self.twin = load_twin(twin_file)
+        self.root = self.twin.root
+        self.outcomes: dict[str, Outcome] = {}
+        self.updates: list[Update] = []
+        self._goldens: dict[Path, Golden | TwinError] = {}
+        self._plan: Plan | None = None
+
+    # -- specs
+
+    @cached_property
+    def _named(self) -> frozenset[Path]:
+        return frozenset(self.twin.files)
+
+    def is_spec(self, path: Path) -> bool:
+        """Whether the file at ``path`` is one of the twin's golden specs."""
+        return path not in self._named and specs.is_spec(path, self.twin)
+
+    def golden(self, path: Path) -> Golden:
+        """The golden in a file, read once.
+
+        Raises:
+            TwinError: it is broken.
+        """
+        if path not in self._goldens:
+            try:
+                self._goldens[path] = specs.load_golden(path, self.twin)
+            except TwinError as error:
+                self._goldens[path] = error
+        found = self._goldens[path]
+        if isinstance(found, TwinError):
+            raise found
+        return found
+
+    # -- plan
+
+    @property
+    def planned(self) -> Plan | None:
+        """The plan, None while nobody asked for it."""
+        return self._plan
+
+    def plan(self) -> Plan:
+        """What is stale and why, found out once, before anything runs."""
+        if self._plan is None:
+            goldens, broken = [], []
+            for path in specs.spec_paths(self.twin):
+                try:
+                    goldens.append(self.golden(path))
+                except TwinError as error:
+                    broken.append(str(error))
+            traces = specs.trace_paths(self.twin)
+            today = take_stock(self.twin, goldens)
+            self._plan = make_plan(self.twin, goldens, traces, today, tuple(broken))
+        return self._plan
+
+    # -- running
+
+    def prove(
+        self,
+        golden: Golden,
+        realization: str,
+        runner: Runner,
+        *,
+        reasons: tuple[Reason, ...],
+        progress: Progress | None,
+    ) -> Outcome:
+        """Run one golden, unless nobody has ever recorded it."""
+        if golden.provenance is None:
+            return Outcome(
+                golden=golden.id,
+                kind=golden.kind,
+                realization=realization,
+                criticality=golden.criticality,
+                status="error",
+                error=NEVER_PROVEN,
+                reasons=reasons,
+            )
+        return runner.prove(self.twin, golden, realization, reasons=reasons, progress=progress)
+
+    def record(
+        self, golden: Golden, runner: Runner, progress: Progress | None
+    ) -> tuple[Outcome, Update | None]:
+        """Record one golden on its first realization; the outcome says whether it now passes."""
+        realization = golden.realizations[0]
+        task = self.plan().tasks.get(f"{golden.id}@{realization}")
+        parts = self.plan().parts
+        rests_on = [parts[ident] for ident in task.parts if ident in parts] if task else []
+        update: Update | None = None
+        error: str | None = None
+        try:
+            update = record(self.twin, golden, rests_on, runner, progress=progress)
+        except TwinError as problem:
+            error = str(problem)
+        measures = update.measures if update else ()
+        passed = error is None and all(measure.passed for measure in measures)
+        outcome = Outcome(
+            golden=golden.id,
+            kind=golden.kind,
+            realization=realization,
+            criticality=golden.criticality,
+            status="error" if error else "passed" if passed else "failed",
+            measures=measures,
+            error=error,
+        )
+        return outcome, update
+
+    # -- verdict
+
+    def facts(self, session: SessionFacts) -> Facts:
+        """Everything that the verdict rests on; digests are taken again where something ran."""
+        plan = self.plan()
+        return Facts(
+            criticality={key: task.golden.criticality for key, task in plan.tasks.items()},
+            proven={
+                key: task.proof.outcome
+                for key, task in plan.tasks.items()
+                if task.proof is not None and not task.stale
+            },
+            outcomes=self.outcomes,
+            unproven=plan.unproven,
+            orphans=tuple(path.relative_to(self.root).as_posix() for path in plan.orphans),
+            missing=plan.missing,
+            dropped=plan.dropped,
+            changed=changed_since(self.twin, plan) if self.outcomes else (),
+            problems=plan.problems,
+            baseline=None if plan.baseline is None else plan.baseline.number,
+            session=session,
+        )
+
+    def ids(self) -> dict[str, object]:
+        """The tuple of ids that people call this twin's parts by, with their files' digests."""
+        twin, files = self.twin, self.plan().files
+
+        def digests(paths: Iterable[Path]) -> dict[str, str]:
+            return {
+                os.path.relpath(path, self.root): files[path] for path in paths if path in files
+            }
+
+        return {
+            "asset": digests(twin.source),
+            "realizations": {name: digests([ref.file]) for name, ref in twin.realizations.items()},
+            "calibration": twin.calibration.id if twin.calibration else None,
+            "fit": twin.fit.id if twin.fit else None,
+            "controllers": sorted(twin.controllers),
+            "payloads": sorted(twin.payloads),
+            "parts": {
+                name: part.id if part.id is not None else part.value
+                for name, part in twin.parts.items()
+            },
+        }

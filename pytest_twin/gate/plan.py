@@ -1,0 +1,114 @@
+"""What runs and why: goldens and parts of today against the last release. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pytest_twin.dependency import Part
+from pytest_twin.golden import Golden
+from pytest_twin.outcome import Outcome, Reason
+from pytest_twin.release import Proof, Release
+
+NEVER_PROVEN = "never proven: run pytest --twin-update"
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One golden on one realization.
+
+    Attributes:
+        parts: ids of everything that its result rests on today.
+        reasons: why the last release does not prove it; empty where it does.
+        proof: what the last release says of it, None where it knows nothing.
+    """
+
+    golden: Golden
+    realization: str
+    parts: tuple[str, ...]
+    reasons: tuple[Reason, ...]
+    proof: Proof | None
+
+    @property
+    def key(self) -> str:
+        """``golden@realization``."""
+        return f"{self.golden.id}@{self.realization}"
+
+    @property
+    def stale(self) -> bool:
+        """Whether it has to run."""
+        return bool(self.reasons) or self.proof is None
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Every golden of one twin, with what was found out before anything ran.
+
+    Attributes:
+        tasks: ``golden@realization`` -> task.
+        parts: part id -> part, today.
+        baseline: the last release that holds.
+        missing: ids of goldens that were released before, are gone, and are not retired.
+        dropped: keys of the baseline that were retired or whose realization was given up.
+        orphans: traces that no spec refers to.
+        files: file -> SHA-256 before the run.
+        problems: what speaks against a release whatever the outcomes are.
+        notes: what else to say.
+    """
+
+    tasks: Mapping[str, Task]
+    parts: Mapping[str, Part] = field(default_factory=dict)
+    baseline: Release | None = None
+    missing: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
+    orphans: tuple[Path, ...] = ()
+    files: Mapping[Path, str] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def stale(self) -> tuple[Task, ...]:
+        """Tasks that have to run."""
+        return tuple(task for task in self.tasks.values() if task.stale)
+
+    @property
+    def fresh(self) -> tuple[Task, ...]:
+        """Tasks that the last release still proves."""
+        return tuple(task for task in self.tasks.values() if not task.stale)
+
+    @property
+    def unproven(self) -> tuple[str, ...]:
+        """Ids of goldens that nobody has recorded yet."""
+        goldens = {task.golden.id: task.golden for task in self.tasks.values()}
+        return tuple(ident for ident, golden in goldens.items() if golden.provenance is None)
+
+
+def gone(
+    known: Release | None, tasks: Mapping[str, Task], retired: Mapping[str, str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Goldens that a release knows and that are not there any more.
+
+    Returns:
+        Ids that are missing, and keys that were given up knowingly: retired, or on a realization
+        that their spec does not name any more.
+    """
+    if known is None:
+        return (), ()
+    here = {task.golden.id for task in tasks.values()}
+    missing: dict[str, None] = {}
+    dropped = []
+    for key, proof in known.goldens.items():
+        ident = proof.outcome.golden
+        if key in tasks:
+            continue
+        if ident in here or ident in retired:
+            dropped.append(key)
+        else:
+            missing[ident] = None
+    return tuple(missing), tuple(dropped)
+
+
+def carried_over(task: Task) -> Outcome | None:
+    """The outcome that the last release vouches for, None where it vouches for none."""
+    return None if task.stale or task.proof is None else task.proof.outcome

@@ -1,0 +1,134 @@
+"""Runs goldens in a child process and turns what it says, or its end, into outcomes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from pytest_twin.errors import TwinError
+from pytest_twin.formats import atomic
+from pytest_twin.golden import Golden
+from pytest_twin.outcome import Measure, Outcome, Reason
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.twin import Twin
+
+SECONDS = 600.0
+"""Default bound on the wall time of one golden."""
+
+Progress = Callable[[float], None]
+_WORKER = "pytest_twin.gate.worker"
+
+
+class Runner:
+    """One child process per twin, started at its first golden; a crash costs that golden only.
+
+    Args:
+        seconds: bound on the wall time of one golden.
+    """
+
+    def __init__(self, seconds: float = SECONDS) -> None:
+        self.seconds = seconds
+        self._children: dict[Path, Sandbox] = {}
+
+    def prove(
+        self,
+        twin: Twin,
+        golden: Golden,
+        realization: str,
+        *,
+        reasons: tuple[Reason, ...] = (),
+        progress: Progress | None = None,
+    ) -> Outcome:
+        """Run one golden on one realization. Raises nothing: what went wrong is the outcome."""
+        start = time.perf_counter()
+        result: dict[str, Any] = {}
+        error: str | None = None
+        try:
+            result = self._call("prove", twin, golden, realization, progress, plotted=True)
+        except TwinError as problem:
+            error = str(problem)
+        measures = tuple(Measure.from_json(fields) for fields in result.get("measures", ()))
+        if error is None and not measures:
+            error = "nothing was compared"
+        passed = error is None and all(measure.passed for measure in measures)
+        return Outcome(
+            golden=golden.id,
+            kind=golden.kind,
+            realization=realization,
+            criticality=golden.criticality,
+            status="error" if error is not None else "passed" if passed else "failed",
+            measures=measures,
+            error=error,
+            reasons=reasons,
+            plot=_keep_plot(twin, golden, realization, result.get("plot")),
+            seconds=time.perf_counter() - start,
+        )
+
+    def record(
+        self, twin: Twin, golden: Golden, realization: str, *, progress: Progress | None = None
+    ) -> dict[str, Any]:
+        """What ``gate.worker.record`` says of one golden.
+
+        Raises:
+            TwinError: the check, the model or a file is at fault, or the child ended.
+        """
+        return self._call("record", twin, golden, realization, progress)
+
+    def _call(
+        self,
+        function: str,
+        twin: Twin,
+        golden: Golden,
+        realization: str,
+        progress: Progress | None,
+        **arguments: object,
+    ) -> dict[str, Any]:
+        child = self._children.get(twin.root)
+        if child is None:
+            child = self._children[twin.root] = Sandbox(seconds=self.seconds, cwd=twin.root)
+        result: dict[str, Any] = child.call(
+            f"{_WORKER}:{function}",
+            {
+                "twin": str(twin.path),
+                "spec": str(golden.path),
+                "realization": realization,
+                **arguments,
+            },
+            progress=progress,
+        )
+        return result
+
+    def close(self) -> None:
+        """End every child."""
+        for child in self._children.values():
+            child.close()
+        self._children.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def plot_path(golden_id: str, realization: str) -> Path:
+    """Where the plot of a golden lies, relative to the twin's root."""
+    return Path(".twin") / "plots" / f"{golden_id}@{realization}.svg"
+
+
+def _keep_plot(twin: Twin, golden: Golden, realization: str, svg: str | None) -> str | None:
+    if svg is None:
+        return None
+    relative = plot_path(golden.id, realization)
+    path = twin.root / relative
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic.write_text(path, svg)
+    return relative.as_posix()

@@ -1,0 +1,139 @@
+"""Whether a run may be signed. Pure: facts in, verdict out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from pytest_twin.outcome import Measure, Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Signed:
+    """Everything is proven, and something of it is new: a release may be written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holds:
+    """Everything is still proven by the baseline, and nothing has gone or come."""
+
+    release: int
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """No release, and why: one line each, the gravest first."""
+
+    reasons: tuple[str, ...]
+
+
+Verdict = Signed | Holds | Refused
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFacts:
+    """What the test session says beside the goldens.
+
+    Attributes:
+        selection: what picked a subset, one phrase each: ``-k home``, ``3 tests deselected``.
+        collection_errors: what could not be collected, one line each.
+        failures: node ids of ordinary tests that failed.
+        interrupted: why the session ended before its end, None where it did not.
+    """
+
+    selection: tuple[str, ...] = ()
+    collection_errors: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
+    interrupted: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What one twin's run has brought out. Keys are ``golden@realization``.
+
+    Attributes:
+        criticality: every key that the specs on disk ask for -> critical or advisory, today.
+        proven: outcomes that the baseline release carries over.
+        outcomes: outcomes of this run.
+        unproven: ids of goldens that were never recorded.
+        orphans: traces that no spec refers to.
+        missing: ids that the baseline knows and that are gone without being retired.
+        dropped: keys that the baseline knows and that were retired or given up with a realization.
+        changed: what changed while it ran, one phrase each.
+        problems: what else speaks against a release of this twin.
+        baseline: number of the baseline release, None without one.
+        session: the session around it.
+    """
+
+    criticality: Mapping[str, str]
+    proven: Mapping[str, Outcome] = field(default_factory=dict)
+    outcomes: Mapping[str, Outcome] = field(default_factory=dict)
+    unproven: tuple[str, ...] = ()
+    orphans: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+    baseline: int | None = None
+    session: SessionFacts = field(default_factory=SessionFacts)
+
+
+def judge(facts: Facts) -> Verdict:
+    """The verdict on one twin."""
+    reasons = tuple(_reasons(facts))
+    if reasons:
+        return Refused(reasons)
+    if facts.baseline is not None and not facts.outcomes and not facts.dropped:
+        return Holds(facts.baseline)
+    return Signed()
+
+
+def _reasons(facts: Facts) -> Iterator[str]:
+    session = facts.session
+    if session.selection:
+        yield "a selected subset never signs: " + ", ".join(session.selection)
+    if session.interrupted is not None:
+        yield f"the run did not end: {session.interrupted}"
+    for error in session.collection_errors:
+        yield f"could not be collected: {error}"
+    for changed in facts.changed:
+        yield f"changed while it ran: {changed}"
+    yield from facts.problems
+    results = {**facts.proven, **facts.outcomes}
+    for key, criticality in facts.criticality.items():
+        outcome = results.get(key)
+        if outcome is None:
+            if key.rpartition("@")[0] not in facts.unproven and not session.selection:
+                yield f"{key}: did not run"
+            continue
+        if (broken := not_finite(outcome)) is not None:
+            yield f"{key}: {broken.name} of {broken.subject} is not finite"
+        elif criticality == "critical" and outcome.status != "passed":
+            yield f"{key}: critical, and it {_how(outcome)}"
+    for golden in facts.unproven:
+        yield f"{golden}: never proven: run pytest --twin-update"
+    for trace in facts.orphans:
+        yield f"{trace}: a trace that no spec refers to: delete it, or restore its spec"
+    for golden in facts.missing:
+        yield f"{golden}: missing: restore it, or give its reason under 'retired:' in twin.yaml"
+    for failure in session.failures:
+        yield f"{failure}: failed in the same session"
+    if not facts.criticality:
+        yield "no golden to prove"
+
+
+def _how(outcome: Outcome) -> str:
+    return "failed" if outcome.status == "failed" else f"did not run: {outcome.error}"
+
+
+def not_finite(outcome: Outcome) -> Measure | None:
+    """The first measure that is not a number, or None."""
+    for measure in outcome.measures:
+        if not (
+            math.isfinite(measure.error)
+            and math.isfinite(measure.measured)
+            and math.isfinite(measure.golden)
+        ):
+            return measure
+    return None

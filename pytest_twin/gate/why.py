@@ -1,0 +1,64 @@
+"""Plans and updates in words, one line each. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from pytest_twin.gate.plan import Plan
+from pytest_twin.gate.update import Update
+from pytest_twin.report.text import quantity
+
+MAX_CHANGES = 60
+
+
+def why_lines(plan: Plan) -> list[str]:
+    """For every golden: fresh or stale, and because of which part, its old and new value."""
+    lines = list(plan.notes)
+    for task in plan.tasks.values():
+        if not task.stale:
+            proven = f"release {task.proof.release:04d}" if task.proof else ""
+            lines.append(f"fresh  {task.key}  proven in {proven}")
+            continue
+        lines.append(f"stale  {task.key}")
+        lines += [f"         {reason}" for reason in task.reasons]
+    lines += [f"missing  {ident}" for ident in plan.missing]
+    lines += [f"given up  {key}" for key in plan.dropped]
+    lines += [f"orphaned trace  {path}" for path in plan.orphans]
+    lines += list(plan.problems)
+    lines.append(f"{len(plan.stale)} stale, {len(plan.fresh)} fresh")
+    return lines
+
+
+def update_lines(updates: Sequence[Update]) -> list[str]:
+    """What was recorded, old and new."""
+    lines: list[str] = []
+    for update in updates:
+        lines += _update(update)
+    written = sum(bool(update.written) for update in updates)
+    lines.append(f"{written} recorded, {len(updates) - written} unchanged")
+    return lines
+
+
+def _update(update: Update) -> Iterator[str]:
+    if not update.written:
+        yield f"{update.golden}: unchanged"
+        return
+    word = "recorded for the first time" if update.first else "recorded afresh"
+    yield f"{update.golden}: {word} ({', '.join(update.written)})"
+    for measure in update.moved:
+        yield (
+            f"  {measure.name} of {measure.subject}: {quantity(measure.golden, measure.unit)} -> "
+            f"{quantity(measure.measured, measure.unit)}"
+            f" (tolerance {quantity(measure.tolerance, measure.unit)})"
+        )
+    changes = () if update.first else update.changes
+    for change in changes[:MAX_CHANGES]:
+        yield f"  {change.field}: {change.old or '-'} -> {change.new or '-'}"
+    if len(changes) > MAX_CHANGES:
+        yield f"  and {len(changes) - MAX_CHANGES} more values"
+    for measure in update.measures:
+        if not measure.passed:
+            yield (
+                f"  yet {measure.name} of {measure.subject} leaves its tolerance of "
+                f"{quantity(measure.tolerance, measure.unit)} against {measure.against}"
+            )

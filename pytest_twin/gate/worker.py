@@ -1,0 +1,115 @@
+"""What the child process does: load a realization once, run goldens on it, say what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.checks import Check, Observation, Trace, check_of
+from pytest_twin.formats.trace import read_trace, trace_text
+from pytest_twin.gate.specs import load_golden
+from pytest_twin.golden import Golden
+from pytest_twin.outcome import Measure
+from pytest_twin.realization import Realization, load
+from pytest_twin.report import plots
+from pytest_twin.twin import Twin, load_twin
+
+Progress = Callable[[float], None]
+
+
+def prove(
+    twin: str, spec: str, realization: str, plotted: bool, progress: Progress
+) -> dict[str, Any]:
+    """Run one golden.
+
+    Args:
+        twin, spec: paths of ``twin.yaml`` and of the golden.
+        realization: its name in ``twin.yaml``.
+        plotted: whether to draw.
+        progress: called with the fraction done.
+
+    Returns:
+        ``measures``, and ``plot``: SVG text or None.
+
+    Raises:
+        TwinError: what the check, the model or a file has to say.
+    """
+    golden, loaded, check = _open(Path(twin), Path(spec), realization)
+    observation = check.observe(golden, loaded, progress)
+    stored = _stored(golden)
+    return _compared(golden, check, observation, stored, plotted=plotted)
+
+
+def record(twin: str, spec: str, realization: str, progress: Progress) -> dict[str, Any]:
+    """Run one golden and say what its record would be.
+
+    Returns:
+        ``expected``, ``trace`` (CSV text or None), the ``measures`` that hold the observation
+        against that record and against the independent references, and ``moved``: those against
+        the old record that left their tolerance or moved at all.
+
+    Raises:
+        TwinError: as :func:`prove`.
+    """
+    golden, loaded, check = _open(Path(twin), Path(spec), realization)
+    observation = check.observe(golden, loaded, progress)
+    expected, trace = check.expect(golden, observation)
+    recorded = replace(golden, expected=expected or None)
+    moved: list[Measure] = []
+    if golden.provenance is not None:
+        before = check.compare(golden, observation, _stored(golden))
+        moved = [measure for measure in before if measure.against == "golden" and measure.error]
+    return {
+        "expected": dict(expected),
+        "trace": None if trace is None else trace_text(trace),
+        "moved": [measure.to_json() for measure in moved],
+        **_compared(recorded, check, observation, trace, plotted=False),
+    }
+
+
+def _compared(
+    golden: Golden,
+    check: Check,
+    observation: Observation,
+    stored: Trace | None,
+    *,
+    plotted: bool,
+) -> dict[str, Any]:
+    measures = check.compare(golden, observation, stored)
+    return {
+        "measures": [measure.to_json() for measure in measures],
+        "plot": _plot(golden, measures, observation.trace, stored) if plotted else None,
+    }
+
+
+def _open(twin: Path, spec: Path, realization: str) -> tuple[Golden, Realization, Check]:
+    loaded = _twin(twin)
+    golden = load_golden(spec, loaded)
+    return golden, _realization(twin, realization), check_of(golden.kind)
+
+
+def _stored(golden: Golden) -> Trace | None:
+    if golden.trace is None:
+        return None
+    return read_trace(golden.path.parent / golden.trace.file, golden.trace.sha256)
+
+
+def _plot(
+    golden: Golden, measures: list[Measure], now: Trace | None, stored: Trace | None
+) -> str | None:
+    drawn = plots.plot(golden.kind, golden.title or golden.id, measures, now, stored)
+    return None if drawn is None else drawn.decode()
+
+
+@lru_cache(maxsize=8)
+def _twin(path: Path) -> Twin:
+    return load_twin(path)
+
+
+@lru_cache(maxsize=8)
+def _realization(twin: Path, name: str) -> Realization:
+    loaded = _twin(twin)
+    return load(loaded.realizations[name].file, twin=loaded, name=name)

@@ -1,0 +1,1 @@
+"""What the plugin does once a twin is there: items, plans, verdicts. Loaded only then."""

@@ -1,0 +1,50 @@
+"""Twins that a run's arguments reach, before anything is collected."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+from pytest_twin.gate.specs import GOLDEN_FOLDER, RESERVED_FOLDERS
+from pytest_twin.twin import FILE_NAME, find_twin
+
+
+def twin_files(
+    arguments: Iterable[Path], config: pytest.Config, *, around: bool
+) -> tuple[Path, ...]:
+    """Each ``twin.yaml`` that the ``arguments`` reach, in the order of their paths.
+
+    Args:
+        arguments: files and folders as pytest was given them.
+        around: whether a twin counts too whose specs none of them can reach.
+    """
+    found: set[Path] = set()
+    for argument in arguments:
+        start = Path(os.path.normpath(config.invocation_params.dir / argument))
+        above = find_twin(start if start.is_dir() else start.parent)
+        if above is not None and (around or _reaches_specs(start, above.parent)):
+            found.add(above)
+        if start.is_dir():
+            found.update(_below(start, config.getini("norecursedirs")))
+    return tuple(sorted(found))
+
+
+def _reaches_specs(start: Path, root: Path) -> bool:
+    return start == root or GOLDEN_FOLDER in (root.name, *start.relative_to(root).parts)
+
+
+def _below(start: Path, skipped: list[str]) -> Iterator[Path]:
+    for here, folders, files in os.walk(start):
+        has_twin = FILE_NAME in files
+        if has_twin:
+            yield Path(here) / FILE_NAME
+        folders[:] = [
+            name
+            for name in folders
+            if not any(fnmatch.fnmatch(name, pattern) for pattern in skipped)
+            and not (has_twin and name in RESERVED_FOLDERS)
+        ]

@@ -1,0 +1,120 @@
+"""The plugin's flags, each with an entry of the same meaning in pytest's configuration file."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+SWITCHES = {
+    "twin-release": "run what is stale, refuse on anything critical or unproven, sign a release",
+    "twin-update": "record goldens afresh, with provenance and a diff of old and new",
+    "twin-all": "run every golden, also those that the last release still proves",
+    "twin-why": "say for every golden why it is fresh or stale; run nothing",
+}
+VALUES = {
+    "twin-report": ("PATH", "where the HTML report goes (default: <twin>/.twin/report.html)"),
+    "twin-key": ("PATH", "private key that signs the release"),
+    "twin-timeout": ("SECONDS", "bound on the time of one golden (default: 600)"),
+}
+DEFAULT_SECONDS = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the user asked for, on the command line or in the configuration file.
+
+    Attributes:
+        report: None for the default place.
+        key, ini_key: the signing key by flag and by configuration file.
+        seconds: bound on the wall time of one golden.
+    """
+
+    release: bool
+    update: bool
+    everything: bool
+    why: bool
+    report: Path | None
+    key: str | None
+    ini_key: str | None
+    seconds: float
+
+    @property
+    def needs_twin(self) -> bool:
+        """Whether a run without a twin would be a mistake."""
+        return self.release or self.update or self.why
+
+
+def add_options(parser: pytest.Parser) -> None:
+    """Declare every flag and its entry in the configuration file."""
+    group = parser.getgroup("twin", "robot twins (pytest-twin)")
+    for name, text in SWITCHES.items():
+        group.addoption(f"--{name}", action="store_true", default=None, help=text)
+        parser.addini(_key(name), text, type="bool", default=False)
+    for name, (metavar, text) in VALUES.items():
+        group.addoption(f"--{name}", metavar=metavar, default=None, help=text)
+        parser.addini(_key(name), text, default=None)
+
+
+def read_options(config: pytest.Config) -> Options:
+    """The options of this run.
+
+    Raises:
+        pytest.UsageError: they contradict one another or mean nothing.
+    """
+    switches = {name: bool(_value(config, name)) for name in SWITCHES}
+    if switches["twin-release"] and switches["twin-update"]:
+        raise pytest.UsageError(
+            "--twin-release and --twin-update exclude each other: "
+            "record first, look at the diff, then release"
+        )
+    if switches["twin-update"] and in_ci():
+        raise pytest.UsageError(
+            "--twin-update refuses to run in CI (the environment variable CI is set): "
+            "what a golden holds is a person's decision"
+        )
+    report = _value(config, "twin-report")
+    key = config.getoption(_key("twin-key"))
+    return Options(
+        release=switches["twin-release"],
+        update=switches["twin-update"],
+        everything=switches["twin-all"],
+        why=switches["twin-why"],
+        report=None if report is None else config.invocation_params.dir / str(report),
+        key=None if key is None else str(config.invocation_params.dir / str(key)),
+        ini_key=_ini_path(config, "twin-key"),
+        seconds=_seconds(_value(config, "twin-timeout")),
+    )
+
+
+def in_ci() -> bool:
+    """Whether the environment says that this is continuous integration."""
+    return os.environ.get("CI", "").strip().lower() not in ("", "0", "false", "no")
+
+
+def _key(name: str) -> str:
+    return name.replace("-", "_")
+
+
+def _value(config: pytest.Config, name: str) -> object:
+    given = config.getoption(_key(name))
+    return config.getini(_key(name)) or None if given is None else given
+
+
+def _ini_path(config: pytest.Config, name: str) -> str | None:
+    value = config.getini(_key(name))
+    return str(config.rootpath / str(value)) if value else None
+
+
+def _seconds(value: object) -> float:
+    if value is None:
+        return DEFAULT_SECONDS
+    try:
+        seconds = float(str(value))
+    except ValueError:
+        seconds = float("nan")
+    if not 0 < seconds < float("inf"):
+        raise pytest.UsageError(f"--twin-timeout: got {value!r}, expected a number of seconds")
+    return seconds

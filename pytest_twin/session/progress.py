@@ -1,0 +1,55 @@
+"""A live line on a terminal while a golden takes long; silence everywhere else."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+_FIRST_SECONDS = 1.0
+_EACH_SECONDS = 0.25
+
+
+class ProgressLine:
+    """Writes the fraction done over one line of pytest's own terminal reporter."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._reporter: Any = config.pluginmanager.get_plugin("terminalreporter")
+        self._capture: Any = config.pluginmanager.get_plugin("capturemanager")
+
+    @contextmanager
+    def of(self, item: pytest.Item) -> Iterator[Callable[[float], None] | None]:
+        """A callback for the fraction done, None where nobody is watching."""
+        if self._reporter is None or not getattr(self._reporter, "isatty", False):
+            yield None
+            return
+        next_time = time.monotonic() + _FIRST_SECONDS
+        shown = False
+
+        def progress(fraction: float) -> None:
+            nonlocal next_time, shown
+            now = time.monotonic()
+            if now >= next_time:
+                next_time = now + _EACH_SECONDS
+                self._write(f"{item.name} {100.0 * fraction:3.0f} %", first=not shown)
+                shown = True
+
+        yield progress
+        if shown:
+            self._write("", first=False)
+
+    def _write(self, text: str, *, first: bool) -> None:
+        if self._capture is None:
+            self._rewrite(text, first=first)
+            return
+        with self._capture.global_and_fixture_disabled():
+            self._rewrite(text, first=first)
+
+    def _rewrite(self, text: str, *, first: bool) -> None:
+        if first:
+            self._reporter.ensure_newline()
+        self._reporter.rewrite(text, erase=True)
+        self._reporter.flush()

@@ -1,0 +1,391 @@
+"""One pytest session with twins in it: what is collected, what runs, what comes of it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Generator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_twin.checks import kinds
+from pytest_twin.errors import TwinError
+from pytest_twin.gate.closing import Policy, close
+from pytest_twin.gate.gate import Gate
+from pytest_twin.gate.runner import Runner
+from pytest_twin.gate.update import Update
+from pytest_twin.gate.verdict import SessionFacts
+from pytest_twin.gate.why import update_lines, why_lines
+from pytest_twin.golden import Golden
+from pytest_twin.outcome import Outcome, Reason
+from pytest_twin.report.failure import failure_text, headline
+from pytest_twin.report.text import quantity
+from pytest_twin.session import selection
+from pytest_twin.session.items import FailureText, GoldenFailedError, GoldenFile, GoldenItem
+from pytest_twin.session.options import Options
+from pytest_twin.session.progress import ProgressLine
+
+_MARKERS = {
+    "critical": "a golden that blocks a release",
+    "advisory": "a golden that is reported and blocks nothing",
+}
+
+
+TRAVELS = "twin_outcome"
+"""Attribute of a report: pytest-xdist carries it from worker to controller."""
+
+
+class TwinSession:
+    """The hooks of a session in which a twin was met.
+
+    In a run of pytest-xdist there is one in the controller, which plans, judges and signs, and one
+    in each worker, which runs goldens; without it, one that does both.
+    """
+
+    def __init__(self, config: pytest.Config, options: Options) -> None:
+        self.config = config
+        self.options = options
+        self.gates: dict[Path, Gate] = {}
+        self.broken: dict[Path, TwinError] = {}
+        self.runner = Runner(options.seconds)
+        self.progress = ProgressLine(config)
+        self.failures: list[str] = []
+        self.collection_errors: list[str] = []
+        self.deselected = 0
+        self.collected: set[str] = set()
+        self.advisories: list[tuple[Gate, str]] = []
+        self.summaries: list[tuple[Gate, list[str]]] = []
+        self.worker_input: dict[str, Any] = json.loads(
+            getattr(config, "workerinput", {}).get("twin", "{}")
+        )
+        for name, text in _MARKERS.items():
+            config.addinivalue_line("markers", f"{name}: {text}")
+        for kind in kinds():
+            config.addinivalue_line("markers", f"{kind}: goldens of kind {kind}")
+
+    @property
+    def is_worker(self) -> bool:
+        """Whether this process runs goldens for a controller."""
+        return hasattr(self.config, "workerinput")
+
+    # -- collection
+
+    def gate(self, twin_file: Path) -> Gate | None:
+        """The gate of a twin, None where its ``twin.yaml`` is broken."""
+        if twin_file not in self.gates and twin_file not in self.broken:
+            try:
+                self.gates[twin_file] = Gate(twin_file)
+            except TwinError as error:
+                self.broken[twin_file] = error
+        return self.gates.get(twin_file)
+
+    def spec(self, path: Path, twin_file: Path, parent: pytest.Collector) -> GoldenFile | None:
+        """The collector of a spec, None where ``path`` is no spec."""
+        gate = self.gate(twin_file)
+        if gate is not None and not gate.is_spec(path):
+            return None
+
+        def load() -> tuple[Gate, Golden]:
+            if gate is None:
+                raise self.broken[twin_file]
+            return gate, gate.golden(path)
+
+        return GoldenFile.of(parent, path=path, load=load, run=self.run)
+
+    @pytest.hookimpl(tryfirst=True, wrapper=True)
+    def pytest_collection_modifyitems(
+        self, session: pytest.Session, items: list[pytest.Item]
+    ) -> Generator[None, None, None]:
+        """See what others select; then leave out what the last release still proves."""
+        collected = list(items)
+        self.collected.update(_keys(items))
+        yield
+        self.deselected = len(collected) - len(items)
+        if self.config.getoption("collectonly") or session.testsfailed:
+            return
+        gone = [item for item in items if not self._runs(item)]
+        if gone:
+            self.config.hook.pytest_deselected(items=gone)
+            items[:] = [item for item in items if item not in set(gone)]
+
+    def _runs(self, item: pytest.Item) -> bool:
+        if self.options.why:
+            return False
+        if not isinstance(item, GoldenItem):
+            return True
+        if self.options.update:
+            return item.realization == item.golden.realizations[0]
+        return self.options.everything or self._stale(item)
+
+    def _stale(self, item: GoldenItem) -> bool:
+        if self.is_worker:
+            return item.key in self._handed(item.gate)["stale"]
+        return item.gate.plan().tasks[item.key].stale
+
+    def pytest_report_collectionfinish(self) -> list[str]:
+        """One line per twin: what runs and what does not have to."""
+        if self.config.getoption("collectonly") or self.is_worker:
+            return []
+        return [
+            f"twin {gate.twin.name}: {len(plan.stale)} stale, {len(plan.fresh)} still proven"
+            + (f" by release {plan.baseline.number:04d}" if plan.baseline else "")
+            for gate in self.gates.values()
+            if (plan := gate.planned) is not None
+        ]
+
+    # -- pytest-xdist
+
+    def for_workers(self) -> str:
+        """The plans of all twins, for the workers of pytest-xdist."""
+        return json.dumps(
+            {
+                str(gate.twin.path): {
+                    "stale": {
+                        task.key: [asdict(reason) for reason in task.reasons]
+                        for task in gate.plan().tasks.values()
+                        if task.stale
+                    }
+                }
+                for gate in self.gates.values()
+            }
+        )
+
+    def _handed(self, gate: Gate) -> dict[str, Any]:
+        handed: dict[str, Any] = self.worker_input.get(str(gate.twin.path), {"stale": {}})
+        return handed
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        """Take what a worker says of its collection."""
+        told = json.loads(getattr(node, "workeroutput", {}).get("twin", "{}"))
+        self.collected.update(told.get("collected", ()))
+        self.deselected = max(self.deselected, told.get("deselected", 0))
+
+    # -- running
+
+    def run(self, item: GoldenItem) -> None:
+        """Run one golden; its outcome travels on the item's report.
+
+        Raises:
+            GoldenFailedError: it did not pass.
+        """
+        gate = item.gate
+        travels: dict[str, Any] = {"twin": str(gate.twin.path)}
+        with self.progress.of(item) as progress:
+            if self.options.update:
+                outcome, update = gate.record(item.golden, self.runner, progress)
+                travels["update"] = update and update.to_json()
+            else:
+                outcome = gate.prove(
+                    item.golden,
+                    item.realization,
+                    self.runner,
+                    reasons=self._reasons(item),
+                    progress=progress,
+                )
+        travels["outcome"] = outcome.to_json()
+        item.travels = json.dumps(travels)
+        item.user_properties.extend(_properties(outcome))
+        if outcome.status != "passed":
+            location = f"{os.path.relpath(item.path)}:{line_of(item.golden, outcome)}"
+            plot = outcome.plot and os.path.relpath(gate.root / outcome.plot)
+            text = failure_text(outcome, location=location, plot=plot)
+            raise GoldenFailedError(text, headline(outcome), line_of(item.golden, outcome))
+
+    def _reasons(self, item: GoldenItem) -> tuple[Reason, ...]:
+        if self.is_worker:
+            handed = self._handed(item.gate)["stale"].get(item.key, ())
+            return tuple(Reason(**reason) for reason in handed)
+        return item.gate.plan().tasks[item.key].reasons
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Put the outcome on the report; an advisory failure blocks nothing."""
+        report = yield
+        if not isinstance(item, GoldenItem) or call.when != "call" or item.travels is None:
+            return report
+        setattr(report, TRAVELS, item.travels)
+        error = None if call.excinfo is None else call.excinfo.value
+        if isinstance(error, GoldenFailedError):
+            path, _, domain = report.location
+            report.location = (path, error.line - 1, domain)
+            if item.golden.criticality == "advisory":
+                report.outcome = "skipped"
+                report.wasxfail = f"advisory: {error.headline}"
+        return report
+
+    def pytest_report_teststatus(
+        self, report: pytest.CollectReport | pytest.TestReport
+    ) -> tuple[str, str, str] | None:
+        """An advisory failure has a word of its own."""
+        if getattr(report, "when", None) == "call" and _is_advisory(report):
+            return "advisory", "a", "ADVISORY"
+        return None
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Collect outcomes, and the failures of ordinary tests."""
+        travels = getattr(report, TRAVELS, None)
+        if travels is None:
+            if report.failed and not self.is_worker:
+                self.failures.append(report.nodeid)
+            return
+        told = json.loads(travels)
+        outcome = Outcome.from_json(told["outcome"])
+        if isinstance(report.longrepr, str):
+            # From a worker: our text again, so that summaries and JUnit stay short.
+            path, line, _ = report.location
+            report.longrepr = FailureText(report.longrepr, headline(outcome), path, (line or 0) + 1)
+        if self.is_worker:
+            return
+        gate = self.gate(Path(told["twin"]))
+        if gate is None:
+            return
+        if "update" not in told:
+            gate.outcomes[outcome.key] = outcome
+        elif told["update"] is not None:
+            gate.updates.append(Update.from_json(told["update"]))
+        if _is_advisory(report):
+            self.advisories.append((gate, str(report.longrepr)))
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """Remember what could not be collected."""
+        if report.failed:
+            lines = str(report.longrepr).strip().splitlines()
+            self.collection_errors.append(lines[-1] if lines else report.nodeid)
+
+    # -- the end
+
+    def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
+        """Judge, sign, report; in a worker, tell the controller what was collected."""
+        self.runner.close()
+        if self.is_worker:
+            self.config.workeroutput["twin"] = json.dumps(  # type: ignore[attr-defined]
+                {"collected": sorted(self.collected), "deselected": self.deselected}
+            )
+            return
+        if self.config.getoption("collectonly"):
+            return
+        if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and self._left_out_everything():
+            session.exitstatus = pytest.ExitCode.OK
+        if exitstatus == pytest.ExitCode.INTERNAL_ERROR or self.options.why:
+            return
+        for gate in self.gates.values():
+            self._close(gate, session, exitstatus)
+
+    def _left_out_everything(self) -> bool:
+        """Whether nothing ran because nothing had to."""
+        return not self.collection_errors and any(
+            self.options.why or (gate.planned is not None and gate.planned.fresh)
+            for gate in self.gates.values()
+        )
+
+    def _close(self, gate: Gate, session: pytest.Session, exitstatus: int) -> None:
+        if self.options.update:
+            self.summaries.append((gate, update_lines(gate.updates)))
+            return
+        if gate.planned is None and not self.options.release:
+            return
+        policy = Policy(
+            sign=self.options.release,
+            key=self.options.key,
+            ini_key=self.options.ini_key,
+            report=self._report_path(gate),
+        )
+        closed = close(gate, self._facts(gate, session, exitstatus), policy)
+        self.summaries.append((gate, list(closed.lines)))
+        if closed.blocked and session.exitstatus in (
+            pytest.ExitCode.OK,
+            pytest.ExitCode.NO_TESTS_COLLECTED,
+        ):
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def _facts(self, gate: Gate, session: pytest.Session, exitstatus: int) -> SessionFacts:
+        chosen = list(selection.selected_by(self.config))
+        if self.deselected:
+            chosen.append(f"{self.deselected} deselected")
+        chosen += selection.below(self.config, gate.root)
+        if not chosen and not self.collection_errors:
+            left = [key for key in gate.plan().tasks if key not in self.collected]
+            if left:
+                chosen.append(f"{len(left)} goldens not collected, such as {left[0]}")
+        interrupted = None
+        if session.shouldfail or session.shouldstop:
+            interrupted = str(session.shouldfail or session.shouldstop)
+        elif exitstatus == pytest.ExitCode.INTERRUPTED and not self.collection_errors:
+            interrupted = "interrupted"
+        return SessionFacts(
+            selection=tuple(chosen),
+            collection_errors=tuple(self.collection_errors),
+            failures=tuple(self.failures),
+            interrupted=interrupted,
+        )
+
+    def _report_path(self, gate: Gate) -> Path | None:
+        path = self.options.report
+        if path is None or len(self.gates) == 1:
+            return path
+        return path.with_name(f"{path.stem}-{gate.twin.name}{path.suffix}")
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        """What a person reads last."""
+        if self.is_worker or self.config.getoption("collectonly"):
+            return
+        write = terminalreporter.write_line
+        if self.options.why:
+            for gate in self.gates.values():
+                terminalreporter.section(f"twin {gate.twin.name}: fresh or stale, and why")
+                for line in why_lines(gate.plan()):
+                    write(line)
+        for gate, text in self.advisories:
+            terminalreporter.section(f"twin {gate.twin.name}: advisory, blocks nothing")
+            write(text)
+        for gate, lines in self.summaries:
+            terminalreporter.section(f"twin {gate.twin.name}")
+            for line in lines:
+                write(line)
+
+    def pytest_unconfigure(self) -> None:
+        """Leave no child behind."""
+        self.runner.close()
+
+
+def line_of(golden: Golden, outcome: Outcome) -> int:
+    """The line of the tolerance that was left, or of the golden's kind."""
+    worst = outcome.worst
+    place = f"tolerance.{worst.name}" if worst and outcome.status == "failed" else "kind"
+    return golden.lines.get(place, golden.lines.get("kind", 1))
+
+
+def _is_advisory(report: pytest.CollectReport | pytest.TestReport) -> bool:
+    return getattr(report, TRAVELS, None) is not None and hasattr(report, "wasxfail")
+
+
+def _properties(outcome: Outcome) -> list[tuple[str, object]]:
+    """Short entries for JUnit."""
+    properties: list[tuple[str, object]] = [
+        ("kind", outcome.kind),
+        ("realization", outcome.realization),
+        ("criticality", outcome.criticality),
+        ("status", outcome.status),
+    ]
+    worst = outcome.worst
+    if worst is not None:
+        properties += [
+            ("worst", f"{worst.name} of {worst.subject}"),
+            ("error", quantity(worst.error, worst.unit)),
+            ("tolerance", quantity(worst.tolerance, worst.unit)),
+            ("margin", quantity(worst.margin, worst.unit)),
+        ]
+    if outcome.reasons:
+        properties.append(("stale_because", str(outcome.reasons[0])))
+    return properties
+
+
+def _keys(items: list[pytest.Item]) -> set[str]:
+    return {item.key for item in items if isinstance(item, GoldenItem)}

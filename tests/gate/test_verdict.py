@@ -1,0 +1,125 @@
+"""The verdict: what is signed, what holds, and every reason to refuse, word for word."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from pytest_twin.gate.verdict import Facts, Holds, Refused, SessionFacts, Signed, judge
+from pytest_twin.outcome import Measure, Outcome
+
+FINE = Measure("position", "tcp", 0.0, 0.0, 1e-5, 1e-4, "m")
+KEY = "golden/fk/home@mujoco"
+
+
+def outcome(status: str = "passed", measure: Measure = FINE, criticality: str = "critical"):
+    return Outcome(
+        "golden/fk/home", "fk", "mujoco", criticality, status, (measure,), error="it crashed"
+    )
+
+
+def facts(**changes: object) -> Facts:
+    return replace(Facts({KEY: "critical"}, outcomes={KEY: outcome()}), **changes)
+
+
+def refusals(found: Facts) -> tuple[str, ...]:
+    verdict = judge(found)
+    assert isinstance(verdict, Refused)
+    return verdict.reasons
+
+
+def test_all_passed_is_signed() -> None:
+    assert judge(facts()) == Signed()
+
+
+def test_nothing_new_holds() -> None:
+    assert judge(facts(outcomes={}, proven={KEY: outcome()}, baseline=3)) == Holds(3)
+
+
+def test_a_retired_golden_makes_a_new_release() -> None:
+    found = facts(
+        outcomes={}, proven={KEY: outcome()}, baseline=3, dropped=("golden/fk/old@mujoco",)
+    )
+    assert judge(found) == Signed()
+
+
+def test_proven_and_run_together_are_signed() -> None:
+    other = "golden/fk/b@mujoco"
+    found = facts(
+        criticality={KEY: "critical", other: "critical"}, proven={other: outcome()}, baseline=1
+    )
+    assert judge(found) == Signed()
+
+
+@pytest.mark.parametrize("criticality", ["critical", "advisory"])
+def test_advisory_failures_do_not_block(criticality: str) -> None:
+    failed = outcome("failed", replace(FINE, error=1.0), criticality)
+    verdict = judge(facts(criticality={KEY: criticality}, outcomes={KEY: failed}))
+    assert isinstance(verdict, Signed) == (criticality == "advisory")
+
+
+def test_criticality_is_that_of_today() -> None:
+    carried = outcome("failed", replace(FINE, error=1.0), "advisory")
+    assert refusals(facts(outcomes={}, proven={KEY: carried}, baseline=1)) == (
+        f"{KEY}: critical, and it failed",
+    )
+
+
+@pytest.mark.parametrize("field", ["error", "measured", "golden"])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: float) -> None:
+    broken = outcome("failed", replace(FINE, **{field: value}), "advisory")
+    assert refusals(facts(criticality={KEY: "advisory"}, outcomes={KEY: broken})) == (
+        f"{KEY}: position of tcp is not finite",
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"outcomes": {}}, f"{KEY}: did not run"),
+        (
+            {"outcomes": {KEY: outcome("failed")}},
+            f"{KEY}: critical, and it failed",
+        ),
+        (
+            {"outcomes": {KEY: outcome("error")}},
+            f"{KEY}: critical, and it did not run: it crashed",
+        ),
+        (
+            {"unproven": ("golden/fk/home",), "outcomes": {}},
+            "golden/fk/home: never proven: run pytest --twin-update",
+        ),
+        (
+            {"orphans": ("golden/old.trace.csv",)},
+            "golden/old.trace.csv: a trace that no spec refers to: delete it, or restore its spec",
+        ),
+        (
+            {"missing": ("golden/gone",)},
+            "golden/gone: missing: restore it, or give its reason under 'retired:' in twin.yaml",
+        ),
+        ({"changed": ("arm.xml",)}, "changed while it ran: arm.xml"),
+        ({"problems": ("the map cannot be made",)}, "the map cannot be made"),
+        ({"criticality": {}, "outcomes": {}}, "no golden to prove"),
+        (
+            {"session": SessionFacts(selection=("-k home",))},
+            "a selected subset never signs: -k home",
+        ),
+        (
+            {"session": SessionFacts(collection_errors=("a.yaml:3: no",))},
+            "could not be collected: a.yaml:3: no",
+        ),
+        (
+            {"session": SessionFacts(failures=("test_a.py::test_b",))},
+            "test_a.py::test_b: failed in the same session",
+        ),
+        (
+            {"session": SessionFacts(interrupted="stopping after 1 failures")},
+            "the run did not end: stopping after 1 failures",
+        ),
+    ],
+)
+def test_each_reason_to_refuse(change: dict[str, object], reason: str) -> None:
+    assert refusals(facts(**change)) == (reason,)
