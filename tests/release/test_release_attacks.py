@@ -1,0 +1,662 @@
+"""Every way to pass off what was not signed, by name; each must be refused, and say why."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import random
+import shutil
+import socket
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import NOW, MakeRelease, html, make_draft, make_twin
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from securesystemslib.dsse import Envelope
+from securesystemslib.signer import CryptoSigner, Key
+
+from pytest_twin import release
+from pytest_twin.errors import ReleaseError
+from pytest_twin.release import canonical_json, folder, keys, names, statement
+from pytest_twin.release.envelope import PAYLOAD_TYPE, open_envelope, seal
+from pytest_twin.release.limits import ReleaseLimits
+from pytest_twin.release.verify import Found, verify
+
+
+def problems(path: Path, now: datetime = NOW, **options: Any) -> list[tuple[str, str]]:
+    verdict = release.check(path, now=now, **options)
+    assert verdict.holds == (not verdict.problems)
+    return [(problem.code, problem.text) for problem in verdict.problems]
+
+
+@pytest.fixture
+def first(root: Path, make: MakeRelease) -> Path:
+    make()
+    return root / "releases" / "0001"
+
+
+def resign(path: Path, root: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """Change a statement and sign it again with the trusted key: what a careless signer could."""
+    value = json.loads((path / "release.dsse.json").read_bytes())
+    payload = json.loads(base64.standard_b64decode(value["payload"]))
+    change(payload)
+    signer, _ = release.signer(root)
+    (path / "release.dsse.json").write_bytes(seal(canonical_json.dump(payload), signer))
+
+
+# one flipped byte
+
+
+def test_a_flipped_byte_anywhere_in_the_envelope(root: Path, first: Path) -> None:
+    """Every byte, white space and base64 padding included; by the pure verification."""
+    data = (first / "release.dsse.json").read_bytes()
+    listing = folder.listing(first)
+    trusted = keys.load_trusted(root / "keys")
+    assert verify(data, listing, trusted, now=NOW).holds
+    assert len(data) > 3000
+    rng = random.Random(7)
+    for index in range(len(data)):
+        changed = bytearray(data)
+        # Bit 5 is the case of a letter: hex digits, escapes.
+        changed[index] ^= rng.choice((0x01, 0x20, 0x80, rng.randrange(1, 256)))
+        verdict = verify(bytes(changed), listing, trusted, now=NOW)
+        assert not verdict.holds, f"byte {index} of the envelope"
+        assert verdict.release is None
+
+
+def test_a_flipped_byte_anywhere_in_any_file(root: Path, first: Path) -> None:
+    """Every byte of every file, on the disk."""
+    for path in [path for path in first.rglob("*") if path.is_file()]:
+        data = path.read_bytes()
+        is_envelope = path.name == "release.dsse.json"
+        indices = random.Random(3).sample(range(len(data)), 60) if is_envelope else range(len(data))
+        step = 1 if len(data) < 200 else 7
+        for index in list(indices)[::step]:
+            changed = bytearray(data)
+            changed[index] ^= 1 << (index % 8)
+            path.write_bytes(bytes(changed))
+            found = problems(first)
+            assert found, f"byte {index} of {path.name}"
+            if not is_envelope:
+                name = path.relative_to(first).as_posix()
+                assert found[0][1].startswith(f"{name}: changed, SHA-256")
+        path.write_bytes(data)
+    assert problems(first) == []
+
+
+def test_a_byte_added_or_taken_away(root: Path, first: Path) -> None:
+    for path in [path for path in first.rglob("*") if path.is_file()]:
+        data = path.read_bytes()
+        for changed in (data + b"\n", data[:-1], b"", b" " + data):
+            path.write_bytes(changed)
+            assert problems(first), f"{path.name}: {len(changed)} bytes for {len(data)}"
+        path.write_bytes(data)
+    assert problems(first) == []
+
+
+# files that do not belong
+
+
+def test_a_file_that_no_statement_lists(first: Path) -> None:
+    (first / "files" / "meshes" / "more.stl").write_bytes(b"")
+    assert problems(first) == [
+        ("files", "files/meshes/more.stl: a file that the statement does not list")
+    ]
+
+
+def test_a_folder_that_no_statement_lists(first: Path) -> None:
+    (first / "files" / "plugins").mkdir()
+    assert problems(first) == [
+        ("files", "files/plugins/: a folder that the statement does not list")
+    ]
+
+
+def test_a_link_in_place_of_a_file(root: Path, first: Path) -> None:
+    """Even to the same bytes: they may be others tomorrow."""
+    mesh = first / "files" / "meshes" / "link.stl"
+    mesh.unlink()
+    mesh.symlink_to(root / "meshes" / "link.stl")
+    assert problems(first) == [("files", "files/meshes/link.stl: a link, where only files may be")]
+
+
+def test_a_link_in_place_of_a_folder(root: Path, first: Path) -> None:
+    shutil.rmtree(first / "files" / "meshes")
+    (first / "files" / "meshes").symlink_to(root / "meshes")
+    found = problems(first)
+    assert ("files", "files/meshes: a link, where only files may be") in found
+
+
+def test_a_hard_link(root: Path, first: Path) -> None:
+    os.link(first / "files" / "arm.xml", root / "elsewhere.xml")
+    assert problems(first) == [("files", "files/arm.xml: linked from 2 places")]
+
+
+def test_a_link_in_place_of_the_envelope(root: Path, first: Path) -> None:
+    envelope = first / "release.dsse.json"
+    envelope.rename(root / "moved.json")
+    envelope.symlink_to(root / "moved.json")
+    assert "is a symbolic link" in problems(first)[0][1]
+
+
+def test_a_link_in_place_of_the_release(root: Path, first: Path, tmp_path: Path) -> None:
+    first.rename(tmp_path / "moved")
+    first.symlink_to(tmp_path / "moved")
+    assert problems(first) == [("files", "0001: a link, not the release itself")]
+
+
+def test_a_pipe_and_a_socket_are_not_waited_for(first: Path) -> None:
+    os.mkfifo(first / "files" / "pipe")
+    (first / "files" / "arm.xml").unlink()
+    os.mkfifo(first / "files" / "arm.xml")
+    with socket.socket(socket.AF_UNIX) as listener:
+        here = Path.cwd()
+        os.chdir(first)
+        try:
+            listener.bind("socket")
+        finally:
+            os.chdir(here)
+        assert problems(first) == [
+            ("files", "files/arm.xml: neither a file nor a folder"),
+            ("files", "files/pipe: neither a file nor a folder"),
+            ("files", "socket: neither a file nor a folder"),
+        ]
+
+
+def test_a_folder_in_place_of_a_file(first: Path) -> None:
+    (first / "files" / "arm.xml").unlink()
+    (first / "files" / "arm.xml").mkdir()
+    assert problems(first) == [
+        ("files", "files/arm.xml/: a folder that the statement does not list")
+    ]
+
+
+def test_a_missing_file(first: Path) -> None:
+    """What an interrupted copy leaves: any one file less."""
+    for path in [path for path in first.rglob("*") if path.is_file()]:
+        data = path.read_bytes()
+        path.unlink()
+        (code, text), *_ = problems(first)
+        name = path.relative_to(first).as_posix()
+        if name == "release.dsse.json":
+            assert (code, text) == (
+                "envelope",
+                "no release.dsse.json: its write was interrupted or it is no release",
+            )
+        else:
+            assert (code, text) == ("files", f"{name}: missing")
+        path.write_bytes(data)
+
+
+def test_files_of_two_releases_mixed(root: Path, make: MakeRelease) -> None:
+    make()
+    (root / "arm.xml").write_text("<mujoco><worldbody><body/></worldbody></mujoco>\n")
+    make(NOW + timedelta(hours=1))
+    one, two = root / "releases" / "0001", root / "releases" / "0002"
+    for name in ("files/arm.xml", "report.html", "results.json"):
+        data = (two / name).read_bytes()
+        shutil.copyfile(one / name, two / name)
+        found = problems(two, NOW + timedelta(hours=1))
+        assert [code for code, _ in found] == ["files"]
+        assert found[0][1].startswith(f"{name}: changed")
+        (two / name).write_bytes(data)
+    assert problems(two, NOW + timedelta(hours=1)) == []
+
+
+# order
+
+
+def test_an_older_release_beside_a_newer_one(root: Path, make: MakeRelease) -> None:
+    make()
+    make()
+    assert problems(root / "releases" / "0001") == [
+        ("rollback", "older than release 2, which lies beside it")
+    ]
+
+
+def test_an_older_release_after_a_newer_one_was_accepted(
+    root: Path, make: MakeRelease, tmp_path: Path
+) -> None:
+    make()
+    shutil.copytree(root / "releases" / "0001", tmp_path / "offered")
+    make()
+    trusted = root / "keys"
+    assert problems(root / "releases" / "0002", remember=True) == []
+    shutil.rmtree(root / "releases" / "0002")
+    expected = [("rollback", "older than release 2, which was accepted here")]
+    assert problems(root / "releases" / "0001", remember=True) == expected
+    assert problems(tmp_path / "offered", keys=trusted, remember=True) == expected
+
+
+def test_what_was_accepted_of_one_twin_says_nothing_of_another_of_its_name(
+    root: Path, make: MakeRelease, tmp_path: Path
+) -> None:
+    make()
+    make()
+    assert problems(root / "releases" / "0002", remember=True) == []
+    other = make_twin(tmp_path / "again" / "arm")
+    signer, _ = release.signer(other)
+    release.write(other, make_draft(other), signer, html, now=NOW)
+    assert problems(other / "releases" / "0001", remember=True) == []
+
+
+def test_a_memory_that_cannot_be_read_is_an_error(root: Path, first: Path, user: Path) -> None:
+    problems(first, remember=True)
+    (memory,) = (user / "state").rglob("*.json")
+    memory.write_text("{")
+    with pytest.raises(ReleaseError, match="what was remembered of earlier releases"):
+        problems(first, remember=True)
+
+
+def test_a_release_in_the_folder_of_another_number(root: Path, first: Path) -> None:
+    first.rename(root / "releases" / "0007")
+    assert problems(root / "releases" / "0007") == [("folder", "release 1 lies in the folder of 7")]
+
+
+def test_a_copy_of_an_older_release_as_the_newest(root: Path, make: MakeRelease) -> None:
+    make()
+    make()
+    shutil.copytree(root / "releases" / "0001", root / "releases" / "0003")
+    codes = [code for code, _ in problems(root / "releases" / "0003")]
+    assert "folder" in codes
+
+
+def test_a_release_of_another_twin_by_the_same_signer(
+    root: Path, first: Path, tmp_path: Path
+) -> None:
+    other = make_twin(tmp_path / "other", name="leg")
+    signer, _ = release.signer(other)
+    for _ in range(2):
+        release.write(other, make_draft(other, name="leg"), signer, html, now=NOW)
+    shutil.copytree(other / "releases" / "0002", root / "releases" / "0002")
+    assert problems(root / "releases" / "0002") == [
+        ("twin", "a release of the twin 'leg', not of 'arm'"),
+        ("order", "follows another release 1 than lies before it"),
+    ]
+
+
+def test_a_release_of_a_twin_of_the_same_name_by_the_same_signer(
+    root: Path, first: Path, tmp_path: Path
+) -> None:
+    other = make_twin(tmp_path / "other")
+    signer, _ = release.signer(other)
+    for _ in range(2):
+        release.write(other, make_draft(other), signer, html, now=NOW)
+    shutil.copytree(other / "releases" / "0002", root / "releases" / "0002")
+    assert problems(root / "releases" / "0002") == [
+        ("order", "follows another release 1 than lies before it")
+    ]
+
+
+def test_a_first_release_after_others(root: Path, first: Path, tmp_path: Path) -> None:
+    resign(first, root, lambda payload: payload["predicate"].update(number=2))
+    first.rename(root / "releases" / "0002")
+    (root / "releases" / "0001").mkdir()
+    assert problems(root / "releases" / "0002") == []
+    (root / "releases" / "0001").rmdir()
+    other = make_twin(tmp_path / "other")
+    signer, _ = release.signer(other)
+    release.write(other, make_draft(other), signer, html, now=NOW)
+    shutil.copytree(other / "releases" / "0001", root / "releases" / "0001")
+    assert problems(root / "releases" / "0002") == [
+        ("order", "does not follow release 1, which lies before it")
+    ]
+
+
+# time
+
+
+def test_an_expired_release(first: Path) -> None:
+    expires = NOW + timedelta(days=90)
+    assert problems(first, expires - timedelta(seconds=1)) == []
+    assert problems(first, expires) == [("expired", "expired at 2026-08-02T12:00:00Z")]
+
+
+def test_a_release_from_the_future(first: Path) -> None:
+    assert problems(first, NOW - timedelta(minutes=9)) == []
+    assert problems(first, NOW - timedelta(minutes=11)) == [
+        ("future", "made at 2026-05-04T12:00:00Z, which is in the future")
+    ]
+
+
+# keys and signatures
+
+
+def test_an_empty_key_set(root: Path, first: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert problems(first, keys=empty)[0] == (
+        "keys",
+        "no trusted keys (expected at least one public key)",
+    )
+    shutil.rmtree(root / "keys")
+    assert problems(first)[0][0] == "keys"
+
+
+def test_a_foreign_key_set(first: Path, tmp_path: Path) -> None:
+    foreign = CryptoSigner.generate_ed25519()
+    folder_of_keys = tmp_path / "foreign"
+    folder_of_keys.mkdir()
+    (folder_of_keys / "a.pub").write_bytes(keys.public_pem(foreign))
+    ((code, text),) = problems(first, keys=folder_of_keys)
+    assert code == "envelope"
+    assert "signed by a key that is not trusted" in text
+    assert foreign.public_key.keyid[:16] in text
+
+
+@pytest.mark.parametrize("content", [b"", b"x", b"-----BEGIN PUBLIC KEY-----\n-----END"])
+def test_a_file_that_is_no_public_key(root: Path, first: Path, content: bytes) -> None:
+    (root / "keys" / "broken.pub").write_bytes(content)
+    with pytest.raises(ReleaseError, match=r"broken\.pub: not a public key"):
+        problems(first)
+
+
+def envelope(payload: bytes = b"{}", kind: str = PAYLOAD_TYPE, *signers: CryptoSigner) -> Envelope:
+    made = Envelope(payload, kind, {})
+    for signer in signers:
+        made.sign(signer)
+    return made
+
+
+def refused(data: bytes, trusted: list[Key], words: str) -> None:
+    with pytest.raises(ReleaseError, match=words):
+        open_envelope(data, trusted)
+
+
+A, B = CryptoSigner.generate_ed25519(), CryptoSigner.generate_ed25519()
+
+
+def test_no_signature() -> None:
+    data = canonical_json.dump(envelope().to_dict())
+    refused(data, [A.public_key], "no signature or too many")
+
+
+def test_one_key_that_signs_twice() -> None:
+    value = envelope(b"{}", PAYLOAD_TYPE, A).to_dict()
+    value["signatures"] *= 2
+    refused(canonical_json.dump(value), [A.public_key], "one key signed twice")
+
+
+def test_a_foreign_signature_beside_a_trusted_one() -> None:
+    """Nothing in an envelope may go unchecked, not even what nobody needs."""
+    data = canonical_json.dump(envelope(b"{}", PAYLOAD_TYPE, A, B).to_dict())
+    refused(data, [A.public_key], "signed by a key that is not trusted")
+    assert open_envelope(data, [A.public_key, B.public_key]).payload == b"{}"
+
+
+def test_a_signature_under_the_name_of_a_trusted_key() -> None:
+    value = envelope(b"{}", PAYLOAD_TYPE, B).to_dict()
+    value["signatures"][0]["keyid"] = A.public_key.keyid
+    refused(canonical_json.dump(value), [A.public_key], "the signature does not fit")
+
+
+def test_a_signature_over_other_bytes() -> None:
+    value = envelope(b"{}", PAYLOAD_TYPE, A).to_dict()
+    value["payload"] = base64.standard_b64encode(b"[]").decode()
+    refused(canonical_json.dump(value), [A.public_key], "the signature does not fit")
+
+
+def test_a_trusted_signature_over_another_kind_of_document() -> None:
+    data = canonical_json.dump(envelope(b"{}", "application/vnd.cyclonedx+json", A).to_dict())
+    refused(data, [A.public_key], "payloadType: the envelope holds something else")
+
+
+def test_base64_that_decodes_alike() -> None:
+    value = envelope(b"{}?", PAYLOAD_TYPE, A).to_dict()
+    value["payload"] = value["payload"].replace("/", "_")
+    refused(canonical_json.dump(value), [A.public_key], "not canonical")
+    # The last digit before the padding has bits that decoding drops.
+    value = envelope(b"{}", PAYLOAD_TYPE, A).to_dict()
+    digits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"
+    last = value["payload"][2]
+    value["payload"] = value["payload"][:2] + digits[digits.index(last) + 1] + "="
+    assert base64.standard_b64decode(value["payload"]) == b"{}"
+    refused(canonical_json.dump(value), [A.public_key], "not canonical")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data + b" ", "not canonical"),
+        (lambda data: b"\n" + data, "not canonical"),
+        (lambda data: data.replace(b":", b": ", 1), "not canonical"),
+        (lambda data: data.replace(b'{"payload"', b'{"payload":"","payload"'), "stands twice"),
+        (lambda data: b'{"extra":1,' + data[1:], "not a DSSE envelope"),
+        (lambda data: data.replace(b'{"keyid"', b'{"a":1,"keyid"'), "not a DSSE envelope"),
+        (lambda data: b"\xef\xbb\xbf" + data, "not JSON"),
+        (lambda data: data.decode().encode("utf-16"), "not JSON"),
+        (lambda data: data[: len(data) // 2], "not JSON"),
+        (lambda data: b"", "not JSON"),
+        (lambda data: b"null", "not a DSSE envelope"),
+        (lambda data: b"[" * 100_000, "nested too deeply"),
+        (lambda data: b"[" * 70 + b"]" * 70, "nested too deeply"),
+        (lambda data: b"NaN", "not a finite number"),
+        (lambda data: b"1" * 5000, "not JSON"),
+        (lambda data: b"1e999", "cannot be written as JSON|not canonical|not JSON"),
+    ],
+)
+def test_an_envelope_in_another_spelling(change: Callable[[bytes], bytes], words: str) -> None:
+    data = seal(b"{}", A)
+    assert open_envelope(data, [A.public_key]).payload == b"{}"
+    refused(change(data), [A.public_key], words)
+
+
+def test_an_envelope_without_end() -> None:
+    with pytest.raises(ReleaseError, match=r"the envelope is too large .*at most 100 bytes"):
+        open_envelope(seal(b"{}", A), [A.public_key], ReleaseLimits(envelope_bytes=100))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200))
+def test_arbitrary_bytes_are_refused_in_words(data: bytes) -> None:
+    with pytest.raises(ReleaseError):
+        open_envelope(data, [A.public_key])
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(_JSON)
+def test_any_signed_json_is_read_or_refused_in_words(value: Any) -> None:
+    with pytest.raises(ReleaseError):
+        statement.read(_dump_or_skip(value), "key", "0" * 64)
+
+
+def _dump_or_skip(value: Any) -> bytes:
+    try:
+        return canonical_json.dump(value)
+    except ReleaseError:  # infinite
+        return b"Infinity"
+
+
+# statements that a trusted key signed and that are no release
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("_type", "https://in-toto.io/Statement/v0.1", "_type: not what a release states"),
+        ("predicateType", "https://slsa.dev/provenance/v1", "predicateType: not what"),
+        ("extra", 1, "not the fields of a release"),
+        ("predicate", {}, "predicate: not the fields of a release"),
+        ("predicate.number", 0, "not a release number"),
+        ("predicate.number", True, "not a release number"),
+        ("predicate.number", "1", "not a release number"),
+        ("predicate.series", "../../etc/passwd", "no series"),
+        ("predicate.twin", None, "names no twin"),
+        ("predicate.created", "yesterday", "not a time"),
+        ("predicate.expires", "2026-05-04T12:00:00+00:00", "not a time"),
+        ("predicate.expires", "2020-01-01T00:00:00Z", "expires before it was made"),
+        ("predicate.previous", {"number": 1, "sha256": "0" * 64}, "not a release before"),
+        ("predicate.previous", {"number": 0}, "not the fields"),
+        ("predicate.parts", [], "is not a release"),
+        ("predicate.parts.library:pin.digest", "0" * 64, "digest: not what a release states"),
+        ("predicate.parts.library:pin.content", {"version": "4.2"}, "digest: not what"),
+        ("predicate.goldens.0.parts", ["elsewhere"], "rests on what the release does not hold"),
+        ("predicate.goldens.0.release", 2, "rests on what the release does not hold"),
+        ("predicate.goldens.0.outcome.status", "perfect", "unknown status"),
+        ("predicate.goldens.0.outcome.measures.0.error", [], "is not a release"),
+        ("subject.0.digest", {"md5": "0"}, "not the fields"),
+        ("subject.0.digest.sha256", "0" * 63, "not a SHA-256"),
+        ("subject.0.annotations.size", -1, "is not a release"),
+        ("subject.0.name", "../../../etc/passwd", "the name of a file leaves its folder"),
+        ("subject.0.name", "/etc/passwd", "the name of a file leaves its folder"),
+        ("subject.0.name", "files/a\\b", "the name of a file holds a character"),
+        ("subject.0.name", "files/REPORT", None),
+    ],
+)
+def test_a_statement_that_contradicts_itself(
+    root: Path, first: Path, field: str, value: Any, words: str | None
+) -> None:
+    def change(payload: dict[str, Any]) -> None:
+        *path, last = field.split(".")
+        here: Any = payload
+        for step in path:
+            here = here[int(step)] if isinstance(here, list) else here[step]
+        here[last] = value
+
+    resign(first, root, change)
+    found = problems(first)
+    if words is None:
+        assert [code for code, _ in found] == ["files", "files"]
+    else:
+        ((code, text),) = found
+        assert code == "envelope"
+        assert words in text
+
+
+def test_a_golden_proven_twice(root: Path, first: Path) -> None:
+    resign(first, root, lambda p: p["predicate"]["goldens"].append(p["predicate"]["goldens"][0]))
+    assert "proven twice" in problems(first)[0][1]
+
+
+def test_names_that_differ_by_case_alone(root: Path, first: Path) -> None:
+    def change(payload: dict[str, Any]) -> None:
+        again = json.loads(json.dumps(payload["subject"][0]))
+        again["name"] = again["name"].upper()
+        payload["subject"].append(again)
+
+    resign(first, root, change)
+    assert "two files are one on other systems" in problems(first)[0][1]
+
+
+def test_a_statement_that_lists_one_file_twice(root: Path, first: Path) -> None:
+    resign(first, root, lambda p: p["subject"].append(p["subject"][0]))
+    assert "two files are one on other systems" in problems(first)[0][1]
+
+
+@pytest.mark.parametrize("name", ["report.html", "results.json"])
+def test_a_statement_without_report_or_results(root: Path, first: Path, name: str) -> None:
+    (first / name).unlink()
+
+    def change(payload: dict[str, Any]) -> None:
+        payload["subject"] = [entry for entry in payload["subject"] if entry["name"] != name]
+
+    resign(first, root, change)
+    assert problems(first) == [("files", f"{name}: a release without it")]
+
+
+def test_a_file_that_a_statement_lists_outside_files(root: Path, first: Path) -> None:
+    data = b"#!/bin/sh\n"
+    (first / "run.sh").write_bytes(data)
+    entry = {
+        "name": "run.sh",
+        "digest": {"sha256": hashlib.sha256(data).hexdigest()},
+        "annotations": {"size": len(data)},
+    }
+    resign(first, root, lambda p: p["subject"].append(entry))
+    assert problems(first) == [("files", "run.sh: stated where no file of a release lies")]
+
+
+def test_thousands_of_problems_are_told_in_a_few(root: Path, first: Path) -> None:
+    for index in range(500):
+        (first / f"{index}.txt").touch()
+    found = problems(first)
+    assert len(found) == 21
+    assert found[-1] == ("files", "and 480 more")
+
+
+# names
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "/a",
+        "a//b",
+        "a/",
+        "./a",
+        "a/../b",
+        "..",
+        "a\\b",
+        "c:/a",
+        "a\0b",
+        "a\nb",
+        "a\x1b[31mb",
+        "a\u202eb",
+        "e\u0301",
+        "a.",
+        "a ",
+        "aux",
+        "COM1.txt",
+        "x/nul.stl",
+        "\ud800",
+        "a" * 2000,
+        "what?",
+    ],
+)
+def test_names_that_are_refused(name: str) -> None:
+    assert names.problem_with(name) is not None
+
+
+@pytest.mark.parametrize("name", ["a", "a/b.stl", "Arm 2 (left).xml", ".hidden", "größe.yaml"])
+def test_names_that_are_accepted(name: str) -> None:
+    assert names.problem_with(name) is None
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [("a", "A"), ("a/b", "A/c"), ("straße", "STRASSE"), ("a", "a/b"), ("a", "A/b"), ("x", "x")],
+)
+def test_names_that_collide(pair: tuple[str, str]) -> None:
+    assert names.colliding(pair)
+    assert names.colliding(reversed(pair))
+
+
+def test_names_that_do_not_collide() -> None:
+    assert names.colliding(["a/b", "a/c", "b/a", "ab"]) == []
+
+
+# the core needs no disk
+
+
+def test_verification_judges_facts_without_files(root: Path, first: Path) -> None:
+    data = (first / "release.dsse.json").read_bytes()
+    trusted = keys.load_trusted(root / "keys")
+    read = release.check(first, now=NOW).release
+    assert read is not None
+    facts = {entry.name: Found("file", entry.sha256, entry.size) for entry in read.files}
+    for name in ("files", "files/meshes", "files/golden", "files/golden/fk"):
+        facts[name] = Found("folder")
+    assert verify(data, facts, trusted, now=NOW).holds
+    mesh = facts["files/meshes/link.stl"]
+    for wrong in (
+        replace(mesh, sha256="0" * 64),
+        replace(mesh, size=1),
+        replace(mesh, kind="link"),
+        replace(mesh, links=2),
+        replace(mesh, kind="other"),
+    ):
+        assert not verify(data, facts | {"files/meshes/link.stl": wrong}, trusted, now=NOW).holds
