@@ -30,11 +30,14 @@ class Observation:
         trace: series, where the kind has them.
         reference: results of the independent computation (Pinocchio, coal), same keys as
             ``values``, where the kind has one.
+        against: series that ``trace`` is held against where that is no stored trace, such as a
+            recording; for the plot.
     """
 
     values: Mapping[str, Any]
     trace: Trace | None = None
     reference: Mapping[str, Any] = field(default_factory=dict)
+    against: Trace | None = None
 
 
 class Check(ABC):

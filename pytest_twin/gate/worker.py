@@ -81,7 +81,7 @@ def _compared(
     measures = check.compare(golden, observation, stored)
     return {
         "measures": [measure.to_json() for measure in measures],
-        "plot": _plot(golden, measures, observation.trace, stored) if plotted else None,
+        "plot": _plot(golden, measures, observation, stored) if plotted else None,
     }
 
 
@@ -98,9 +98,11 @@ def _stored(golden: Golden) -> Trace | None:
 
 
 def _plot(
-    golden: Golden, measures: list[Measure], now: Trace | None, stored: Trace | None
+    golden: Golden, measures: list[Measure], observation: Observation, stored: Trace | None
 ) -> str | None:
-    drawn = plots.plot(golden.kind, golden.title or golden.id, measures, now, stored)
+    against = observation.against or stored
+    title = golden.title or golden.id
+    drawn = plots.plot(golden.kind, title, measures, observation.trace, against)
     return None if drawn is None else drawn.decode()
 
 

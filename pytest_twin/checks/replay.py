@@ -1,0 +1,308 @@
+"""Replay: a recording's commands on a realization, open loop, against what was measured."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.checks.base import Check, FloatArray, Measure, Observation, Progress, Trace
+from pytest_twin.checks.fields import known_name, quantity, spec_error
+from pytest_twin.checks.files import find_file
+from pytest_twin.dependency import Structure
+from pytest_twin.errors import SpecError
+from pytest_twin.golden import Golden
+from pytest_twin.metrics.residual import Residual, residual, rotation_angle
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+    from pytest_twin.replay import Replayed
+    from pytest_twin.trial import Trial
+
+# Joint type -> the tolerances that bound it: position (rms, maximum) and velocity (rms).
+_BOUNDS: Mapping[str, Mapping[str, str]] = {
+    "hinge": {"rms": "angle_rms", "maximum": "angle_max", "velocity_rms": "angular_velocity_rms"},
+    "slide": {"rms": "position_rms", "maximum": "position_max", "velocity_rms": "velocity_rms"},
+}
+_TOLERANCES: Mapping[str, str] = {
+    "angle_rms": "rad",
+    "angle_max": "rad",
+    "angular_velocity_rms": "rad/s",
+    "position_rms": "m",
+    "position_max": "m",
+    "velocity_rms": "m/s",
+    "tcp_position_rms": "m",
+    "tcp_position_max": "m",
+    "tcp_orientation_max": "rad",
+}
+_JOINT_TOLERANCES = tuple(name for names in _BOUNDS.values() for name in names.values())
+_NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
+
+
+class Replay(Check):
+    """How far a realization is from a recording, joint by joint and at the tool.
+
+    The golden's tolerance is written by people before they see the result; ``expected`` keeps the
+    residuals of the day of recording, so that an update shows what moved, and bounds nothing.
+
+    ``values``: ``joints`` (joint -> ``type``, ``rms``, ``maximum``, ``mean``, ``at`` in s,
+    ``predicted`` and ``recorded`` there, ``velocity_rms`` or None), ``tcp`` (likewise, in m and
+    rad) or None, ``marks`` (what is doubtful in the recording: kind -> count), ``notes``.
+    """
+
+    kind: ClassVar[str] = "replay"
+    libraries: ClassVar[tuple[str, ...]] = ("numpy", "mcap")
+    tolerances: ClassVar[Mapping[str, str]] = _TOLERANCES
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "recording": {
+                    **_NAME,
+                    "description": "MCAP file, relative to the twin's folder or to one of its "
+                    "roots.",
+                },
+                "joints": {
+                    "description": "Joints that are compared, or joint -> tolerances of its own; "
+                    "all that were recorded by default.",
+                    "anyOf": [
+                        {"type": "array", "minItems": 1, "uniqueItems": True, "items": _NAME},
+                        {
+                            "type": "object",
+                            "minProperties": 1,
+                            "additionalProperties": {
+                                "type": ["object", "null"],
+                                "properties": dict.fromkeys(_JOINT_TOLERANCES, _NAME),
+                                "additionalProperties": False,
+                            },
+                        },
+                    ],
+                },
+                "tcp": {
+                    **_NAME,
+                    "description": "Frame of the tool: its pose at the predicted joints is held "
+                    "against that at the measured ones.",
+                },
+                "controller": {
+                    **_NAME,
+                    "description": "The controller of twin.yaml that the recording names.",
+                },
+                "payload": {
+                    **_NAME,
+                    "description": "The payload of twin.yaml that the recording names.",
+                },
+            },
+            "required": ["recording"],
+            "additionalProperties": False,
+        },
+        "stimulus": {"type": "object", "additionalProperties": False},
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """All that moves the joints, the recording, its controller and payload, and how the
+        joints' encoders relate to the model."""
+        target = golden.target
+        joints = list(target["joints"]) if "joints" in target else None
+        parts = set(structure.dynamics(joints)) | {f"recording:{target['recording']}"}
+        parts |= {f"{key}:{target[key]}" for key in ("controller", "payload") if key in target}
+        # Every recorded joint starts where its encoder says, whichever are compared.
+        parts |= {f"calibration:{joint}" for joint in structure.joint_body}
+        if "tcp" in target:
+            parts |= structure.chain([target["tcp"]])
+        return parts
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Read the recording and replay it."""
+        from pytest_twin import replay
+        from pytest_twin.formats.mcap import read_recording
+        from pytest_twin.trial import make_trial
+
+        twin = realization.twin
+        if twin is None:
+            raise SpecError("a replay golden needs a twin.yaml", path=golden.path)
+        path = find_file(golden, "target.recording", golden.target["recording"], twin)
+        trial = make_trial(read_recording(path, twin.topics), realization.structure)
+        self._check_variant(golden, realization, trial)
+        names = list(golden.target.get("joints", trial.joints))
+        for i, joint in enumerate(names):
+            known_name(golden, f"target.joints.{i}", joint, trial.joints, "recorded joint")
+        result = replay.replay(realization, [trial], tcp=False, progress=progress)[0]
+        if result.error is not None:
+            raise result.error
+        joints = {
+            joint: _of_joint(result, trial.joints.index(joint), realization.structure)
+            for joint in names
+        }
+        values: dict[str, Any] = {
+            "joints": joints,
+            "tcp": None,
+            "marks": dict(Counter(mark.kind for mark in trial.marks)),
+            "notes": list(result.notes),
+        }
+        if "tcp" in golden.target:
+            frame = golden.target["tcp"]
+            values["tcp"] = _of_tcp(
+                frame,
+                trial.time,
+                replay.frame_poses(realization, result.qpos, frame),
+                replay.frame_poses(realization, replay.measured_qpos(realization, result), frame),
+            )
+        return Observation(
+            values,
+            _series(result, joints, result.position),
+            against=_series(result, joints, trial.position),
+        )
+
+    def _check_variant(self, golden: Golden, realization: Realization, trial: Trial) -> None:
+        """The spec says under which controller and payload, so that a change of them is felt."""
+        for key, declared in (
+            ("controller", realization.twin.controllers if realization.twin else {}),
+            ("payload", realization.twin.payloads if realization.twin else {}),
+        ):
+            recorded = trial.metadata.get(key) or None
+            stated = golden.target.get(key)
+            if stated is not None and stated == recorded and stated not in declared:
+                raise spec_error(
+                    golden, f"target.{key}", f"twin.yaml declares no such {key}", value=stated
+                )
+            if stated != recorded and (stated is not None or declared):
+                raise spec_error(
+                    golden,
+                    f"target.{key}",
+                    f"not the {key} that {trial.path.name} was recorded with",
+                    value=stated or "none",
+                    expected=f"{key}: {recorded}" if recorded else f"no {key}",
+                )
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Hold each joint's residual, and the tool's, against the tolerances."""
+        measures = list(_joint_measures(golden, observation.values["joints"]))
+        bounded = {measure.subject for measure in measures}
+        for joint in golden.target.get("joints", ()):
+            if joint not in bounded:
+                names = _BOUNDS[observation.values["joints"][joint]["type"]].values()
+                raise spec_error(
+                    golden,
+                    "tolerance",
+                    f"nothing bounds joint {joint!r}",
+                    expected=" or ".join(names),
+                )
+        if observation.values["tcp"] is not None:
+            measures += _tcp_measures(golden, observation.values["tcp"])
+        if not measures:
+            wanted = ", ".join(_TOLERANCES)
+            raise spec_error(golden, "tolerance", "nothing bounds the replay", expected=wanted)
+        return measures
+
+    def expect(
+        self, golden: Golden, observation: Observation
+    ) -> tuple[Mapping[str, Any], Trace | None]:
+        """The residuals of the day; the recording itself stays where it is."""
+        return observation.values, None
+
+
+def _of_joint(result: Replayed, column: int, structure: Structure) -> dict[str, Any]:
+    trial = result.trial
+    predicted, recorded = result.position[:, column], trial.position[:, column]
+    found = residual(predicted, recorded)
+    velocity: float | None = None
+    if trial.velocity is not None:
+        measured = np.isfinite(trial.velocity[:, column])
+        if measured.any():
+            velocity = residual(
+                result.velocity[measured, column], trial.velocity[measured, column]
+            ).rms
+    return {
+        "type": structure.joint_type[trial.joints[column]],
+        **_numbers(found, trial.time),
+        "predicted": float(predicted[found.maximum_at]),
+        "recorded": float(recorded[found.maximum_at]),
+        "velocity_rms": velocity,
+    }
+
+
+def _of_tcp(frame: str, time: FloatArray, predicted: FloatArray, measured: FloatArray) -> Any:
+    distance = np.linalg.norm(predicted[:, :3] - measured[:, :3], axis=1)
+    angle = rotation_angle(predicted[:, 3:], measured[:, 3:])
+    return {
+        "frame": frame,
+        "position": _numbers(residual(distance, np.zeros_like(distance)), time),
+        "orientation": _numbers(residual(angle, np.zeros_like(angle)), time),
+    }
+
+
+def _numbers(found: Residual, time: FloatArray) -> dict[str, float]:
+    return {
+        "rms": found.rms,
+        "maximum": found.maximum,
+        "mean": found.mean,
+        "at": float(time[found.maximum_at]),
+    }
+
+
+def _series(result: Replayed, joints: Mapping[str, Any], positions: FloatArray) -> Trace:
+    time, first = np.unique(result.time, return_index=True)
+    columns = {}
+    for joint, values in joints.items():
+        unit = "m" if values["type"] == "slide" else "rad"
+        columns[f"position:{joint}"] = (
+            unit,
+            positions[first, result.trial.joints.index(joint)],
+        )
+    return Trace(("time", "s"), time, columns)
+
+
+def _joint_measures(golden: Golden, joints: Mapping[str, Any]) -> Iterator[Measure]:
+    stated = golden.target.get("joints", {})
+    for joint, values in joints.items():
+        own = (stated[joint] or {}) if isinstance(stated, Mapping) else {}
+        for number, name in _BOUNDS[values["type"]].items():
+            unit = _TOLERANCES[name]
+            if name in own:
+                bound = quantity(golden, f"target.joints.{joint}.{name}", own[name], unit)
+            elif name in golden.tolerance:
+                bound = golden.tolerance[name].value
+            else:
+                continue
+            error = values[number]
+            if error is None:
+                raise spec_error(
+                    golden, f"tolerance.{name}", f"the recording has no velocity of {joint!r}"
+                )
+            worst = number == "maximum"
+            yield Measure(
+                name=name,
+                subject=joint,
+                measured=values["predicted"] if worst else error,
+                golden=values["recorded"] if worst else 0.0,
+                error=error,
+                tolerance=bound,
+                unit=unit,
+                against="recording",
+                time=values["at"] if number != "velocity_rms" else None,
+            )
+
+
+def _tcp_measures(golden: Golden, values: Mapping[str, Any]) -> Iterator[Measure]:
+    for name, quantity_name, number in (
+        ("tcp_position_rms", "position", "rms"),
+        ("tcp_position_max", "position", "maximum"),
+        ("tcp_orientation_max", "orientation", "maximum"),
+    ):
+        if name in golden.tolerance:
+            error = values[quantity_name][number]
+            yield Measure(
+                name=name,
+                subject=values["frame"],
+                measured=error,
+                golden=0.0,
+                error=error,
+                tolerance=golden.tolerance[name].value,
+                unit=_TOLERANCES[name],
+                against="recording",
+                time=values[quantity_name]["at"],
+            )
