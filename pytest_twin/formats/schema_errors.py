@@ -163,14 +163,16 @@ def _about(schema: object) -> str | None:
     )
 
 
-def _closest(name: str, known: list[str]) -> str | None:
+def _closest(name: str, known: list[str]) -> str:
+    if not known:
+        return "no field of this name"
     near = difflib.get_close_matches(name[:100], known, n=1)
-    if near:
-        return f"{near[0]!r} (did you mean it?)"
-    return _listed(known) if known else "no field of this name"
+    return _listed(known) + (f"; did you mean {near[0]!r}?" if near else "")
 
 
 def _listed(words: list[str]) -> str:
+    if len(words) == 1:
+        return words[0]
     shown = ", ".join(words[:12])
     return f"one of {shown}" + (f" and {len(words) - 12} more" if len(words) > 12 else "")
 

@@ -1,0 +1,114 @@
+"""A refusal by a schema says which field, on which line, and what was expected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_twin.errors import SpecError
+from pytest_twin.formats import schema, yaml
+
+SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "required": ["kind"],
+    "additionalProperties": False,
+    "properties": {
+        "schema": {"const": 1},
+        "kind": {"enum": ["fk", "step", "settling"]},
+        "title": {"type": "string", "minLength": 1, "maxLength": 10},
+        "count": {"type": "integer", "minimum": 1, "exclusiveMaximum": 10},
+        "names": {"type": "array", "items": {"type": "string"}, "minItems": 1, "uniqueItems": True},
+        "tolerance": {
+            "type": "object",
+            "properties": {
+                "position": {"type": "string", "pattern": "m$", "description": "a length."}
+            },
+            "additionalProperties": False,
+        },
+        "where": {
+            "anyOf": [
+                {"type": "string"},
+                {
+                    "type": "object",
+                    "required": ["frame"],
+                    "properties": {"frame": {"type": "string"}},
+                },
+            ]
+        },
+    },
+}
+PATH = Path("g.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "where", "words"),
+    [
+        ("a: 1", 1, "a", "a: is no known field (expected one of schema, kind,"),
+        ("kind: fk\nkinds: 1", 2, "kinds", "is no known field"),
+        ("kind: fk\ntolerance:\n  positon: 1 m", 3, "tolerance.positon", "expected position"),
+        ("\ntitle: x", 2, None, "field 'kind' is missing (expected one of fk, step, settling)"),
+        ("kind: stepp", 1, "kind", "got 'stepp'; expected one of fk, step, settling; did you mean"),
+        ("kind: fk\nschema: 2", 2, "schema", "(got 2; expected 1)"),
+        ("kind: fk\ntitle: 3", 2, "title", "is a number (got 3; expected text)"),
+        ("kind: fk\ntitle: ''", 2, "title", "is too short (got ''; expected at least 1 characters"),
+        ("kind: fk\ncount: 0", 2, "count", "is too small (got 0; expected at least 1)"),
+        ("kind: fk\ncount: 10", 2, "count", "is too large (got 10; expected less than 10)"),
+        ("kind: fk\ncount: true", 2, "count", "is true or false (got True; expected a whole"),
+        ("kind: fk\nnames: []", 2, "names", "holds 0 (expected at least 1)"),
+        ("kind: fk\nnames: [a, a]", 2, "names", "holds a value twice"),
+        ("kind: fk\nnames:\n  - a\n  - 2", 4, "names.1", "is a number (got 2; expected text)"),
+        ("kind: fk\nnames: {a: 1}", 2, "names", "is a mapping of fields (expected a list)"),
+        (
+            "kind: fk\ntolerance: {position: 3}",
+            2,
+            "tolerance.position",
+            "is a number (got 3; expected text)",
+        ),
+        (
+            "kind: fk\ntolerance:\n\n  position: 3 kg",
+            4,
+            "tolerance.position",
+            "is not written as it should be (got '3 kg'; expected a length)",
+        ),
+        (
+            "kind: fk\nwhere: 3",
+            2,
+            "where",
+            "has none of the allowed forms (got 3; expected text",
+        ),
+        ("kind: fk\nwhere: {frame: 1}", 2, "where.frame", "is a number (got 1; expected text)"),
+        ("[]", 1, None, "is a list (expected a mapping of fields)"),
+        ("~", 1, None, "is empty (expected a mapping of fields)"),
+    ],
+)
+def test_words(text: str, line: int, where: str | None, words: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        schema.validate(yaml.loads(text, PATH), SCHEMA, PATH)
+    assert words in str(caught.value)
+    assert (caught.value.line, caught.value.where) == (line, where)
+    assert caught.value.path == PATH
+
+
+def test_a_misspelt_field_is_named_rather_than_the_one_that_is_missing() -> None:
+    with pytest.raises(SpecError, match=r"kimd: is no known field.*did you mean 'kind'"):
+        schema.validate(yaml.loads("kimd: fk", PATH), SCHEMA, PATH)
+
+
+def test_what_fits_passes() -> None:
+    text = "kind: fk\ncount: 9\nnames: [a, b]\ntolerance: {position: 3 mm}\nwhere: {frame: tcp}\n"
+    schema.validate(yaml.loads(text, PATH), SCHEMA, PATH)
+
+
+def test_schemas_that_ship_are_loaded_once_and_compiled() -> None:
+    from pytest_twin.formats.schema_compiler import compile_schema
+
+    found = schema.load_schema("twin.schema.json")
+    assert schema.load_schema("twin.schema.json") is found
+    assert compile_schema(found) is not None
+
+
+def test_a_schema_that_does_not_ship_is_an_error() -> None:
+    with pytest.raises(SpecError, match="no such schema ships"):
+        schema.load_schema("nothing.schema.json")
