@@ -1,0 +1,136 @@
+"""Files and folders appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pytest_twin.errors import FormatError, PathError
+from pytest_twin.formats import atomic
+
+
+def test_written_files_are_there_and_nothing_else_is(tmp_path: Path) -> None:
+    atomic.write_text(tmp_path / "a", "é\r\n")
+    assert (tmp_path / "a").read_bytes() == "é\r\n".encode()
+    atomic.write_bytes(tmp_path / "a", b"new")
+    assert (tmp_path / "a").read_bytes() == b"new"
+    assert os.listdir(tmp_path) == ["a"]  # noqa: PTH208
+
+
+def test_mode_is_kept_and_a_new_file_follows_the_umask(tmp_path: Path) -> None:
+    old = tmp_path / "old"
+    old.write_text("x")
+    old.chmod(0o640)
+    mask = os.umask(0o027)
+    try:
+        atomic.write_text(old, "y")
+        atomic.write_text(tmp_path / "new", "y")
+    finally:
+        os.umask(mask)
+    assert stat.S_IMODE(old.stat().st_mode) == 0o640
+    assert stat.S_IMODE((tmp_path / "new").stat().st_mode) == 0o640
+
+
+def test_an_error_while_writing_leaves_the_old_content(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_text("old")
+
+    def interrupted() -> None:
+        with atomic.open_replacement(path) as stream:
+            stream.write(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_killed_writer_leaves_the_old_content(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_text("old")
+    code = (
+        "import os, sys, pathlib\n"
+        "from pytest_twin.formats import atomic\n"
+        "with atomic.open_replacement(pathlib.Path(sys.argv[1])) as stream:\n"
+        "    stream.write(b'half'); stream.flush(); os.kill(os.getpid(), 9)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
+    assert done.returncode == -9
+    assert path.read_text() == "old"
+
+
+def test_links_and_folders_are_not_written_over(tmp_path: Path) -> None:
+    (tmp_path / "real").write_text("old")
+    (tmp_path / "link").symlink_to("real")
+    (tmp_path / "folder").mkdir()
+    for name in ("link", "folder"):
+        with pytest.raises(PathError, match="is not a regular file"):
+            atomic.write_text(tmp_path / name, "new")
+    assert (tmp_path / "real").read_text() == "old"
+
+
+def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
+    with pytest.raises(PathError, match="cannot be written: No such file"):
+        atomic.write_text(tmp_path / "none" / "a", "x")
+    with pytest.raises(FormatError, match="text that UTF-8 cannot hold"):
+        atomic.write_text(tmp_path / "a", "\ud800")
+    assert list(tmp_path.iterdir()) == []
+
+
+def _folder(path: Path, content: str) -> Path:
+    path.mkdir()
+    (path / "a").write_text(content)
+    return path
+
+
+def test_folders_appear_and_are_replaced_whole(tmp_path: Path) -> None:
+    final = tmp_path / "final"
+    atomic.replace_directory(_folder(tmp_path / "one", "1"), final)
+    assert (final / "a").read_text() == "1"
+    (final / "only-old").write_text("x")
+    atomic.replace_directory(_folder(tmp_path / "two", "2"), final)
+    assert [(entry.name, entry.read_text()) for entry in final.iterdir()] == [("a", "2")]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["final"]
+
+
+def test_a_rename_that_fails_puts_the_old_folder_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    final = _folder(tmp_path / "final", "old")
+    staging = _folder(tmp_path / "staging", "new")
+    rename = Path.rename
+
+    def refuse(self: Path, target: Path) -> Path:
+        if self == staging:
+            raise OSError(28, "No space left on device")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(PathError, match="No space left"):
+        atomic.replace_directory(staging, final)
+    assert (final / "a").read_text() == "old"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["final", "staging"]
+
+
+def test_folders_do_not_replace_files_or_links(tmp_path: Path) -> None:
+    staging = _folder(tmp_path / "staging", "new")
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "link").symlink_to(staging)
+    for name in ("file", "link"):
+        with pytest.raises(PathError, match="is in the way"):
+            atomic.replace_directory(staging, tmp_path / name)
+    with pytest.raises(PathError, match="not a folder"):
+        atomic.replace_directory(tmp_path / "link", tmp_path / "final")
+
+
+def test_created_folders_never_replace(tmp_path: Path) -> None:
+    final = tmp_path / "final"
+    assert atomic.create_directory(_folder(tmp_path / "one", "1"), final)
+    assert not atomic.create_directory(_folder(tmp_path / "two", "2"), final)
+    assert (final / "a").read_text() == "1"

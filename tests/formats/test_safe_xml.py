@@ -1,0 +1,131 @@
+"""XML without its traps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pytest_twin.errors import FormatError, LimitError, ModelError, PathError
+from pytest_twin.formats import xml
+
+PATH = Path("robot.urdf")
+
+
+def parse(text: str) -> xml.Element:
+    return xml.parse_bytes(text.encode(), PATH)
+
+
+def test_elements_carry_their_lines_and_no_comments() -> None:
+    root = parse("<?xml version='1.0'?>\n<robot>\n<!-- <!DOCTYPE x> -->\n<link/>\n</robot>")
+    assert [(child.tag, child.sourceline) for child in root] == [("link", 4)]
+
+
+LAUGHS = '<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]>\n<r x="&b;">&b;</r>'
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        (LAUGHS, 1, "a document type (DTD)"),
+        ('<!DOCTYPE r SYSTEM "http://127.0.0.1/x.dtd"><r/>', 1, "a document type (DTD)"),
+        ('\n<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><r>&x;</r>', 2, "(DTD)"),
+        ("<r>\n&x;</r>", 2, "not well-formed XML"),
+        ("<r>\n<a></r>", 2, "not well-formed XML"),
+        ("<r a='1' a='2'/>", 1, "not well-formed XML"),
+        ("<r/><r/>", 1, "not well-formed XML"),
+        ("text", 1, "not well-formed XML"),
+        ("", 1, "empty file"),
+        (" \n ", 1, "empty file"),
+        ("<r>\n\0</r>", 2, "a NUL character"),
+        (
+            '<r xmlns:i="http://www.w3.org/2001/XInclude">\n<i:include href="/etc/passwd"/></r>',
+            2,
+            "an XInclude",
+        ),
+        ('<?xml version="1.0" encoding="utf-7"?><r/>', 1, "unusual encoding"),
+        ('<?xml version="1.0" encoding="rot13"?><r/>', 1, "unusual encoding"),
+        ('<?xml version="1.0" encoding="nonsense"?><r/>', 1, "unusual encoding"),
+    ],
+)
+def test_refuses_with_place(text: str, line: int, words: str) -> None:
+    with pytest.raises(FormatError) as caught:
+        parse(text)
+    assert words in str(caught.value)
+    assert caught.value.line == line
+    assert caught.value.path == PATH
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "iso-8859-1", "cp1252", "utf-16"])
+def test_usual_encodings_are_read(encoding: str) -> None:
+    text = f'<?xml version="1.0" encoding="{encoding}"?><r name="é"/>'
+    assert xml.parse_bytes(text.encode(encoding), PATH).get("name") == "é"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "iso-8859-1"])
+def test_a_dtd_hides_behind_no_encoding(encoding: str) -> None:
+    text = f'<?xml version="1.0" encoding="{encoding}"?>{LAUGHS}'
+    with pytest.raises(FormatError, match="a document type"):
+        xml.parse_bytes(text.encode(encoding), PATH)
+
+
+def test_bytes_that_are_no_text_are_named() -> None:
+    with pytest.raises(FormatError, match="not utf-8 text") as caught:
+        xml.parse_bytes(b"<r>\n <a b='\xff'/></r>", PATH)
+    assert (caught.value.line, caught.value.column) == (2, 8)
+
+
+def test_depth_is_bounded() -> None:
+    assert parse("<a>" * 200 + "</a>" * 200) is not None
+    with pytest.raises(FormatError):
+        parse("<a>" * 257 + "</a>" * 257)
+    with pytest.raises(FormatError):
+        parse("<a>" * 100_000 + "</a>" * 100_000)
+
+
+def test_counts_are_bounded() -> None:
+    with pytest.raises(LimitError, match="too many elements"):
+        parse("<r>" + "<a/>" * 1_100_000 + "</r>")
+
+
+def test_size_is_bounded_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    with path.open("wb") as stream:
+        stream.truncate(2**40)
+    with pytest.raises(LimitError, match="file is too large"):
+        xml.parse(path)
+
+
+def test_a_link_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "real.urdf").write_text("<r/>")
+    (tmp_path / "robot.urdf").symlink_to("real.urdf")
+    with pytest.raises(PathError, match="is a symbolic link"):
+        xml.parse(tmp_path / "robot.urdf")
+
+
+def test_numbers_are_read_with_their_place() -> None:
+    element = parse("<r>\n<joint name='elbow' d='0.5' axis='0 0 1' bad='1_0' n='nan'/></r>")[0]
+    assert xml.float_attribute(element, "d", PATH, unit="N*m*s/rad") == 0.5
+    assert xml.float_attribute(element, "none", PATH, default=2.0) == 2.0
+    np.testing.assert_array_equal(xml.vector_attribute(element, "axis", PATH, size=3), [0, 0, 1])
+    with pytest.raises(ModelError) as caught:
+        xml.float_attribute(element, "n", PATH, unit="kg")
+    assert str(caught.value) == (
+        "robot.urdf:2: joint 'elbow': attribute 'n' is no finite number "
+        "(got 'nan'; expected a finite number in kg)"
+    )
+    with pytest.raises(ModelError, match="attribute 'bad' is no finite number"):
+        xml.float_attribute(element, "bad", PATH)
+    with pytest.raises(ModelError, match="attribute 'mass' is missing"):
+        xml.float_attribute(element, "mass", PATH)
+    with pytest.raises(ModelError, match=r"holds 3 numbers .*expected 4 numbers in m"):
+        xml.vector_attribute(element, "axis", PATH, size=4, unit="m")
+
+
+@pytest.mark.parametrize("text", ["1e400", "inf", "infinity", "0x10", "", "1 2", "٣", "1e", "--1"])
+def test_odd_numbers_are_refused(text: str) -> None:
+    element = parse("<r/>")
+    element.set("a", text)
+    with pytest.raises(ModelError):
+        xml.float_attribute(element, "a", PATH)
