@@ -6,17 +6,21 @@ import os
 from collections.abc import Callable, Iterable
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pytest_twin.errors import TwinError
 from pytest_twin.gate import specs
-from pytest_twin.gate.parts import changed_since, take_stock
-from pytest_twin.gate.plan import NEVER_PROVEN, Plan, make_plan
+from pytest_twin.gate.parts import changed_files, take_stock
+from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, gone, reasons_of
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update, record
 from pytest_twin.gate.verdict import Facts, SessionFacts
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
 from pytest_twin.twin import load_twin
+
+if TYPE_CHECKING:
+    from pytest_twin.release import Release
 
 Progress = Callable[[float], None]
 
@@ -81,10 +85,50 @@ class Gate:
                     goldens.append(self.golden(path))
                 except TwinError as error:
                     broken.append(str(error))
-            traces = specs.trace_paths(self.twin)
-            today = take_stock(self.twin, goldens)
-            self._plan = make_plan(self.twin, goldens, traces, today, tuple(broken))
+            self._plan = self._made(goldens, broken)
         return self._plan
+
+    def _made(self, goldens: list[Golden], broken: list[str]) -> Plan:
+        traces = specs.trace_paths(self.twin)
+        today = take_stock(self.twin, goldens)
+        baseline, known, notes = self._baseline()
+        tasks: dict[str, Task] = {}
+        for golden in goldens:
+            for realization in golden.realizations:
+                key = f"{golden.id}@{realization}"
+                ids = today.depends[key]
+                tasks[key] = Task(
+                    golden,
+                    realization,
+                    ids,
+                    reasons_of(key, ids, today.parts, baseline),
+                    baseline.goldens.get(key) if baseline else None,
+                )
+        missing, dropped = gone(known, tasks, self.twin.retired)
+        referred = {golden.path.parent / golden.trace.file for golden in goldens if golden.trace}
+        return Plan(
+            tasks=tasks,
+            parts=today.parts,
+            baseline=baseline,
+            missing=missing,
+            dropped=dropped,
+            orphans=tuple(path for path in traces if path not in referred),
+            files=today.files,
+            problems=(*broken, *today.problems),
+            notes=notes,
+        )
+
+    def _baseline(self) -> tuple[Release | None, Release | None, tuple[str, ...]]:
+        """The last release that holds, the last one that is authentic, and what to say."""
+        if not (self.root / "releases").is_dir():
+            return None, None, ()
+        from pytest_twin import release
+
+        try:
+            found = release.baseline(self.root)
+        except TwinError as error:
+            return None, None, (f"no baseline: {error}",)
+        return found.release, found.known, found.problems
 
     # -- running
 
@@ -154,7 +198,7 @@ class Gate:
             orphans=tuple(path.relative_to(self.root).as_posix() for path in plan.orphans),
             missing=plan.missing,
             dropped=plan.dropped,
-            changed=changed_since(self.twin, plan) if self.outcomes else (),
+            changed=tuple(changed_files(plan.files)) if self.outcomes else (),
             problems=plan.problems,
             baseline=None if plan.baseline is None else plan.baseline.number,
             session=session,

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pytest_twin.dependency import Part
 from pytest_twin.golden import Golden
-from pytest_twin.outcome import Outcome, Reason
-from pytest_twin.release import Proof, Release
+from pytest_twin.outcome import Reason
+
+if TYPE_CHECKING:
+    from pytest_twin.release import Proof, Release
 
 NEVER_PROVEN = "never proven: run pytest --twin-update"
 
@@ -84,6 +87,27 @@ class Plan:
         return tuple(ident for ident, golden in goldens.items() if golden.provenance is None)
 
 
+def reasons_of(
+    key: str, ids: tuple[str, ...], parts: Mapping[str, Part], baseline: Release | None
+) -> tuple[Reason, ...]:
+    """Why ``baseline`` does not prove a golden that rests on ``ids`` today."""
+    if baseline is None:
+        return (Reason("no release yet"),)
+    proof = baseline.goldens.get(key)
+    if proof is None:
+        return (Reason("not in the last release"),)
+    reasons = []
+    for ident in ids:
+        old, new = baseline.parts.get(ident), parts.get(ident)
+        if new is None or old is None or old.digest != new.digest:
+            reasons.append(
+                Reason(ident, "", old.digest[:8] if old else "", new.digest[:8] if new else "")
+            )
+    if set(ids) != set(proof.parts):
+        reasons.append(Reason("dependency set changed"))
+    return tuple(reasons)
+
+
 def gone(
     known: Release | None, tasks: Mapping[str, Task], retired: Mapping[str, str]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -107,8 +131,3 @@ def gone(
         else:
             missing[ident] = None
     return tuple(missing), tuple(dropped)
-
-
-def carried_over(task: Task) -> Outcome | None:
-    """The outcome that the last release vouches for, None where it vouches for none."""
-    return None if task.stale or task.proof is None else task.proof.outcome

@@ -102,9 +102,11 @@ def _reasons(facts: Facts) -> Iterator[str]:
     yield from facts.problems
     results = {**facts.proven, **facts.outcomes}
     for key, criticality in facts.criticality.items():
+        if key.rpartition("@")[0] in facts.unproven:
+            continue
         outcome = results.get(key)
         if outcome is None:
-            if key.rpartition("@")[0] not in facts.unproven and not session.selection:
+            if not session.selection:
                 yield f"{key}: did not run"
             continue
         if (broken := not_finite(outcome)) is not None:

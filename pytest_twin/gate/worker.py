@@ -115,3 +115,13 @@ def _twin(path: Path) -> Twin:
 def _realization(twin: Path, name: str) -> Realization:
     loaded = _twin(twin)
     return load(loaded.realizations[name].file, twin=loaded, name=name)
+
+
+def features(twin: str, realization: str) -> dict[str, Any]:
+    """Parts and structure of a realization, and the files that it was read from."""
+    loaded = _realization(Path(twin), realization)
+    return {
+        "structure": loaded.structure.to_json(),
+        "parts": {ident: part.content for ident, part in loaded.parts.items()},
+        "files": [str(path) for path in loaded.source.files],
+    }

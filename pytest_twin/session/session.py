@@ -339,14 +339,14 @@ class TwinSession:
         write = terminalreporter.write_line
         if self.options.why:
             for gate in self.gates.values():
-                terminalreporter.section(f"twin {gate.twin.name}: fresh or stale, and why")
+                terminalreporter.write_sep("=", f"twin {gate.twin.name}: fresh or stale, and why")
                 for line in why_lines(gate.plan()):
                     write(line)
         for gate, text in self.advisories:
-            terminalreporter.section(f"twin {gate.twin.name}: advisory, blocks nothing")
+            terminalreporter.write_sep("=", f"twin {gate.twin.name}: advisory, blocks nothing")
             write(text)
         for gate, lines in self.summaries:
-            terminalreporter.section(f"twin {gate.twin.name}")
+            terminalreporter.write_sep("=", f"twin {gate.twin.name}")
             for line in lines:
                 write(line)
 
