@@ -234,6 +234,18 @@ def test_an_older_release_after_a_newer_one_was_accepted(
     assert problems(tmp_path / "offered", keys=trusted, remember=True) == expected
 
 
+def test_verification_alone_remembers_too(root: Path, make: MakeRelease, user: Path) -> None:
+    """On a machine that received the releases and wrote none."""
+    make()
+    make()
+    shutil.rmtree(user / "state")
+    assert problems(root / "releases" / "0002", remember=True) == []
+    shutil.rmtree(root / "releases" / "0002")
+    assert problems(root / "releases" / "0001", remember=True) == [
+        ("rollback", "older than release 2, which was accepted here")
+    ]
+
+
 def test_what_was_accepted_of_one_twin_says_nothing_of_another_of_its_name(
     root: Path, make: MakeRelease, tmp_path: Path
 ) -> None:

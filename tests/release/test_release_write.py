@@ -183,6 +183,16 @@ def test_what_an_interrupted_write_left_is_cleaned_once_it_is_old(
     assert not old.exists()
 
 
+def test_a_link_in_place_of_the_next_release_is_not_followed(
+    root: Path, tmp_path: Path, make: MakeRelease
+) -> None:
+    make()
+    (tmp_path / "elsewhere").mkdir()
+    (root / "releases" / "0002").symlink_to(tmp_path / "elsewhere")
+    assert make().number == 3
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
 def test_a_failed_write_leaves_nothing_behind(root: Path) -> None:
     signer, _ = release.signer(root)
 
