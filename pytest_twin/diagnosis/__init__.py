@@ -1,0 +1,1 @@
+"""Locate, name, model and show: why a simulation and recordings differ."""

@@ -1,0 +1,152 @@
+"""Fit rival hypotheses together: every perturbation of every rival is a row of one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects.base import FloatArray
+
+_STEP = 1e-3
+_DAMPINGS = (1e-4, 1e-1)
+
+
+@dataclass(slots=True)
+class Fitted:
+    """A hypothesis at its optimum.
+
+    Attributes:
+        hypothesis: with the fitted parameters.
+        residual: (samples, signals) on the fit segments.
+        jacobian: (samples, signals, parameters) of the prediction, per scaled parameter.
+        cost: weighted mean square on the fit segments.
+    """
+
+    hypothesis: Hypothesis
+    residual: FloatArray
+    jacobian: FloatArray
+    cost: float
+
+
+def fit(
+    problem: Problem,
+    starts: Sequence[Hypothesis],
+    weights: FloatArray,
+    segments: NDArray[np.int64],
+    *,
+    iterations: int,
+) -> list[Fitted]:
+    """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
+
+    Args:
+        problem: what to explain.
+        starts: rival hypotheses with starting values.
+        weights: (signals,) reciprocal deviations.
+        segments: fit on these.
+        iterations: Jacobians at most; a rival that no longer gains stops earlier.
+    """
+    current = list(starts)
+    residual = problem.residuals(current, segments)
+    cost = [_cost(r, weights) for r in residual]
+    jacobians: list[FloatArray | None] = [None] * len(current)
+    active = [i for i, h in enumerate(current) if h.theta.size]
+    for iteration in range(iterations):
+        if not active:
+            break
+        _fill_jacobians(problem, current, residual, segments, active, jacobians)
+        trials: list[Hypothesis] = []
+        for i in active:
+            jac = jacobians[i]
+            assert jac is not None
+            trials += [_propose(current[i], residual[i], jac, weights, d) for d in _DAMPINGS]
+        tried = problem.residuals(trials, segments)
+        still = []
+        for k, i in enumerate(active):
+            options = range(k * len(_DAMPINGS), (k + 1) * len(_DAMPINGS))
+            best = min(options, key=lambda o: _cost(tried[o], weights))
+            gained = _cost(tried[best], weights)
+            if gained < cost[i]:
+                enough = gained < cost[i] * (1.0 - 1e-4)
+                current[i], residual[i], cost[i] = trials[best], tried[best], gained
+                jacobians[i] = None
+                if enough and iteration + 1 < iterations:
+                    still.append(i)
+        active = still
+    stale = [i for i, h in enumerate(current) if jacobians[i] is None and h.theta.size]
+    if stale:
+        _fill_jacobians(problem, current, residual, segments, stale, jacobians)
+    out = []
+    for i, h in enumerate(current):
+        jac = jacobians[i]
+        shape = (*residual[i].shape, 0)
+        out.append(Fitted(h, residual[i], np.empty(shape) if jac is None else jac, cost[i]))
+    return out
+
+
+def _cost(residual: FloatArray, weights: FloatArray) -> float:
+    value = float(np.mean((residual * weights) ** 2))
+    return value if np.isfinite(value) else np.inf
+
+
+def _fill_jacobians(
+    problem: Problem,
+    current: Sequence[Hypothesis],
+    residual: Sequence[FloatArray],
+    segments: NDArray[np.int64],
+    which: Sequence[int],
+    into: list[FloatArray | None],
+) -> None:
+    moved: list[Hypothesis] = []
+    steps: list[float] = []
+    for i in which:
+        h = current[i]
+        _, upper = h.bounds
+        for k in range(h.theta.size):
+            step = _STEP * max(1.0, abs(h.theta[k]))
+            step = -step if h.theta[k] + step > upper[k] else step
+            theta = h.theta.copy()
+            theta[k] += step
+            moved.append(h.with_theta(theta))
+            steps.append(step)
+    found = problem.residuals(moved, segments)
+    at = 0
+    for i in which:
+        columns = []
+        for _ in range(current[i].theta.size):
+            columns.append((residual[i] - found[at]) / steps[at])
+            at += 1
+        into[i] = np.nan_to_num(np.stack(columns, axis=-1))
+
+
+def _propose(
+    h: Hypothesis, residual: FloatArray, jacobian: FloatArray, weights: FloatArray, damping: float
+) -> Hypothesis:
+    """A damped Gauss-Newton step inside the bounds; parameters at a bound that pull out stay."""
+    lower, upper = h.bounds
+    a = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
+    b = np.nan_to_num(residual * weights).ravel()
+    normal, gradient = a.T @ a, a.T @ b
+    free = np.ones(h.theta.size, dtype=bool)
+    theta = h.theta.copy()
+    for _ in range(h.theta.size):
+        n = normal[np.ix_(free, free)]
+        ridge = damping * np.diag(np.maximum(np.diag(n), 1e-12 * max(n.max(initial=0.0), 1e-30)))
+        step = np.zeros_like(theta)
+        step[free] = np.linalg.lstsq(n + ridge, gradient[free], rcond=None)[0]
+        proposal = h.theta + step
+        outside = free & ((proposal < lower) | (proposal > upper))
+        if not outside.any():
+            return h.with_theta(proposal)
+        theta = np.clip(proposal, lower, upper)
+        blocked = outside & ((h.theta <= lower) & (step < 0) | (h.theta >= upper) & (step > 0))
+        if not blocked.any():
+            return h.with_theta(theta)
+        free &= ~blocked
+        if not free.any():
+            break
+    return h.with_theta(np.clip(theta, lower, upper))

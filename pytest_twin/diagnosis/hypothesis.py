@@ -1,0 +1,105 @@
+"""A hypothesis: which effects act where, and with what parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import Effect, FloatArray, Parameter
+from pytest_twin.effects.rows import EffectValues
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Term:
+    """One effect at one place: a joint's column, or -1 where it is the whole robot's."""
+
+    effect: str
+    joint: int
+
+    @property
+    def law(self) -> Effect:
+        """The effect itself."""
+        return catalogue()[self.effect]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Of its law."""
+        return self.law.parameters
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """What a joint's parameters are multiples of: reference name -> (joints,) values, SI units."""
+
+    of: Mapping[str, FloatArray]
+
+    def value(self, parameter: Parameter, joint: int) -> float:
+        """The unit step of a parameter at a joint; of the whole robot, the first joint's."""
+        return float(self.of[parameter.reference][max(joint, 0)])
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Terms and one parameter vector, in multiples of each parameter's scale."""
+
+    terms: tuple[Term, ...]
+    theta: FloatArray
+
+    def with_theta(self, theta: FloatArray) -> Hypothesis:
+        """The same terms elsewhere."""
+        return Hypothesis(self.terms, theta)
+
+    def with_term(self, term: Term, start: FloatArray) -> Hypothesis:
+        """One more term, starting at ``start``."""
+        return Hypothesis((*self.terms, term), np.concatenate([self.theta, start]))
+
+    def without(self, term: Term) -> Hypothesis:
+        """One term fewer."""
+        kept = np.concatenate(
+            [np.full(len(t.parameters), t != term, dtype=bool) for t in self.terms]
+        )
+        return Hypothesis(tuple(t for t in self.terms if t != term), self.theta[kept])
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper, in multiples of the scales."""
+        parameters = [p for t in self.terms for p in t.parameters]
+        return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+
+    def slice_of(self, term: Term) -> slice:
+        """Where a term's parameters stand in ``theta``."""
+        at = 0
+        for t in self.terms:
+            if t == term:
+                return slice(at, at + len(t.parameters))
+            at += len(t.parameters)
+        raise KeyError(term)
+
+
+EMPTY = Hypothesis((), np.empty(0))
+
+
+def effect_values(rows: Sequence[Hypothesis], joints: int, scales: Scales) -> EffectValues:
+    """Parameters of every row's hypothesis as arrays; neutral where a row lacks the effect."""
+    effects = sorted({t.effect for h in rows for t in h.terms})
+    values: dict[str, dict[str, FloatArray]] = {}
+    for effect in effects:
+        values[effect] = {}
+        for p in catalogue()[effect].parameters:
+            if p.neutral is not None:
+                array = np.full((len(rows), joints), p.neutral)
+            else:
+                array = np.empty((len(rows), joints))
+                array[:] = [p.starts[0] * scales.value(p, j) for j in range(joints)]
+            values[effect][p.name] = array
+    for i, h in enumerate(rows):
+        at = 0
+        for t in h.terms:
+            for p in t.parameters:
+                column = slice(None) if t.joint < 0 else t.joint
+                values[t.effect][p.name][i, column] = h.theta[at] * scales.value(p, t.joint)
+                at += 1
+    return values

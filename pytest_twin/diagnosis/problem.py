@@ -1,0 +1,177 @@
+"""The mismatch as numbers: segments to simulate, what is measured, and how well it can be known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
+
+
+@dataclass(slots=True)
+class Problem:
+    """What has to be explained.
+
+    Attributes:
+        simulator: over all segments, fit and held-out.
+        fit, held_out: indices of segments.
+        floor: (joints,) standard deviation of what no model can explain, rad or m.
+        scales: of the joints' parameters.
+        use_effort: whether measured efforts take part.
+    """
+
+    simulator: RowSimulator
+    fit: NDArray[np.int64]
+    held_out: NDArray[np.int64]
+    floor: FloatArray
+    scales: Scales
+    effort_floor: FloatArray | None = None
+    cache: dict[tuple[object, ...], list[Predicted]] = field(default_factory=dict)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names, in the order of columns."""
+        return self.simulator.joints
+
+    def predict(
+        self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
+    ) -> list[list[Predicted]]:
+        """Predictions of every hypothesis on every segment; all rows of one batch."""
+        rows = np.tile(segments, len(hypotheses))
+        each = [h for h in hypotheses for _ in segments]
+        values = effect_values(each, len(self.joints), self.scales)
+        flat = self.simulator.simulate(rows, values)
+        n = len(segments)
+        return [flat[i * n : (i + 1) * n] for i in range(len(hypotheses))]
+
+    def residuals(
+        self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
+    ) -> list[FloatArray]:
+        """Measured minus predicted, stacked over segments: (samples, signals) each.
+
+        Signals are the joints' positions, then their efforts where these take part.
+        """
+        out = []
+        for predictions in self.predict(hypotheses, segments):
+            parts = []
+            for s, p in zip(segments, predictions, strict=True):
+                segment = self.simulator.segments[s]
+                columns = [segment.position - p.position]
+                if self.effort_floor is not None and segment.effort is not None:
+                    columns.append(segment.effort - p.effort)
+                parts.append(np.concatenate(columns, axis=1))
+            out.append(np.concatenate(parts))
+        return out
+
+    @property
+    def signal_floor(self) -> FloatArray:
+        """(signals,) floors, positions then efforts."""
+        if self.effort_floor is None:
+            return self.floor
+        return np.concatenate([self.floor, self.effort_floor])
+
+    def lengths(self, segments: NDArray[np.int64]) -> list[int]:
+        """Samples of each segment."""
+        return [len(self.simulator.segments[s].time) for s in segments]
+
+
+def sensor_noise(position: FloatArray) -> FloatArray:
+    """(joints,) standard deviation of noise and quantization of (n, joints) samples.
+
+    Third differences take out what is smooth; white noise of deviation s gives them deviation
+    sqrt(20) s. The median keeps reversals and impacts out.
+    """
+    third = np.diff(position, n=3, axis=0)
+    spread = 1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0)
+    step = np.array([_quantum(position[:, j]) for j in range(position.shape[1])])
+    noise: FloatArray = np.maximum(spread, step / np.sqrt(12.0))
+    return noise
+
+
+def _quantum(values: FloatArray) -> float:
+    """The step of a quantized signal, or 0 where it is not quantized."""
+    levels = np.unique(values)
+    if len(levels) < 3:
+        return 0.0
+    gaps = np.diff(levels)
+    smallest = float(np.quantile(gaps, 0.05))
+    if smallest <= 0.0:
+        return 0.0
+    off = gaps / smallest
+    return smallest if np.abs(off - np.round(off)).mean() < 0.02 else 0.0
+
+
+def smooth_state(
+    time: FloatArray, position: FloatArray, at: float, width: float
+) -> tuple[FloatArray, FloatArray]:
+    """Position and velocity (joints,) at a time, by a local cubic over ``width`` s."""
+    near = np.abs(time - at) <= width / 2
+    if near.sum() < 6:
+        near = np.argsort(np.abs(time - at))[:6]
+    t = (time[near] - at) / (width / 2)
+    basis = np.vander(t, 4, increasing=True)
+    coefficients, *_ = np.linalg.lstsq(basis, position[near], rcond=None)
+    return coefficients[0], coefficients[1] / (width / 2)
+
+
+def joint_scales(simulator: RowSimulator, segments: Sequence[Segment]) -> Scales:
+    """Typical sizes of a joint's parameters, from the model and the nominal replay."""
+    joints = len(simulator.joints)
+    model = segments[0].model
+    nominal = simulator.simulate(
+        np.arange(len(segments)), effect_values([EMPTY] * len(segments), joints, Scales({}))
+    )
+
+    def rms(values: list[FloatArray]) -> FloatArray:
+        stacked = np.concatenate(values)
+        out: FloatArray = np.sqrt(np.nanmean(stacked**2, axis=0))
+        return out
+
+    effort = np.maximum(rms([p.effort for p in nominal]), 1e-4)
+    measured = [np.gradient(s.position, np.maximum(s.time, 0.0) + 1e-12 * np.arange(len(s.time)),
+                            axis=0) for s in segments]  # fmt: skip
+    velocity = np.maximum(rms(measured), 1e-3)
+    position = np.maximum(np.concatenate([s.position for s in segments]).std(axis=0), 1e-2)
+    data = mujoco.MjData(model)
+    mass = np.zeros((model.nv, model.nv))
+    inertia = np.zeros(joints)
+    for s in segments:
+        data.qpos[simulator.qpos_index] = s.position[len(s.position) // 2]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        inertia = np.maximum(inertia, np.diag(mass)[simulator.dof_index])
+    rate = rms([np.diff(s.command, axis=0) / np.maximum(np.diff(s.command_time), 1e-4)[:, None]
+                for s in segments])  # fmt: skip
+    peak = np.max([np.nanmax(np.abs(p.effort), axis=0) for p in nominal], axis=0)
+    command = rms([_tracking_error(s) if s.mode == "position" else s.command for s in segments])
+    ones = np.ones(joints)
+    subtree = float(model.body_mass[simulator.body_index[-1]])
+    return Scales(
+        {
+            "one": ones,
+            "effort": effort,
+            "velocity": velocity,
+            "position": position,
+            "damping": effort / velocity,
+            "stiffness": effort / position,
+            "drag": effort / velocity**2,
+            "inertia": inertia,
+            "slowness": 1.0 / np.maximum(np.nan_to_num(rate), velocity),
+            "inverse_effort": 1.0 / np.maximum(peak, 1e-4),
+            "command": np.maximum(np.nan_to_num(command), 1e-4),
+            "mass": ones * max(subtree, 0.05),
+            "length": ones * float(simulator.link_length[-1]),
+        }
+    )
+
+
+def _tracking_error(segment: Segment) -> FloatArray:
+    held = np.searchsorted(segment.command_time, segment.time, side="right") - 1
+    error: FloatArray = segment.command[np.maximum(held, 0)] - segment.position
+    return error

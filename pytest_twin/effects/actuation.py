@@ -1,0 +1,199 @@
+"""Actuation: what the drive makes of its command."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from pytest_twin.effects.base import Effect, Parameter, Values, World
+
+
+class ActuatorLag(Effect):
+    """The drive's effort follows what its law asks for with a first-order lag."""
+
+    id = "actuator_lag"
+    family = "actuation"
+    law = "time_constant d(delivered)/dt = drive - delivered"
+    source = "current loop as a first-order lag; Siciliano et al., Robotics (2009), sec. 8.3"
+    parameters = (Parameter("time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.05)),)
+    confused_with: ClassVar = {
+        "command_delay": "steps: a lag rises at once, a delay leaves a dead time",
+        "armature": "two payloads: a lag does not depend on what is carried",
+    }
+
+    def drive(self, world: World, values: Values) -> None:
+        lag = values["time_constant"]
+        held = world.state.get(self.id)
+        if held is None:
+            held = world.delivered.copy()
+        # Exact for an input that is held over the step; a zero time constant passes it through.
+        keep = np.exp(-world.timestep / np.maximum(lag, 1e-9))
+        held = world.delivered + keep * (held - world.delivered)
+        world.state[self.id] = held
+        world.delivered = held
+
+
+class RateLimit(Effect):
+    """The setpoint moves no faster than a profile generator or the firmware allows."""
+
+    id = "rate_limit"
+    family = "actuation"
+    law = "|d(setpoint)/dt| <= rate"
+    source = "slew-rate limit; Klein, Rundqwist, J. Guidance 1996"
+    parameters = (
+        # Absent at infinity: the parameter is the reciprocal of the rate.
+        Parameter("inverse_rate", "one", 0.0, 0.0, 20.0, (0.3, 1.0), "slowness"),
+    )
+    modes = ("position", "velocity")
+    confused_with: ClassVar = {
+        "torque_saturation": "a load added: a rate limit does not depend on it",
+        "command_delay": "steps of two sizes: a delay does not grow with the step",
+        "actuator_lag": "steps of two sizes: a lag scales, a rate limit does not",
+    }
+
+    def command(self, world: World, values: Values) -> None:
+        held = world.state.get(self.id)
+        if held is None:
+            held = world.setpoint.copy()
+        reach = world.timestep / np.maximum(values["inverse_rate"], 1e-9)
+        held = held + np.clip(world.setpoint - held, -reach, reach)
+        world.state[self.id] = held
+        world.setpoint = held
+
+
+class TorqueConstant(Effect):
+    """The drive gives more or less effort than its current says."""
+
+    id = "torque_constant"
+    family = "actuation"
+    law = "delivered = (1 + relative_error) drive"
+    source = "Nm per A; Siciliano et al., Robotics (2009), sec. 5.2"
+    parameters = (Parameter("relative_error", "one", 0.0, -0.8, 1.5, (0.1,)),)
+    confused_with: ClassVar = {
+        "controller_gain": "feed-forward effort: a gain does not act on it",
+        "inertial_parameters": "a known payload added: only a torque constant misjudges it",
+        "effort_scale": "the motion: a sensor does not change it",
+    }
+
+    def gains(self, world: World, values: Values) -> None:
+        factor = 1.0 + values["relative_error"]
+        world.gain = world.gain * factor
+        world.stiffness = world.stiffness * factor
+        world.damping = world.damping * factor
+        world.offset = world.offset * factor
+        world.lower = world.lower * factor
+        world.upper = world.upper * factor
+
+
+class TorqueSaturation(Effect):
+    """The drive gives no more than its current limit."""
+
+    id = "torque_saturation"
+    family = "actuation"
+    law = "|drive| <= limit"
+    source = "peak current; Siciliano et al., Robotics (2009), sec. 5.2"
+    parameters = (
+        # Absent at infinity: the parameter is the reciprocal of the limit.
+        Parameter("inverse_limit", "one", 0.0, 0.0, 10.0, (0.6, 1.0), "inverse_effort"),
+    )
+    confused_with: ClassVar = {
+        "torque_speed_limit": "a stall against a stop: only there the speed is zero",
+        "rate_limit": "a load added: a rate limit does not depend on it",
+        "controller_gain": "steps of two sizes: a gain scales",
+    }
+
+    def gains(self, world: World, values: Values) -> None:
+        limit = 1.0 / np.maximum(values["inverse_limit"], 1e-12)
+        world.lower = np.maximum(world.lower, -limit)
+        world.upper = np.minimum(world.upper, limit)
+
+
+class TorqueSpeedLimit(Effect):
+    """The available effort falls with speed: the supply's voltage is used up by back-EMF."""
+
+    id = "torque_speed_limit"
+    family = "actuation"
+    law = "drive sign(v) <= stall (1 - |v| / no_load_speed)"
+    source = "DC motor curve; Hughes, Drury, Electric Motors and Drives (2019), ch. 3"
+    parameters = (
+        Parameter("inverse_no_load_speed", "one", 0.0, 0.0, 5.0, (0.3, 0.6), "slowness"),
+        Parameter("stall", "effort", None, 0.2, 20.0, (1.5, 4.0), "effort"),
+    )
+    confused_with: ClassVar = {
+        "torque_saturation": "a stall against a stop",
+        "viscous_friction": "a slow move under load: the limit acts at high effort and speed only",
+    }
+
+    def servo(self, world: World, values: Values) -> None:
+        inverse = values["inverse_no_load_speed"]
+        stall = np.where(inverse > 0.0, values["stall"], np.inf)
+        used = inverse * world.velocity
+        world.upper = np.minimum(world.upper, stall * np.clip(1.0 - used, 0.0, 1.0))
+        world.lower = np.maximum(world.lower, -stall * np.clip(1.0 + used, 0.0, 1.0))
+
+
+class DeadZone(Effect):
+    """A servo that ignores small errors; an effort drive that ignores small commands."""
+
+    id = "dead_zone"
+    family = "actuation"
+    law = "error -> sign(error) max(|error| - width, 0); an effort drive: the same of its command"
+    source = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities"
+    parameters = (Parameter("width", "one", 0.0, 0.0, 1.0, (0.01, 0.04), "command"),)
+    confused_with: ClassVar = {
+        "coulomb_friction": "release at rest: friction holds, a dead zone lets go",
+        "backlash": "hold the link by hand: only backlash lets it move freely",
+    }
+
+    def servo(self, world: World, values: Values) -> None:
+        width = values["width"]
+        error = world.setpoint - np.where(world.servo == "position", world.position, 0.0)
+        world.setpoint = world.setpoint - np.clip(error, -width, width)
+
+
+class Cogging(Effect):
+    """Effort that varies with the rotor's angle: teeth that prefer the magnets."""
+
+    id = "cogging"
+    family = "actuation"
+    law = "effort = sine sin(harmonic q) + cosine cos(harmonic q)"
+    source = "Holtz, Springob, IEEE Trans. Ind. Electron. 43 (1996): torque ripple"
+    parameters = (
+        Parameter("sine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort"),
+        Parameter("cosine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort"),
+        Parameter("harmonic", "wavenumber", None, 2.0, 200.0, (6.0, 12.0, 24.0), "one"),
+    )
+    confused_with: ClassVar = {
+        "position_dependent_friction": "both directions: friction changes its sign",
+        "joint_spring": "half a turn: cogging repeats",
+    }
+
+    def force(self, world: World, values: Values) -> None:
+        angle = values["harmonic"] * world.position
+        world.applied += values["sine"] * np.sin(angle) + values["cosine"] * np.cos(angle)
+
+
+class ControllerGain(Effect):
+    """The servo's stiffness and damping are not those of the model."""
+
+    id = "controller_gain"
+    family = "actuation"
+    law = "effort = (1 + stiffness_error) kp (setpoint - q) - (1 + damping_error) kv v"
+    source = "PD law; Siciliano et al., Robotics (2009), sec. 8.5"
+    parameters = (
+        Parameter("stiffness_error", "one", 0.0, -0.9, 4.0, (0.1,)),
+        Parameter("damping_error", "one", 0.0, -1.0, 4.0, (0.1,)),
+    )
+    modes = ("position", "velocity")
+    confused_with: ClassVar = {
+        "torque_constant": "feed-forward effort, or a stall: a gain leaves the limit where it is",
+        "viscous_friction": "the drive off: only friction remains",
+        "joint_spring": "the drive off: only a spring pulls",
+    }
+
+    def gains(self, world: World, values: Values) -> None:
+        stiffness, damping = 1.0 + values["stiffness_error"], 1.0 + values["damping_error"]
+        world.gain = world.gain * np.where(world.servo == "velocity", damping, stiffness)
+        world.stiffness = world.stiffness * stiffness
+        world.damping = world.damping * damping

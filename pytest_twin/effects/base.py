@@ -1,0 +1,216 @@
+"""What an effect is: one piece of physics that a model can have or lack.
+
+An effect states its law, its parameters, where it acts, what it is confused with, and the
+experiment that tells them apart. Its hooks change a :class:`World`, the arrays of many simulations
+at one step; every array is (rows, joints), so that trials, perturbations and rival hypotheses are
+stepped at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Values = Mapping[str, FloatArray]
+"""Parameter name -> (rows, joints) values in SI units; neutral where the effect is absent."""
+
+Quantity = Literal[
+    "one", "effort", "position", "velocity", "time", "damping", "stiffness", "inertia", "drag",
+    "angle", "wavenumber", "effort_per_load", "mass", "length", "acceleration", "temperature",
+]  # fmt: skip
+Scope = Literal["joint", "robot"]
+
+_UNITS: Mapping[str, tuple[str, str]] = {
+    # quantity -> (unit on a hinge, unit on a slide)
+    "one": ("1", "1"),
+    "effort": ("N*m", "N"),
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "time": ("s", "s"),
+    "damping": ("N*m*s/rad", "N*s/m"),
+    "stiffness": ("N*m/rad", "N/m"),
+    "inertia": ("kg*m^2", "kg"),
+    "drag": ("N*m*s^2/rad^2", "N*s^2/m^2"),
+    "angle": ("rad", "rad"),
+    "wavenumber": ("1/rad", "1/m"),
+    "effort_per_load": ("1", "1"),
+    "mass": ("kg", "kg"),
+    "length": ("m", "m"),
+    "acceleration": ("m/s^2", "m/s^2"),
+    "temperature": ("K", "K"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of a law.
+
+    Attributes:
+        name: as findings report it.
+        quantity: what it measures; gives the unit on a hinge or a slide.
+        neutral: the value at which the effect is absent, or None where another parameter switches
+            the effect off and this one only shapes it.
+        lower, upper: physical bounds, in multiples of ``reference``.
+        starts: values to start a fit from, in multiples of ``reference``; signed effects are
+            tried with the sign that the data ask for.
+        reference: the joint's own scale that bounds and starts are multiples of: ``one``,
+            ``effort`` (root mean square of the drive's effort), ``velocity``, ``position``,
+            ``time`` (1 s), ``inertia`` (reflected), ``damping`` (effort / velocity), ``stiffness``
+            (effort / position).
+    """
+
+    name: str
+    quantity: Quantity
+    neutral: float | None
+    lower: float
+    upper: float
+    starts: tuple[float, ...]
+    reference: str = "one"
+
+    def unit(self, joint_type: str) -> str:
+        """SI unit on a ``hinge`` or a ``slide``."""
+        return _UNITS[self.quantity][1 if joint_type == "slide" else 0]
+
+
+@dataclass(slots=True)
+class World:
+    """Many simulations at one step. Arrays are (rows, joints) unless said otherwise.
+
+    The drive's law is ``gain setpoint - stiffness position - damping velocity + offset`` within
+    ``lower`` and ``upper``; for a position servo ``gain`` is its stiffness, for a velocity servo
+    its damping, for an effort drive 1 (MuJoCo's affine actuators).
+
+    Attributes:
+        time: (rows,) s since the start of the trial.
+        timestep: s.
+        position, velocity: of the joints, rad and rad/s or m and m/s.
+        setpoint: command to the drive as it stands after every earlier hook.
+        gain, stiffness, damping, offset: of the drive's law, SI units at the joint.
+        lower, upper: bounds of the drive's effort, N*m or N.
+        servo: (joints,) ``position``, ``velocity``, ``effort``, or ``none`` without a drive.
+        delivered: effort that reaches the joint; hooks of the drive change it.
+        friction_level: dry friction that the solver may use up to, N*m or N.
+        applied: added generalized force, N*m or N.
+        load: gravity and Coriolis effort that the drive carries, N*m or N.
+        state: memory of effects between steps, by effect id.
+    """
+
+    time: FloatArray
+    timestep: float
+    position: FloatArray
+    velocity: FloatArray
+    setpoint: FloatArray
+    gain: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
+    offset: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    servo: NDArray[np.str_]
+    delivered: FloatArray
+    friction_level: FloatArray
+    applied: FloatArray
+    load: FloatArray
+    state: dict[str, Any] = field(default_factory=dict)
+
+
+class Effect:
+    """One effect. Subclasses state the class attributes and override the hooks that they need.
+
+    ``fields`` and ``gains`` run once before the first step; ``command``, ``servo``, ``drive``,
+    ``friction`` and ``force`` at every step, in this order (an effect without them costs
+    nothing between steps); ``command_delay``, ``sample_time`` and ``sense`` on whole
+    trajectories. A hook must leave the world as it found it where every parameter is neutral.
+
+    Class attributes:
+        id: name in the contract's table.
+        family: ``timing``, ``sensing``, ``actuation``, ``friction``, ``transmission``,
+            ``rigid_body``, ``contact`` or ``environment``.
+        law: the formula in words and symbols.
+        source: where it is from.
+        parameters: at least one.
+        scope: ``joint``, or ``robot`` where it is the whole robot's.
+        confused_with: effect id -> the experiment that tells the two apart.
+        modes: command modes under which it can act.
+    """
+
+    id: ClassVar[str]
+    family: ClassVar[str]
+    law: ClassVar[str]
+    source: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    scope: ClassVar[Scope] = "joint"
+    confused_with: ClassVar[Mapping[str, str]] = {}
+    modes: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
+
+    def command_delay(self, values: Values) -> FloatArray | None:
+        """Latency of the command, (rows, joints) s."""
+        return None
+
+    def sample_time(self, time: FloatArray, values: Values) -> FloatArray:
+        """When a sample stamped (rows, samples, joints) ``time`` was really taken, s."""
+        return time
+
+    def fields(self, fields: ModelFields, values: Values) -> None:
+        """Change model fields that hold for a whole simulation."""
+
+    def gains(self, world: World, values: Values) -> None:
+        """Change the drive's gains, offset and bounds for a whole simulation."""
+
+    def command(self, world: World, values: Values) -> None:
+        """Change ``world.setpoint``: what reaches the drive."""
+
+    def servo(self, world: World, values: Values) -> None:
+        """Change the setpoint that the drive's law sees, and its bounds."""
+
+    def drive(self, world: World, values: Values) -> None:
+        """Change ``world.delivered``: what the drive gives of what its law asks for."""
+
+    def friction(self, world: World, values: Values) -> None:
+        """Change ``world.friction_level``."""
+
+    def force(self, world: World, values: Values) -> None:
+        """Add to ``world.applied``."""
+
+    def sense(
+        self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        """What sensors read of (rows, samples, joints) trajectories."""
+        return position, velocity
+
+    def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:
+        """What an effort sensor reads of (rows, samples, joints) efforts."""
+        return effort
+
+
+@dataclass(slots=True)
+class ModelFields:
+    """Per-row model fields that effects may change, (rows, joints) unless said otherwise.
+
+    Attributes:
+        damping: passive viscous damping.
+        armature: reflected inertia of the drive, kg*m^2 or kg.
+        friction: dry friction of the model, N*m or N.
+        constant_force: generalized force that is always there, N*m or N.
+        stiffness: passive spring about the model's own rest, N*m/rad or N/m.
+        gravity: (rows, 3) m/s^2, world frame.
+        added_mass: (rows, joints) kg, on the link that the joint moves.
+        added_distance: where, m from the joint along the link's own direction (from the joint to
+            the link's centre of mass).
+        inertia_scale: (rows, joints) factor on mass and inertia of that link.
+    """
+
+    damping: FloatArray
+    armature: FloatArray
+    friction: FloatArray
+    constant_force: FloatArray
+    stiffness: FloatArray
+    gravity: FloatArray
+    added_mass: FloatArray
+    added_distance: FloatArray
+    inertia_scale: FloatArray

@@ -1,0 +1,211 @@
+"""Friction: everything that resists motion at a joint.
+
+Levels go to the solver, which holds the joint where the level suffices: no velocity band. Laws add
+to the model's own friction.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+
+_SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
+
+
+class ViscousFriction(Effect):
+    """Effort in proportion to velocity."""
+
+    id = "viscous_friction"
+    family = "friction"
+    law = "effort = -coefficient v"
+    source = _SURVEY
+    parameters = (Parameter("coefficient", "damping", 0.0, -5.0, 50.0, (0.2,), "damping"),)
+    confused_with: ClassVar = {
+        "controller_gain": "the drive off: only friction remains",
+        "quadratic_drag": "speeds a factor of four apart",
+        "coulomb_friction": "constant speeds a factor of four apart",
+        "command_delay": "an outside push: a delay does not damp it",
+    }
+
+    def fields(self, fields: ModelFields, values: Values) -> None:
+        fields.damping += values["coefficient"]
+
+
+class CoulombFriction(Effect):
+    """A constant level against motion, which also holds at rest."""
+
+    id = "coulomb_friction"
+    family = "friction"
+    law = "|effort| <= level; effort = -level sign(v) in motion"
+    source = _SURVEY
+    parameters = (Parameter("coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort"),)
+    confused_with: ClassVar = {
+        "stribeck_friction": "slow reversals: only Stribeck falls with speed",
+        "load_dependent_friction": "two loads",
+        "dead_zone": "release at rest",
+        "backlash": "hold the link by hand",
+    }
+
+    def fields(self, fields: ModelFields, values: Values) -> None:
+        fields.friction += values["coulomb"]
+
+
+class AsymmetricFriction(Effect):
+    """A level that differs between the two directions."""
+
+    id = "asymmetric_friction"
+    family = "friction"
+    law = "|effort| <= coulomb + offset for v > 0, coulomb - offset for v < 0"
+    source = "Janot, Gautier, Brunot, Mech. Syst. Signal Process. (2019): EMPS benchmark"
+    parameters = (
+        Parameter("coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort"),
+        Parameter("offset", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
+    )
+    confused_with: ClassVar = {
+        "coulomb_friction": "the same speed both ways",
+        "joint_spring": "poses far apart: a spring grows with the angle",
+        "base_tilt": "another joint's pose: a tilt acts on every joint by its load",
+        "encoder_bias": "hold with the drive off",
+    }
+
+    def fields(self, fields: ModelFields, values: Values) -> None:
+        fields.friction += values["coulomb"]
+        fields.constant_force -= values["offset"]
+
+
+class StribeckFriction(Effect):
+    """A level that falls from stiction to Coulomb as lubrication builds up with speed."""
+
+    id = "stribeck_friction"
+    family = "friction"
+    law = "level = coulomb + (stiction - coulomb) exp(-(v / stribeck_velocity)^2)"
+    source = "Bo, Pavelescu, Wear 82 (1982); " + _SURVEY
+    parameters = (
+        Parameter("coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort"),
+        Parameter("stiction_excess", "effort", 0.0, 0.0, 5.0, (0.2,), "effort"),
+        Parameter("stribeck_velocity", "velocity", None, 0.003, 3.0, (0.05, 0.3), "velocity"),
+    )
+    confused_with: ClassVar = {
+        "coulomb_friction": "slow reversals",
+        "presliding_hysteresis": "symmetric slow reversals smaller than the break-away",
+    }
+
+    def friction(self, world: World, values: Values) -> None:
+        fall = np.exp(-((world.velocity / np.maximum(values["stribeck_velocity"], 1e-9)) ** 2))
+        world.friction_level = (
+            world.friction_level + values["coulomb"] + values["stiction_excess"] * fall
+        )
+
+
+class LoadDependentFriction(Effect):
+    """A level that grows with the effort that the gear transmits."""
+
+    id = "load_dependent_friction"
+    family = "friction"
+    law = "level = coefficient |load|, load: gravity, Coriolis and inertial effort"
+    source = "Duclos et al., arXiv:2410.08650 (extended friction of servo actuators)"
+    parameters = (Parameter("coefficient", "effort_per_load", 0.0, 0.0, 2.0, (0.1,)),)
+    confused_with: ClassVar = {
+        "coulomb_friction": "two loads at the same speed",
+        "torque_constant": "both directions: friction changes its sign",
+    }
+
+    def friction(self, world: World, values: Values) -> None:
+        world.friction_level = world.friction_level + values["coefficient"] * np.abs(world.load)
+
+
+class PreslidingHysteresis(Effect):
+    """Before it slides, a contact yields like a spring that forgets: loops without sliding."""
+
+    id = "presliding_hysteresis"
+    family = "friction"
+    law = "dz/dt = v - |v| z / (coulomb / stiffness); effort = -stiffness z"
+    source = "Dahl (1968); Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995): LuGre"
+    parameters = (
+        Parameter("coulomb", "effort", 0.0, 0.0, 5.0, (0.2,), "effort"),
+        Parameter("presliding_distance", "position", None, 0.0005, 0.5, (0.01, 0.05), "one"),
+    )
+    confused_with: ClassVar = {
+        "coulomb_friction": "symmetric reversals smaller than the break-away",
+        "joint_spring": "both directions: a spring has no loop",
+        "joint_elasticity": "fast and slow: elasticity rings",
+    }
+
+    def force(self, world: World, values: Values) -> None:
+        level = values["coulomb"]
+        distance = np.maximum(values["presliding_distance"], 1e-9)
+        bristle = world.state.get(self.id)
+        if bristle is None:
+            bristle = np.zeros_like(level)
+        # Exact for a velocity that is held over the step: z tends to its bound exponentially.
+        travel = world.velocity * world.timestep
+        bound = distance * np.sign(travel)
+        bristle = bound + (bristle - bound) * np.exp(-np.abs(travel) / distance)
+        world.state[self.id] = bristle
+        world.applied -= level * bristle / distance
+
+
+class ThermalFriction(Effect):
+    """Friction that falls as the gear warms up in use."""
+
+    id = "thermal_friction"
+    family = "friction"
+    law = "viscous and dry friction times 1 + excess exp(-t / warm_up_time)"
+    source = "Bittencourt, Axelsson, J. Dyn. Syst. Meas. Control 136 (2014)"
+    parameters = (
+        Parameter("excess", "effort", 0.0, -5.0, 5.0, (0.2,), "effort"),
+        Parameter("warm_up_time", "time", None, 0.5, 1000.0, (4.0, 30.0)),
+    )
+    confused_with: ClassVar = {
+        "coulomb_friction": "the same motion cold and warm",
+        "external_force": "the same motion twice, with a pause",
+    }
+
+    def friction(self, world: World, values: Values) -> None:
+        warm = np.maximum(values["warm_up_time"], 1e-6)
+        cold = np.exp(-world.time[:, None] / warm)
+        world.friction_level = world.friction_level + values["excess"] * cold
+
+
+class PositionDependentFriction(Effect):
+    """A level that varies over the turn: a bent shaft, an eccentric gear."""
+
+    id = "position_dependent_friction"
+    family = "friction"
+    law = "level = mean + sine sin(q) + cosine cos(q), not below zero"
+    source = _SURVEY + ", sec. 2.2"
+    parameters = (
+        Parameter("mean", "effort", 0.0, -3.0, 5.0, (0.1,), "effort"),
+        Parameter("sine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
+        Parameter("cosine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
+    )
+    confused_with: ClassVar = {
+        "coulomb_friction": "the same speed at poses far apart",
+        "cogging": "both directions: cogging keeps its sign",
+        "load_dependent_friction": "the same pose under two loads",
+    }
+
+    def friction(self, world: World, values: Values) -> None:
+        world.friction_level = (
+            world.friction_level
+            + values["mean"]
+            + values["sine"] * np.sin(world.position)
+            + values["cosine"] * np.cos(world.position)
+        )
+
+
+class QuadraticDrag(Effect):
+    """Effort with the square of velocity."""
+
+    id = "quadratic_drag"
+    family = "friction"
+    law = "effort = -coefficient v |v|"
+    source = "drag equation; Batchelor, An Introduction to Fluid Dynamics (1967), sec. 5.11"
+    parameters = (Parameter("coefficient", "drag", 0.0, -2.0, 20.0, (0.2,), "drag"),)
+    confused_with: ClassVar = {"viscous_friction": "speeds a factor of four apart"}
+
+    def force(self, world: World, values: Values) -> None:
+        world.applied -= values["coefficient"] * world.velocity * np.abs(world.velocity)

@@ -1,0 +1,94 @@
+"""Rigid body: masses, inertia, and which way is down."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values
+
+
+class Payload(Effect):
+    """A mass on the last link that the model does not carry."""
+
+    id = "payload"
+    family = "rigid_body"
+    law = "mass at distance along the last link's own direction, frame of that link"
+    source = "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), ch. 12"
+    scope = "robot"
+    parameters = (
+        Parameter("mass", "mass", 0.0, -0.9, 20.0, (0.2,), "mass"),
+        Parameter("distance", "length", None, -2.0, 4.0, (1.0,), "length"),
+    )
+    confused_with: ClassVar = {
+        "inertial_parameters": "take the payload off",
+        "torque_constant": "the same motion with a known mass added",
+        "base_tilt": "poses on both sides of the vertical",
+    }
+
+    def fields(self, fields: ModelFields, values: Values) -> None:
+        # A robot's parameter stands in every joint's column; the mass sits on the last link.
+        fields.added_mass[:, -1] += values["mass"][:, -1]
+        fields.added_distance[:, -1] = values["distance"][:, -1]
+
+
+class InertialParameters(Effect):
+    """The link that the joint moves is heavier or lighter than its drawing."""
+
+    id = "inertial_parameters"
+    family = "rigid_body"
+    law = "mass and inertia of the link times 1 + relative_error (positive: consistent inertia)"
+    source = "Wensing, Kim, Slotine, IEEE RA-L 3 (2018): physical consistency"
+    parameters = (Parameter("relative_error", "one", 0.0, -0.9, 4.0, (0.1,)),)
+    confused_with: ClassVar = {
+        "payload": "take the payload off",
+        "torque_constant": "the same motion with a known mass added",
+        "armature": "hold against gravity: armature has no weight",
+    }
+
+    def fields(self, fields: ModelFields, values: Values) -> None:
+        fields.inertia_scale *= 1.0 + values["relative_error"]
+
+
+class Armature(Effect):
+    """Inertia of rotor and gears, as the joint feels it."""
+
+    id = "armature"
+    family = "rigid_body"
+    law = "effort = -armature dv/dt; armature = rotor inertia times ratio squared"
+    source = "Siciliano et al., Robotics (2009), sec. 7.2"
+    parameters = (Parameter("inertia", "inertia", 0.0, -0.95, 20.0, (0.1,), "inertia"),)
+    confused_with: ClassVar = {
+        "inertial_parameters": "hold against gravity: armature has no weight",
+        "actuator_lag": "two payloads",
+    }
+
+    def fields(self, fields: ModelFields, values: Values) -> None:
+        fields.armature += values["inertia"]
+
+
+class BaseTilt(Effect):
+    """The base does not stand level."""
+
+    id = "base_tilt"
+    family = "rigid_body"
+    law = "gravity in the base frame turned by roll about x, then pitch about y"
+    source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991)"
+    scope = "robot"
+    parameters = (
+        Parameter("roll", "angle", 0.0, -0.6, 0.6, (0.03,)),
+        Parameter("pitch", "angle", 0.0, -0.6, 0.6, (0.03,)),
+    )
+    confused_with: ClassVar = {
+        "encoder_bias": "a level on the base; a turn of the first joint",
+        "joint_spring": "another joint's pose",
+    }
+
+    def fields(self, fields: ModelFields, values: Values) -> None:
+        roll, pitch = values["roll"][:, 0], values["pitch"][:, 0]
+        x, y, z = fields.gravity.T.copy()
+        # gravity_base = Ry(pitch)^T Rx(roll)^T gravity_level
+        y, z = np.cos(roll) * y + np.sin(roll) * z, -np.sin(roll) * y + np.cos(roll) * z
+        x, z = np.cos(pitch) * x - np.sin(pitch) * z, np.sin(pitch) * x + np.cos(pitch) * z
+        fields.gravity[:] = np.stack([x, y, z], axis=1)

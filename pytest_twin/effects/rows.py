@@ -1,0 +1,546 @@
+"""Simulate segments of trials under effects: trials, perturbations and rivals as rows of one batch.
+
+What MuJoCo has natively (damping, dry friction, armature, springs, masses, gravity, gains, force
+ranges) is written into the rows' model fields and runs at the engine's speed; the rest acts between
+steps on arrays of all rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from mujoco.batch import SimulationError as BatchError
+from numpy.typing import NDArray
+
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
+from pytest_twin.realization.inputs import command_input
+from pytest_twin.realization.lockstep import lockstep
+
+EffectValues = Mapping[str, Values]
+"""Effect id -> parameter name -> (rows, joints) values."""
+
+_MAX_ROWS = 384
+_UNBOUNDED = 1e9
+_BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force")
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stretch of a trial, simulated from its own initial state. Arrays in the model's frame.
+
+    Attributes:
+        trial: index of the trial.
+        model: what to step, the trial's controller and payload applied.
+        mode: ``position``, ``velocity`` or ``effort``: what is commanded.
+        start: s on the trial's clock, where the simulation begins.
+        time: (n,) s on the trial's clock, stamps of the samples.
+        position: (n, joints) rad or m, measured.
+        velocity, effort: (n, joints) or None.
+        command_time: (m,) s on the trial's clock.
+        command: (m, joints); NaN columns for joints that are not commanded.
+        initial_position, initial_velocity: (joints,).
+        temperature: K above the first trial's, or 0.
+    """
+
+    trial: int
+    model: mujoco.MjModel
+    mode: str
+    start: float
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray | None
+    effort: FloatArray | None
+    command_time: FloatArray
+    command: FloatArray
+    initial_position: FloatArray
+    initial_velocity: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """What a row's sensors would have read at its segment's stamps; NaN where it diverged.
+
+    Attributes:
+        position, velocity, effort: (n, joints), SI units.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+
+
+class RowSimulator:
+    """Steps segments under effects.
+
+    Args:
+        segments: all of one layout of model and of the same joints.
+        joints: hinges and slides, in the order of the segments' columns.
+        threads: of the batch, 0 for all cores.
+        refine: substeps per model step, to measure the discretization.
+    """
+
+    def __init__(
+        self,
+        segments: Sequence[Segment],
+        joints: Sequence[str],
+        *,
+        threads: int = 0,
+        refine: int = 1,
+    ) -> None:
+        self.segments = list(segments)
+        self.joints = tuple(joints)
+        self.threads = threads
+        model = self.segments[0].model
+        ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in joints]
+        self.joint_ids = np.array(ids)
+        self.qpos_index = model.jnt_qposadr[self.joint_ids]
+        self.dof_index = model.jnt_dofadr[self.joint_ids]
+        self.body_index = model.jnt_bodyid[self.joint_ids]
+        self.timestep = float(model.opt.timestep) / refine
+        self.steps = np.array(
+            [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]
+        )
+        self.stepped = 0
+        """Rows times steps so far: what the engine alone would have had to step."""
+        self._inputs(model)
+        self._models: dict[int, mujoco.MjModel] = {}
+        self._commands: dict[int, FloatArray] = {}
+        self.directions = self._link_directions(model)
+
+    def _inputs(self, model: mujoco.MjModel) -> None:
+        count = len(self.joints)
+        self.control = np.full(count, -1)
+        self.actuator = np.full(count, -1)
+        self.scale = np.ones(count)
+        self.gear = np.ones(count)
+        self.servo = np.full(count, "none", dtype="<U8")
+        for j, joint in enumerate(self.joints):
+            modes = {s.mode for s in self.segments if np.isfinite(s.command[:, j]).all()}
+            if not modes:
+                continue
+            mode = modes.pop()
+            target = command_input(model, joint, mode)  # type: ignore[arg-type]
+            self.servo[j] = mode
+            if target is not None:
+                self.control[j], self.actuator[j] = target.control, target.actuator
+                self.scale[j] = target.scale
+                self.gear[j] = model.actuator_gear[model.actuator_outadr[target.actuator], 0]
+
+    def _link_directions(self, model: mujoco.MjModel) -> FloatArray:
+        """Unit vectors (joints, 3) from each joint to its link's centre of mass, link frame."""
+        offset = model.body_ipos[self.body_index] - model.jnt_pos[self.joint_ids]
+        length = np.linalg.norm(offset, axis=1, keepdims=True)
+        self.link_length = np.maximum(length[:, 0], 1e-3)
+        return np.where(length > 1e-6, offset / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
+
+    # -- commands
+
+    def _mean_commands(self, segment: int, delay: FloatArray | None, steps: int) -> FloatArray:
+        """Mean over each step of the held command, (steps, joints); ``delay`` (joints,) s."""
+        s = self.segments[segment]
+        if delay is None and segment in self._commands and len(self._commands[segment]) >= steps:
+            return self._commands[segment][:steps]
+        edges = s.start + self.timestep * np.arange(steps + 1)
+        far = np.append(s.command_time, s.command_time[-1] + 1e6)
+        area = np.zeros((len(far), s.command.shape[1]))
+        np.cumsum(np.diff(far)[:, None] * s.command, axis=0, out=area[1:])
+        out = np.empty((steps, s.command.shape[1]))
+        for j in range(s.command.shape[1]):
+            at = edges if delay is None else edges - delay[j]
+            # Before the first stamp the first command holds.
+            summed = np.interp(at, far, area[:, j]) + np.minimum(at - far[0], 0.0) * s.command[0, j]
+            out[:, j] = np.diff(summed) / self.timestep
+        if delay is None:
+            self._commands[segment] = out
+        return out
+
+    # -- models
+
+    def _bounded(self, segment: int) -> mujoco.MjModel:
+        """The segment's model with every force range in force, so that rows can narrow it."""
+        key = id(self.segments[segment].model)
+        if key not in self._models:
+            import copy
+
+            model = copy.copy(self.segments[segment].model)
+            free = model.actuator_forcelimited == 0
+            model.actuator_forcelimited[free] = 1
+            model.actuator_forcerange[free] = (-_UNBOUNDED, _UNBOUNDED)
+            model.opt.timestep = self.timestep
+            self._models[key] = model
+        return self._models[key]
+
+    # -- simulation
+
+    def simulate(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
+        """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i."""
+        found: list[Predicted | None] = [None] * len(rows)
+        order = np.argsort(self.steps[rows], kind="stable")
+        begin = 0
+        while begin < len(order):
+            # Rows of like length step together; none waits for one more than a tenth longer.
+            shortest = self.steps[rows[order[begin]]]
+            end = begin
+            while (
+                end < len(order)
+                and end - begin < _MAX_ROWS
+                and self.steps[rows[order[end]]] <= 1.1 * shortest + 8
+            ):
+                end += 1
+            chosen = order[begin:end]
+            part = {e: {n: v[chosen] for n, v in vs.items()} for e, vs in values.items()}
+            for i, predicted in zip(chosen, self._batch(rows[chosen], part), strict=True):
+                found[i] = predicted
+            begin = end
+        return [p for p in found if p is not None]
+
+    def _batch(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
+        effects = [(catalogue()[e], v) for e, v in values.items() if _acts(catalogue()[e], v)]
+        steps = int(self.steps[rows].max())
+        base = self._bounded(int(rows[0]))
+        models = [self._bounded(int(r)) for r in rows]
+        batch = Batch(base, len(rows), nthread=self.threads)
+        world = self._world(rows, models)
+        self._write_fields(batch, rows, models, effects, world)
+        commands = self._row_commands(rows, effects, steps)
+        self.stepped += len(rows) * steps
+        q, v, effort = self._step(batch, rows, world, effects, commands, steps)
+        return self._sample(rows, effects, q, v, effort)
+
+    def _row_commands(
+        self, rows: NDArray[np.int64], effects: list[tuple[Effect, Values]], steps: int
+    ) -> FloatArray:
+        delay = np.zeros((len(rows), len(self.joints)))
+        for effect, v in effects:
+            added = effect.command_delay(v)
+            if added is not None:
+                delay = delay + added
+        late = delay.any(axis=1)
+        commands = np.empty((len(rows), steps, len(self.joints)))
+        for i, r in enumerate(rows):
+            commands[i] = self._mean_commands(int(r), delay[i] if late[i] else None, steps)
+        return np.nan_to_num(commands)
+
+    def _world(self, rows: NDArray[np.int64], models: list[mujoco.MjModel]) -> World:
+        count = (len(rows), len(self.joints))
+        driven = self.actuator >= 0
+        act, gear = self.actuator[driven], self.gear[driven]
+        world = World(
+            time=np.array([self.segments[r].start for r in rows]),
+            timestep=self.timestep,
+            position=np.array([self.segments[r].initial_position for r in rows]),
+            velocity=np.array([self.segments[r].initial_velocity for r in rows]),
+            setpoint=np.zeros(count),
+            gain=np.zeros(count),
+            stiffness=np.zeros(count),
+            damping=np.zeros(count),
+            offset=np.zeros(count),
+            lower=np.full(count, -np.inf),
+            upper=np.full(count, np.inf),
+            servo=self.servo,
+            delivered=np.zeros(count),
+            friction_level=np.array([m.dof_frictionloss[self.dof_index] for m in models]),
+            applied=np.zeros(count),
+            load=np.zeros(count),
+        )
+        bare = (self.servo == "effort") & ~driven
+        world.gain[:, bare] = 1.0
+        for i, m in enumerate(models):
+            world.gain[i, driven] = m.actuator_gainprm[act, 0] * gear * self.scale[driven]
+            if m.actuator_biastype[act].any():
+                world.offset[i, driven] = m.actuator_biasprm[act, 0] * gear
+                world.stiffness[i, driven] = -m.actuator_biasprm[act, 1] * gear**2
+                world.damping[i, driven] = -m.actuator_biasprm[act, 2] * gear**2
+            limits = m.actuator_forcerange[act] * gear[:, None]
+            world.lower[i, driven], world.upper[i, driven] = limits.min(axis=1), limits.max(axis=1)
+        return world
+
+    def _write_fields(
+        self,
+        batch: Batch,
+        rows: NDArray[np.int64],
+        models: list[mujoco.MjModel],
+        effects: list[tuple[Effect, Values]],
+        world: World,
+    ) -> None:
+        count = (len(rows), len(self.joints))
+        several = len({id(m) for m in models}) > 1
+        fields = ModelFields(
+            damping=np.zeros(count),
+            armature=np.zeros(count),
+            friction=np.zeros(count),
+            constant_force=np.zeros(count),
+            stiffness=np.zeros(count),
+            gravity=np.array([m.opt.gravity for m in models]),
+            added_mass=np.zeros(count),
+            added_distance=np.zeros(count),
+            inertia_scale=np.ones(count),
+        )
+        for effect, v in effects:
+            effect.fields(fields, v)
+        before = (world.gain.copy(), world.stiffness.copy(), world.damping.copy())
+        bounds = (world.lower.copy(), world.upper.copy(), world.offset.copy())
+        for effect, v in effects:
+            effect.gains(world, v)
+
+        def expand(name: str) -> FloatArray:
+            array: FloatArray = batch.expand(name)
+            array[:] = np.array([getattr(m, name) for m in models])
+            return array
+
+        if several:
+            for name in ("body_mass", "body_ipos", "body_inertia", "body_iquat"):
+                expand(name)
+        dof, driven = self.dof_index, self.actuator >= 0
+        act = self.actuator[driven]
+        for name, change in (
+            ("dof_damping", fields.damping),
+            ("dof_armature", fields.armature),
+            ("dof_frictionloss", fields.friction),
+        ):
+            moving = name == "dof_frictionloss" and _any_hook(effects, "friction")
+            if several or change.any() or moving:
+                expand(name)[:, dof] += change
+        self._friction = (
+            batch.expand("dof_frictionloss") if _any_hook(effects, "friction") else None
+        )
+        if batch.expanded("dof_frictionloss") is not None:
+            levels = batch.expand("dof_frictionloss")
+            np.maximum(levels, 0.0, out=levels)
+            world.friction_level = levels[:, dof].copy()
+        if fields.stiffness.any():
+            expand("jnt_stiffness")[:, self.joint_ids] += fields.stiffness
+        gravity = np.array([m.opt.gravity for m in models])
+        if (fields.gravity != gravity).any() or several:
+            batch.expand("opt.gravity")[:] = fields.gravity
+        if fields.added_mass.any() or (fields.inertia_scale != 1.0).any():
+            self._write_inertia(batch, models, fields)
+        gains_changed = several or any(
+            (a != b).any()
+            for a, b in zip(before, (world.gain, world.stiffness, world.damping), strict=True)
+        )
+        if gains_changed and driven.any():
+            gear = self.gear[driven]
+            gain = expand("actuator_gainprm")
+            bias = expand("actuator_biasprm")
+            gain[:, act, 0] = world.gain[:, driven] / (gear * self.scale[driven])
+            bias[:, act, 0] = world.offset[:, driven] / gear
+            bias[:, act, 1] = -world.stiffness[:, driven] / gear**2
+            bias[:, act, 2] = -world.damping[:, driven] / gear**2
+        moving = any(_hooks(e, "servo") for e, _ in effects)
+        bounds_changed = (bounds[0] != world.lower).any() or (bounds[1] != world.upper).any()
+        self._range = None
+        if (several or moving or bounds_changed) and driven.any():
+            self._range = expand("actuator_forcerange")
+            self._write_bounds(world)
+        self._constant = fields.constant_force
+        if several or batch.expanded("body_mass") is not None or fields.armature.any():
+            batch.set_const()
+
+    def _write_bounds(self, world: World) -> None:
+        driven = self.actuator >= 0
+        act, gear = self.actuator[driven], self.gear[driven]
+        assert self._range is not None
+        ends = np.stack([world.lower[:, driven] / gear, world.upper[:, driven] / gear], axis=-1)
+        self._range[:, act] = np.clip(np.sort(ends, axis=-1), -_UNBOUNDED, _UNBOUNDED)
+
+    def _write_inertia(
+        self, batch: Batch, models: list[mujoco.MjModel], fields: ModelFields
+    ) -> None:
+        mass, ipos = batch.expand("body_mass"), batch.expand("body_ipos")
+        inertia = batch.expand("body_inertia")
+        iquat = batch.expand("body_iquat")
+        for i, m in enumerate(models):
+            mass[i], ipos[i] = m.body_mass, m.body_ipos
+            inertia[i], iquat[i] = m.body_inertia, m.body_iquat
+        bodies = self.body_index
+        mass[:, bodies] *= fields.inertia_scale
+        inertia[:, bodies] *= fields.inertia_scale[:, :, None]
+        for i, j in zip(*np.nonzero(fields.added_mass), strict=True):
+            body, added = bodies[j], fields.added_mass[i, j]
+            at = models[i].jnt_pos[self.joint_ids[j]] + (
+                fields.added_distance[i, j] * self.directions[j]
+            )
+            total = max(mass[i, body] + added, 1e-6)
+            center = (mass[i, body] * ipos[i, body] + added * at) / total
+            rotation = np.empty(9)
+            mujoco.mju_quat2Mat(rotation, iquat[i, body])
+            rotation = rotation.reshape(3, 3)
+            tensor = rotation @ np.diag(inertia[i, body]) @ rotation.T
+            for weight, point in ((mass[i, body], ipos[i, body]), (added, at)):
+                arm = point - center
+                tensor += weight * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+            moments, axes = np.linalg.eigh(tensor)
+            if np.linalg.det(axes) < 0:
+                axes[:, 0] *= -1
+            quat = np.empty(4)
+            mujoco.mju_mat2Quat(quat, axes.ravel())
+            mass[i, body], ipos[i, body], iquat[i, body] = total, center, quat
+            inertia[i, body] = np.maximum(moments, 1e-9)
+
+    def _step(
+        self,
+        batch: Batch,
+        rows: NDArray[np.int64],
+        world: World,
+        effects: list[tuple[Effect, Values]],
+        commands: FloatArray,
+        steps: int,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        count, joints = len(rows), len(self.joints)
+        qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+        applied = batch.bind("qfrc_applied")
+        qpos[:, self.qpos_index] = world.position
+        qvel[:, self.dof_index] = world.velocity
+        applied[:, self.dof_index] = self._constant
+        driven = self.actuator >= 0
+        bare = (self.servo == "effort") & ~driven
+        control, scale = self.control[driven], self.scale[driven]
+        q = np.empty((count, steps + 1, joints))
+        v = np.empty((count, steps + 1, joints))
+        effort = np.zeros((count, steps + 1, joints))
+        q[:, 0], v[:, 0] = world.position, world.velocity
+        hooks = {h: [(e, p) for e, p in effects if _hooks(e, h)] for h in _BETWEEN_STEPS}
+        if not any(hooks.values()) and not bare.any():
+            inputs = np.zeros((count, steps, batch.bind("ctrl").shape[1]))
+            inputs[:] = ctrl[:, None]
+            inputs[:, :, control] = commands[:, :, driven] * scale
+            try:
+                out = batch.rollout(steps, inputs, record=("qpos", "qvel", "qfrc_actuator"))
+            except BatchError as error:
+                q[:, 1:], v[:, 1:] = np.nan, np.nan
+                del error
+            else:
+                q[:, 1:] = out["qpos"][:, :, self.qpos_index]
+                v[:, 1:] = out["qvel"][:, :, self.dof_index]
+                effort[:, :-1] = out["qfrc_actuator"][:, :, self.dof_index]
+                effort[:, -1] = effort[:, -2]
+            self._mark_diverged(batch, q, v, effort)
+            return q, v, effort
+        bias = batch.bind("qfrc_bias")
+        actuator_force = batch.bind("qfrc_actuator")
+        batch.forward()
+        level = world.friction_level
+        start = world.time
+
+        def before(k: int) -> None:
+            world.time = start + k * self.timestep
+            if k:
+                world.position = qpos[:, self.qpos_index]
+                world.velocity = qvel[:, self.dof_index]
+                q[:, k], v[:, k] = world.position, world.velocity
+                effort[:, k - 1] = actuator_force[:, self.dof_index] + effort[:, k - 1]
+            world.setpoint = commands[:, k].copy()
+            world.applied = self._constant.copy()
+            for effect, p in hooks["command"]:
+                effect.command(world, p)
+            if hooks["servo"]:
+                bounds = world.lower, world.upper
+                for effect, p in hooks["servo"]:
+                    effect.servo(world, p)
+                if self._range is not None:
+                    self._write_bounds(world)
+            if hooks["drive"]:
+                law = (
+                    world.gain * world.setpoint
+                    - world.stiffness * world.position
+                    - world.damping * world.velocity
+                    + world.offset
+                )
+                native = np.clip(law, world.lower, world.upper)
+                world.delivered = native
+                for effect, p in hooks["drive"]:
+                    effect.drive(world, p)
+                added = world.delivered - native
+                world.applied += added
+                effort[:, k] = added
+            if hooks["servo"]:
+                world.lower, world.upper = bounds
+            if hooks["friction"]:
+                world.friction_level = level
+                world.load = bias[:, self.dof_index]
+                for effect, p in hooks["friction"]:
+                    effect.friction(world, p)
+                assert self._friction is not None
+                self._friction[:, self.dof_index] = np.maximum(world.friction_level, 0.0)
+            for effect, p in hooks["force"]:
+                effect.force(world, p)
+            if bare.any():
+                world.applied[:, bare] += world.setpoint[:, bare]
+                effort[:, k, bare] += world.setpoint[:, bare]
+            applied[:, self.dof_index] = world.applied
+            ctrl[:, control] = world.setpoint[:, driven] * scale
+
+        lockstep(batch, steps, before)
+        q[:, steps], v[:, steps] = qpos[:, self.qpos_index], qvel[:, self.dof_index]
+        effort[:, steps - 1] += actuator_force[:, self.dof_index]
+        effort[:, steps] = effort[:, steps - 1]
+        self._mark_diverged(batch, q, v, effort)
+        return q, v, effort
+
+    @staticmethod
+    def _mark_diverged(batch: Batch, q: FloatArray, v: FloatArray, effort: FloatArray) -> None:
+        failed = batch.warning[:, :, 1].any(axis=1)
+        for array in (q, v, effort):
+            array[failed] = np.nan
+
+    def _sample(
+        self,
+        rows: NDArray[np.int64],
+        effects: list[tuple[Effect, Values]],
+        q: FloatArray,
+        v: FloatArray,
+        effort: FloatArray,
+    ) -> list[Predicted]:
+        dt, joints = self.timestep, len(self.joints)
+        longest = max(len(self.segments[r].time) for r in rows)
+        stamps = np.empty((len(rows), longest, joints))
+        for i, r in enumerate(rows):
+            time = self.segments[r].time
+            stamps[i, : len(time)] = time[:, None]
+            stamps[i, len(time) :] = time[-1]
+        for effect, p in effects:
+            stamps = effect.sample_time(stamps, p)
+        start = np.array([self.segments[r].start for r in rows])[:, None, None]
+        at = np.clip((stamps - start) / dt, 0.0, q.shape[1] - 1 - 1e-9)
+        index = at.astype(np.int64)
+        part = at - index
+        before_q, after_q = (np.take_along_axis(q, index + d, axis=1) for d in (0, 1))
+        before_v, after_v = (np.take_along_axis(v, index + d, axis=1) for d in (0, 1))
+        rest = 1.0 - part
+        step = after_q - before_q
+        bend = rest * (dt * before_v - step) - part * (dt * after_v - step)
+        position = before_q + part * step + part * rest * bend
+        velocity = before_v + part * (after_v - before_v)
+        sampled = np.take_along_axis(effort, index, axis=1)
+        for effect, p in effects:
+            position, velocity = effect.sense(stamps, position, velocity, p)
+            sampled = effect.sense_effort(sampled, p)
+        return [
+            Predicted(
+                position[i, : len(self.segments[r].time)],
+                velocity[i, : len(self.segments[r].time)],
+                sampled[i, : len(self.segments[r].time)],
+            )
+            for i, r in enumerate(rows)
+        ]
+
+
+def _hooks(effect: Effect, name: str) -> bool:
+    return getattr(type(effect), name) is not getattr(Effect, name)
+
+
+def _any_hook(effects: list[tuple[Effect, Values]], name: str) -> bool:
+    return any(_hooks(effect, name) for effect, _ in effects)
+
+
+def _acts(effect: Effect, values: Values) -> bool:
+    """Whether any row has the effect: a parameter off its neutral value."""
+    return any(
+        p.neutral is not None and (values[p.name] != p.neutral).any() for p in effect.parameters
+    )

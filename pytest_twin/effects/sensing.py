@@ -1,0 +1,106 @@
+"""Sensing: what the encoder and the effort sensor say of a motion that is right."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values
+
+
+class EncoderBias(Effect):
+    """The measured zero is not the model's; a servo that closes its loop on it is off as well."""
+
+    id = "encoder_bias"
+    family = "sensing"
+    law = "measured = position + bias; in_loop: the servo regulates the measured position"
+    source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
+    parameters = (Parameter("bias", "position", 0.0, -0.6, 0.6, (0.03,)),)
+    confused_with: ClassVar = {
+        "joint_spring": "hold at several poses: a bias does not depend on the pose's load",
+        "asymmetric_friction": "approach a pose from both sides, then hold with the drive off",
+        "encoder_scale": "poses far apart: a scale error grows with the angle",
+    }
+
+    def sense(
+        self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        return position + values["bias"][:, None], velocity
+
+
+class EncoderScale(Effect):
+    """Counts per turn, or the gear ratio behind them, differ from what is assumed."""
+
+    id = "encoder_scale"
+    family = "sensing"
+    law = "measured = (1 + scale_error) position"
+    source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
+    parameters = (Parameter("scale_error", "one", 0.0, -0.5, 0.5, (0.03,)),)
+    confused_with: ClassVar = {
+        "controller_gain": "static poses: a scale error stands still, a gain acts with the load",
+        "encoder_bias": "poses far apart",
+    }
+
+    def sense(
+        self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        factor = 1.0 + values["scale_error"][:, None]
+        return position * factor, velocity * factor
+
+
+class EncoderEccentricity(Effect):
+    """The code wheel is mounted off its axis: an error of one period a turn."""
+
+    id = "encoder_eccentricity"
+    family = "sensing"
+    law = "measured = q + sine sin(q) + cosine (cos(q) - 1)"
+    source = "Hagiwara et al., IEEE Trans. Instrum. Meas. 41 (1992): eccentricity of encoders"
+    parameters = (
+        Parameter("sine", "position", 0.0, -0.2, 0.2, (0.02,)),
+        Parameter("cosine", "position", 0.0, -0.2, 0.2, (0.02,)),
+    )
+    confused_with: ClassVar = {
+        "encoder_scale": "a whole turn: an eccentricity closes, a scale error does not",
+        "position_dependent_friction": "both directions: friction changes its sign",
+    }
+
+    def sense(
+        self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        sine, cosine = values["sine"][:, None], values["cosine"][:, None]
+        measured = position + sine * np.sin(position) + cosine * (np.cos(position) - 1.0)
+        rate = 1.0 + sine * np.cos(position) - cosine * np.sin(position)
+        return measured, velocity * rate
+
+
+class EffortBias(Effect):
+    """The effort sensor does not read zero where nothing pulls."""
+
+    id = "effort_bias"
+    family = "sensing"
+    law = "measured effort = effort + bias"
+    source = "ISO 376; zero offset of force-proving instruments"
+    parameters = (Parameter("bias", "effort", 0.0, -1.0, 1.0, (0.05,), "effort"),)
+    confused_with: ClassVar = {
+        "torque_constant": "two loads: a bias does not grow with the load",
+    }
+
+    def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:
+        return effort + values["bias"][:, None]
+
+
+class EffortScale(Effect):
+    """The effort sensor's sensitivity is off."""
+
+    id = "effort_scale"
+    family = "sensing"
+    law = "measured effort = (1 + scale_error) effort"
+    source = "ISO 376; sensitivity of force-proving instruments"
+    parameters = (Parameter("scale_error", "one", 0.0, -0.8, 1.5, (0.1,)),)
+    confused_with: ClassVar = {
+        "torque_constant": "the motion: a wrong torque constant changes it, a sensor does not",
+    }
+
+    def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:
+        return effort * (1.0 + values["scale_error"][:, None])
