@@ -21,7 +21,8 @@ bit for bit those of ``mj_step``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -161,8 +162,9 @@ def replay_rows(
         if progress is not None:
             progress(min(1.0, done / total))
 
-    for group in _layouts(runs):
-        _step(group, threads, advance)
+    with _quiet():
+        for group in _layouts(runs):
+            _step(group, threads, advance)
     return [run.result() for run in runs]
 
 
@@ -433,6 +435,20 @@ def _follow_joint_equalities(model: mujoco.MjModel, data: mujoco.MjData, placed:
             data.qvel[v1] = law.deriv()(away) * data.qvel[v2]
             placed.add(follower)
             moved = True
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep MuJoCo from printing warnings and writing a log file where the user stands.
+
+    The rows' warning counters say the same.
+    """
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(handler)
 
 
 def _layouts(runs: Iterable[_Run]) -> list[list[_Run]]:
