@@ -172,6 +172,10 @@ class RowSimulator:
             model.actuator_forcelimited[free] = 1
             model.actuator_forcerange[free] = (-_UNBOUNDED, _UNBOUNDED)
             model.opt.timestep = self.timestep
+            # MuJoCo's default friction constraint creeps under load (some 0.03 rad/s for half the
+            # level on a small servo); dry friction holds. Stiff, it creeps 500 times less.
+            model.dof_solref[self.dof_index] = (2.0 * self.timestep, 1.0)
+            model.dof_solimp[self.dof_index, :3] = (0.999, 0.9999, 0.001)
             self._models[key] = model
         return self._models[key]
 
