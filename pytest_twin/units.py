@@ -36,6 +36,8 @@ _UNITS: dict[str, tuple[str, float]] = {
     "dB": ("dB", 1.0),
 }
 
+SI_UNITS: tuple[str, ...] = tuple(dict.fromkeys(si for si, _ in _UNITS.values()))
+
 _QUANTITY = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z%][A-Za-z%/*]*)?\s*"
 )

@@ -1,0 +1,263 @@
+"""Task: a user's own Python function of a realization, with its declared outputs."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.fields import spec_error
+from pytest_twin.checks.files import find_file
+from pytest_twin.dependency import Structure
+from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.golden import Golden
+from pytest_twin.units import SI_UNITS, parse_quantity
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from pytest_twin.realization import Realization
+
+_NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
+_LARGEST_OUTPUT = 10_000
+
+
+class Task(Check):
+    """What a user's function makes of a realization.
+
+    The function is called ``function(realization, **stimulus)`` in the child process and returns
+    a mapping from each declared output to a number or a list of numbers, in SI units.
+
+    ``values``: output -> number or list.
+    """
+
+    kind: ClassVar[str] = "task"
+    libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy")
+    tolerances: ClassVar[Mapping[str, str]] = {}
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "function": {
+                    "type": "string",
+                    "pattern": r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$",
+                    "description": "'tasks.py:pick_and_place', a file relative to the twin's "
+                    "folder or to one of its roots, or 'package.module:function', installed.",
+                },
+                "files": {
+                    "type": "array",
+                    "uniqueItems": True,
+                    "items": _NAME,
+                    "description": "What else the result rests on: modules that the function "
+                    "imports, tables that it reads.",
+                },
+                "outputs": {
+                    "type": "object",
+                    "minProperties": 1,
+                    "description": "Output -> its SI unit and its tolerance.",
+                    "additionalProperties": {
+                        "type": "object",
+                        "properties": {
+                            "unit": {"enum": list(SI_UNITS), "description": "SI unit, 1 for none."},
+                            "tolerance": {
+                                **_NAME,
+                                "description": "Bound on the error of each number: '2 mm'.",
+                            },
+                        },
+                        "required": ["unit", "tolerance"],
+                        "additionalProperties": False,
+                    },
+                },
+            },
+            "required": ["function", "outputs"],
+            "additionalProperties": False,
+        },
+        "stimulus": {
+            "type": "object",
+            "description": "Keyword arguments of the function.",
+            "propertyNames": {"pattern": "^[A-Za-z_][A-Za-z0-9_]*$"},
+        },
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """Everything of the realization, the function's file, and the files that it declares."""
+        parts = set(structure.everything())
+        place, _, _ = golden.target["function"].partition(":")
+        if place.endswith(".py"):
+            parts.add(f"file:{place}")
+        else:
+            parts.add(f"module:{place}")
+        parts |= {f"file:{name}" for name in golden.target.get("files", ())}
+        parts |= {f"calibration:{joint}" for joint in structure.joint_body}
+        return parts
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Call the function and hold what it returns against what the spec declares."""
+        function = _function(golden, realization)
+        outputs = golden.target["outputs"]
+        try:
+            returned = function(realization, **golden.stimulus)
+        except TwinError:
+            raise
+        except TypeError as error:
+            if error.__traceback__ is not None and error.__traceback__.tb_next is None:
+                raise spec_error(
+                    golden,
+                    "stimulus",
+                    f"the function cannot be called so: {error}",
+                    expected="function(realization, **stimulus)",
+                ) from error
+            raise
+        progress(1.0)
+        if not isinstance(returned, Mapping):
+            raise _refuse(
+                golden, "the function returned no mapping", type(returned).__name__, outputs
+            )
+        for problem, names in (
+            ("outputs that the function did not return", outputs.keys() - returned.keys()),
+            ("outputs that the spec does not declare", returned.keys() - outputs.keys()),
+        ):
+            if names:
+                raise _refuse(golden, problem, ", ".join(sorted(map(str, names))), outputs)
+        return Observation({name: _numbers(golden, name, returned[name]) for name in outputs})
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Hold each number against the recorded one."""
+        expected = golden.expected or {}
+        measures: list[Measure] = []
+        for name, declared in golden.target["outputs"].items():
+            field = f"target.outputs.{name}.tolerance"
+            unit = declared["unit"]
+            try:
+                bound = parse_quantity(declared["tolerance"], (unit,)).value
+            except SpecError as error:
+                raise spec_error(
+                    golden, field, error.problem, value=error.value, expected=error.expected
+                ) from None
+            if name not in expected:
+                raise spec_error(
+                    golden,
+                    "expected",
+                    f"no recorded value of output {name!r}",
+                    expected="pytest --twin-update",
+                )
+            now, then = observation.values[name], expected[name]
+            measures += _held(golden, name, now, then, bound, unit)
+        return measures
+
+
+def _held(
+    golden: Golden, name: str, now: Any, then: Any, bound: float, unit: str
+) -> Iterator[Measure]:
+    as_list, was_list = isinstance(now, list), isinstance(then, list)
+    if as_list != was_list or (as_list and len(now) != len(then)):
+        raise spec_error(
+            golden,
+            f"expected.{name}",
+            "the function's output has another length than the recorded one",
+            value=len(now) if as_list else "a number",
+            expected=f"{len(then)} numbers" if was_list else "a number",
+        )
+    pairs = zip(now, then, strict=True) if as_list else [(now, then)]
+    for i, (measured, recorded) in enumerate(pairs):
+        yield Measure(
+            name=name,
+            subject=f"{name}[{i}]" if as_list else name,
+            measured=measured,
+            golden=float(recorded),
+            error=abs(measured - float(recorded)),
+            tolerance=bound,
+            unit=unit,
+        )
+
+
+def _refuse(golden: Golden, problem: str, value: str, outputs: Mapping[str, Any]) -> SpecError:
+    return spec_error(
+        golden, "target.outputs", problem, value=value, expected=", ".join(sorted(outputs))
+    )
+
+
+def _numbers(golden: Golden, name: str, value: Any) -> float | list[float]:
+    """``value`` as JSON-able numbers.
+
+    Raises:
+        SpecError: no number or list of numbers, too many, or not finite.
+    """
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    values = list(value) if isinstance(value, list | tuple) else [value]
+    place = f"target.outputs.{name}"
+    if len(values) > _LARGEST_OUTPUT:
+        raise spec_error(
+            golden,
+            place,
+            "too many numbers",
+            value=len(values),
+            expected=f"at most {_LARGEST_OUTPUT}",
+        )
+    for i, item in enumerate(values):
+        where = f"{place}[{i}]" if isinstance(value, list | tuple) else place
+        if isinstance(item, bool) or not isinstance(item, int | float):
+            raise spec_error(
+                golden,
+                where,
+                "the function returned no number",
+                value=type(item).__name__,
+                expected="a number or a list of numbers",
+            )
+        if not math.isfinite(item):
+            raise spec_error(
+                golden, where, "the function returned a number that is not finite", value=str(item)
+            )
+    numbers = [float(item) for item in values]
+    return numbers if isinstance(value, list | tuple) else numbers[0]
+
+
+def _function(golden: Golden, realization: Realization) -> Callable[..., Any]:
+    place, _, name = golden.target["function"].partition(":")
+    field = "target.function"
+    if place.endswith(".py"):
+        if realization.twin is None:
+            raise SpecError("a task golden needs a twin.yaml", path=golden.path)
+        module = _load(golden, find_file(golden, field, place, realization.twin))
+    else:
+        try:
+            module = importlib.import_module(place)
+        except ImportError as error:
+            raise spec_error(
+                golden,
+                field,
+                f"cannot be imported: {error}",
+                value=place,
+                expected="an installed module, or a file ending in .py",
+            ) from error
+    found: Callable[..., Any] | None = getattr(module, name, None)
+    if not callable(found):
+        raise spec_error(golden, field, f"no function of this name in {place}", value=name)
+    return found
+
+
+def _load(golden: Golden, path: Path) -> ModuleType:
+    """Run a file as a module of its own, afresh: the child may have seen an older one."""
+    spec = importlib.util.spec_from_file_location(f"pytest_twin_task_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise spec_error(golden, "target.function", "not a Python file", value=str(path))
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses and pickling look a module up by its name.
+    sys.modules[spec.name] = module
+    folder = str(path.parent)
+    sys.path.insert(0, folder)
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        raise SpecError(f"not valid Python: {error.msg}", path=path, line=error.lineno) from error
+    finally:
+        sys.path.remove(folder)
+    return module
