@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,12 +89,11 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
 def _trimesh(data: bytes, kind: str) -> Triangles:
     import trimesh
 
-    loaded = trimesh.load(
+    loaded: Any = trimesh.load(
         io.BytesIO(data), file_type=kind, force="mesh", process=False, skip_materials=True
     )
-    vertices, inverse = np.unique(
-        np.asarray(loaded.vertices, dtype=np.float64), axis=0, return_inverse=True
-    )
+    every: Vertices = np.asarray(loaded.vertices, dtype=np.float64)
+    vertices, inverse = np.unique(every, axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[np.asarray(loaded.faces)]
     return Triangles(vertices, faces.astype(np.int32))
 

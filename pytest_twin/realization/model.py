@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -249,12 +249,12 @@ class Realization:
         """The same source as Pinocchio computes it."""
         from pytest_twin.realization.reference import Reference
 
-        return Reference(self.source)
+        return Reference(self)
 
 
-def _declared(twin: Twin, table: str, key: str) -> Mapping[str, object]:
+def _declared(twin: Twin, table: str, key: str) -> Mapping[str, Any]:
     declared = getattr(twin, table)
     if key not in declared:
         raise twin.error(table, f"no {key!r} there", expected=patch.suggest(key, declared))
-    found: Mapping[str, object] = declared[key]
+    found: Mapping[str, Any] = declared[key]
     return found

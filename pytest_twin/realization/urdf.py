@@ -180,7 +180,7 @@ def _nodes(root: xml.Element, path: Path, limits: ModelLimits) -> Node:
             str(element.tag),
             {str(key): str(value) for key, value in element.attrib.items()},
             path,
-            element.sourceline or 1,
+            int(element.sourceline or 1),
             [node(child) for child in element if isinstance(child.tag, str)],
         )
 

@@ -108,7 +108,8 @@ class _Converter:
         self.spec = mujoco.MjSpec()
         self.out = Converted(self.spec)
         self.bodies: dict[str, mujoco.MjsBody] = {}
-        self.meshes: dict[tuple[Path, tuple[float, ...]], mesh.Triangles] = {}
+        self.stated: dict[str, tuple[float, Vector, Vector]] = {}
+        self.other_axes: Counter[str] = Counter()
         self.mesh_names: dict[tuple[Path, tuple[float, ...]], str] = {}
         self.files: dict[Path, mesh.Triangles] = {}
         self.geom_names: set[str] = set()
@@ -131,8 +132,8 @@ class _Converter:
         for joint in self.robot.in_order():
             self._mimic(joint)
             self._actuator(joint)
+        self._inertias()
         for link in self.robot.links.values():
-            self._inertia(link)
             self._collisions(link)
         self._exclude_base()
         self._left_out()
@@ -255,7 +256,27 @@ class _Converter:
 
     # -- inertia
 
-    def _inertia(self, link: Link) -> None:
+    def _inertias(self) -> None:
+        for link in self.robot.links.values():
+            self.stated[link.name] = self._stated(link)
+        moving = {joint.child for joint in self.robot.joints.values() if joint.type != "fixed"}
+        for link in self.robot.links.values():
+            mass, com, moments = self.stated[link.name]
+            if link.name in moving and not self._has_inertia(link):
+                self.note(
+                    link.inertial or link.node,
+                    f"moving link '{link.name}' has no inertia "
+                    f"({mass:g} kg, {principal_text(moments)} kg*m^2): raised to "
+                    f"{inertia.MASS_FLOOR:g} kg and kg*m^2 so that it can be simulated",
+                )
+                mass = max(mass, inertia.MASS_FLOOR)
+                moments = inertia.consistent(moments, floor=inertia.MASS_FLOOR)
+            body = self.bodies[link.name]
+            if body.name != "world":
+                inertia.write(body, mass, com, moments)
+
+    def _stated(self, link: Link) -> tuple[float, Vector, Vector]:
+        """Mass, centre of mass and inertia, patches taken in."""
         mass, com, moments = link.mass, link.com, link.inertia
         patched = self.inertia_patches.get(link.name, {})
         if "mass" in patched:
@@ -264,22 +285,12 @@ class _Converter:
             com = np.array(patched["com"], dtype=np.float64)
         if "inertia" in patched:
             moments = inertia.tensor(patched["inertia"])  # type: ignore[arg-type]
-        moments = self._possible(link, moments)
-        if self._moves(link) and not self._has_inertia(link):
-            kept = f"{mass:g} kg, {principal_text(moments)} kg*m^2"
-            mass = max(mass, inertia.MASS_FLOOR)
-            moments = inertia.consistent(moments, floor=inertia.MASS_FLOOR)
-            self.note(
-                link.inertial or link.node,
-                f"moving link '{link.name}' has no inertia ({kept}): raised to "
-                f"{inertia.MASS_FLOOR:g} kg and kg*m^2 so that it can be simulated",
-            )
-        body = self.bodies[link.name]
-        if body.name == "world":
-            return
-        inertia.write(body, mass, com, moments)
+        return mass, com, self._possible(link, moments)
 
     def _possible(self, link: Link, moments: Vector) -> Vector:
+        if np.abs(moments).max() < inertia.MASS_FLOOR:
+            # What is left of a zero after a change of frame.
+            return np.zeros((3, 3))
         share = inertia.violation(moments)
         if share == 0.0:
             return moments
@@ -304,19 +315,13 @@ class _Converter:
         )
         return repaired
 
-    def _moves(self, link: Link) -> bool:
-        return any(
-            joint.child == link.name and joint.type != "fixed"
-            for joint in self.robot.joints.values()
-        )
-
     def _has_inertia(self, link: Link) -> bool:
         """Whether it, or a link fixed to it, has what MuJoCo asks of a moving body."""
         waiting = [link]
         while waiting:
             candidate = waiting.pop()
-            smallest = np.linalg.eigvalsh(candidate.inertia).min()
-            if min(candidate.mass, smallest) >= inertia.MASS_FLOOR:
+            mass, _, moments = self.stated[candidate.name]
+            if min(mass, np.linalg.eigvalsh(moments).min()) >= inertia.MASS_FLOOR:
                 return True
             waiting.extend(
                 self.robot.links[joint.child]
@@ -406,7 +411,7 @@ class _Converter:
             # Of no weight here, and a shell has one however the faces stand.
             made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
             if triangles.up_axis != "Z_UP":
-                self.note(node, f"mesh {path.name} states {triangles.up_axis}; taken as it stands")
+                self.other_axes[triangles.up_axis] += 1
         return {
             "type": mujoco.mjtGeom.mjGEOM_MESH,
             "meshname": self.mesh_names[key],
@@ -506,6 +511,11 @@ class _Converter:
                         )
 
     def _left_out(self) -> None:
+        for axis, count in self.other_axes.items():
+            self.note(
+                self.robot.node,
+                f"{count} COLLADA meshes state {axis}; their vertices stand as read",
+            )
         counts = Counter[str]()
         for node in self.robot.node.walk():
             if node.tag in ("visual", "gazebo", "transmission", "sensor", "ros2_control"):

@@ -1,0 +1,156 @@
+"""The same robot as Pinocchio computes it, independently of MuJoCo's compiler and engine.
+
+A URDF goes through Pinocchio's own parser. An MJCF is built joint by joint from what the file
+states (after defaults), before MuJoCo's compiler has turned any of it: orientations, angles,
+frames, and inertias from shapes are worked out here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pytest_twin.errors import SpecError
+from pytest_twin.realization import reference_mjcf, reference_urdf
+from pytest_twin.realization.patch import suggest
+from pytest_twin.realization.rigid import RigidModel
+
+if TYPE_CHECKING:
+    from pytest_twin.realization.model import Realization
+
+Vector = NDArray[np.float64]
+Value = float | Vector
+
+
+class Reference:
+    """A robot in Pinocchio.
+
+    Joint values are mappings from joint to rad or m; joints left out stand at the model's
+    reference. A ball joint takes (4,) w x y z, a free joint (7,) x y z w x y z.
+
+    Attributes:
+        model: Pinocchio's, with the twin's fit and the variant's payload.
+        joints: joint names in the order of the realization; joints without a name as ``joint#3``.
+        notes: what could not be worked out independently, and was taken from MuJoCo.
+
+    Raises:
+        ModelError: the model has what rigid bodies in a tree cannot express.
+    """
+
+    def __init__(self, realization: Realization) -> None:
+        robot = realization.source.urdf
+        if robot is not None and not reference_urdf.has_kinematic_patches(realization):
+            rigid = reference_urdf.build(realization, robot)
+        else:
+            rigid = reference_mjcf.build(realization)
+        self._rigid: RigidModel = rigid
+        self._path = realization.path
+        self.model: pin.Model = rigid.model
+        self.joints: tuple[str, ...] = tuple(rigid.joints)
+        self.notes: tuple[str, ...] = tuple(rigid.notes)
+        self._data = self.model.createData()
+
+    def frame_pose(self, q: Mapping[str, Value], frame: str) -> Vector:
+        """``transform_world_to_frame`` (4, 4) of a site or body, a site going first; m."""
+        if frame not in self._rigid.frames:
+            raise SpecError(
+                f"the model has no frame {frame!r}",
+                path=self._path,
+                expected=suggest(frame, self._rigid.frames),
+            )
+        joint, placement = self._rigid.frames[frame]
+        pin.forwardKinematics(self.model, self._data, self._configuration(q))
+        pose: Vector = (self._rigid.world * self._data.oMi[joint] * placement).homogeneous
+        return pose
+
+    def mass(self) -> float:
+        """Mass of the whole robot, what stands still included, in kg."""
+        return float(sum(inertia.mass for inertia in self.model.inertias))
+
+    def center_of_mass(self, q: Mapping[str, Value]) -> Vector:
+        """(3,) centre of the mass of the whole robot in the world, in m."""
+        pin.forwardKinematics(self.model, self._data, self._configuration(q))
+        moment = np.zeros(3)
+        for placement, inertia in zip(self._data.oMi, self.model.inertias, strict=True):
+            moment += inertia.mass * placement.act(inertia.lever)
+        mass = self.mass()
+        return np.asarray(self._rigid.world.act(moment / mass if mass > 0 else moment))
+
+    def gravity_torque(self, q: Mapping[str, Value]) -> dict[str, Value]:
+        """Generalized force that holds each joint still against gravity.
+
+        N*m for a hinge, N for a slide; (3,) N*m in the joint's frame for a ball; (6,) force in
+        the world [N] and torque in the body [N*m] for a free joint.
+        """
+        configuration = self._configuration(q)
+        torque = pin.computeGeneralizedGravity(self.model, self._data, configuration)
+        return {name: self._own(name, torque, configuration) for name in self.joints}
+
+    def mass_matrix(self, q: Mapping[str, Value]) -> Vector:
+        """(nv, nv) joint-space inertia with the joints' armature, in the order of ``joints``."""
+        configuration = self._configuration(q)
+        matrix = np.array(pin.crba(self.model, self._data, configuration))
+        matrix = np.triu(matrix) + np.triu(matrix, 1).T
+        change = np.eye(self.model.nv)
+        order: list[int] = []
+        for name in self.joints:
+            joint = self.model.joints[self._rigid.joints[name]]
+            span = slice(joint.idx_v, joint.idx_v + joint.nv)
+            change[span, span] = self._to_world(name, configuration)
+            order.extend(range(span.start, span.stop))
+        matrix = (change @ matrix @ change.T)[np.ix_(order, order)]
+        armature = [self._rigid.armature.get(name, 0.0) for name in self.joints]
+        widths = [self.model.joints[self._rigid.joints[name]].nv for name in self.joints]
+        return np.asarray(matrix + np.diag(np.repeat(armature, widths)))
+
+    def _own(self, name: str, values: Vector, configuration: Vector) -> Value:
+        joint = self.model.joints[self._rigid.joints[name]]
+        own = self._to_world(name, configuration) @ values[joint.idx_v : joint.idx_v + joint.nv]
+        return float(own[0]) if joint.nv == 1 else np.asarray(own)
+
+    def _to_world(self, name: str, configuration: Vector) -> Vector:
+        """A free joint's linear part is told in the world; Pinocchio has it in the body."""
+        joint = self.model.joints[self._rigid.joints[name]]
+        change = np.eye(joint.nv)
+        if joint.nv == 6:
+            x, y, z, w = configuration[joint.idx_q + 3 : joint.idx_q + 7]
+            change[:3, :3] = self._rigid.world.rotation @ pin.Quaternion(w, x, y, z).matrix()
+        return change
+
+    def _configuration(self, q: Mapping[str, Value]) -> Vector:
+        full = pin.neutral(self.model)
+        for name in (*self._rigid.neutral, *q):
+            if name not in self._rigid.joints:
+                raise SpecError(
+                    f"the model has no joint {name!r}",
+                    path=self._path,
+                    expected=suggest(name, self.joints),
+                )
+            value = q[name] if name in q else self._rigid.neutral[name]
+            joint = self.model.joints[self._rigid.joints[name]]
+            full[joint.idx_q : joint.idx_q + joint.nq] = self._joint_values(
+                name, np.atleast_1d(np.asarray(value, dtype=np.float64)), joint
+            )
+        return full
+
+    def _joint_values(self, name: str, values: Vector, joint: pin.JointModel) -> Iterable[float]:
+        width = {3: 4, 6: 7}.get(joint.nv, 1)
+        if values.shape != (width,) or not np.isfinite(values).all():
+            raise SpecError(
+                f"not a value of joint {name!r}",
+                path=self._path,
+                value=values.tolist(),
+                expected="one finite number" if width == 1 else f"{width} finite numbers",
+            )
+        if joint.nv == 1:
+            angle = float(values[0]) - self._rigid.reference.get(name, 0.0)
+            return (np.cos(angle), np.sin(angle)) if joint.nq == 2 else (angle,)
+        if joint.nv == 3:
+            return np.roll(values / np.linalg.norm(values), -1)
+        turn = values[3:] / np.linalg.norm(values[3:])
+        pose = self._rigid.world.actInv(pin.SE3(pin.Quaternion(*turn), values[:3]))
+        return np.asarray(pin.SE3ToXYZQUAT(pose))

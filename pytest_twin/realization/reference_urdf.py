@@ -1,0 +1,113 @@
+"""A URDF through Pinocchio's own parser."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pytest_twin.errors import ModelError
+from pytest_twin.realization.node import Node
+from pytest_twin.realization.rigid import RigidModel, add_inertia, moments
+from pytest_twin.realization.urdf import Robot
+
+if TYPE_CHECKING:
+    from pytest_twin.realization.model import Realization
+
+Vector = NDArray[np.float64]
+
+_KINEMATIC = frozenset({"pos", "quat", "axis", "ref"})
+_KEPT = frozenset(
+    {
+        *("robot", "link", "joint", "inertial", "mass", "inertia"),
+        *("origin", "parent", "child", "axis", "limit", "dynamics"),
+    }
+)
+
+
+def has_kinematic_patches(realization: Realization) -> bool:
+    """Whether the twin's fit moves a frame or an axis: then the text alone is not the robot."""
+    fit = None if realization.twin is None else realization.twin.fit
+    if fit is None:
+        return False
+    return any(
+        _KINEMATIC & set(patch)
+        for family in ("body", "joint")
+        for patch in fit.patches.get(family, {}).values()
+    )
+
+
+def build(realization: Realization, robot: Robot) -> RigidModel:
+    """The rigid model of a URDF.
+
+    Raises:
+        ModelError: Pinocchio refuses it, or a joint of more than one degree of freedom hangs on a
+            moving link (MuJoCo has several joints in its place).
+    """
+    for joint in robot.joints.values():
+        if joint.type == "planar" or (
+            joint.type == "floating" and joint.name not in realization.joints
+        ):
+            raise joint.node.error(f"no independent reference for a {joint.type} joint here")
+    text = _text(robot.node)
+    try:
+        model = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError, IndexError) as error:
+        raise ModelError(
+            f"Pinocchio refuses the model: {' '.join(str(error).split())}", path=realization.path
+        ) from None
+    found = RigidModel(model=model, world=_world_to_base(realization))
+    model.gravity.linear = found.world.rotation.T @ np.array(realization.spec.option.gravity)
+    for name in realization.joints:
+        found.joints[name] = model.getJointId(name)
+        if model.joints[found.joints[name]].nv == 6:
+            found.neutral[name] = realization.model.qpos0[realization.joint_qpos_index(name) :][
+                :7
+            ].copy()
+    found.frames["world"] = (0, found.world.inverse())
+    for link in robot.links:
+        frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+        found.frames[link] = (frame.parentJoint, frame.placement)
+    _state_inertias(found, realization, robot)
+    for joint_spec in realization.spec.joints:
+        found.armature[joint_spec.name] = float(joint_spec.armature)
+    return found
+
+
+def _state_inertias(found: RigidModel, realization: Realization, robot: Robot) -> None:
+    """Put what a patch, a payload or a noted repair states in the place of what the text says."""
+    for link in robot.links.values():
+        body = realization.spec.body(link.name)
+        if body is None or link.name == "world":
+            continue
+        axes = pin.Quaternion(*body.iquat).matrix()
+        stated = axes @ np.diag(body.inertia) @ axes.T
+        same = (
+            body.mass == link.mass
+            and np.array_equal(body.ipos, link.com)
+            and np.allclose(stated, link.inertia, rtol=1e-9, atol=1e-15)
+        )
+        if same:
+            continue
+        joint, placement = found.frames[link.name]
+        written = moments(link.mass, link.com, link.inertia, placement)
+        true = moments(body.mass, np.array(body.ipos), stated, placement)
+        add_inertia(found.model, joint, (-1.0, written), (1.0, true))
+
+
+def _world_to_base(realization: Realization) -> pin.SE3:
+    twin = realization.twin
+    base = twin.calibration.transform_world_to_base if twin and twin.calibration else None
+    if base is None:
+        return pin.SE3.Identity()
+    return pin.SE3(pin.Quaternion(*base.quaternion), np.array(base.position))
+
+
+def _text(node: Node) -> str:
+    """The dynamics of the robot alone: no shape, so no file, and no mimic, which only couples."""
+    attributes = "".join(f" {key}={quoteattr(value)}" for key, value in node.attributes.items())
+    inner = "".join(_text(child) for child in node.children if child.tag in _KEPT)
+    return f"<{node.tag}{attributes}>{inner}</{node.tag}>"
