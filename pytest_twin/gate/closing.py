@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,13 +118,14 @@ def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]
 def _proof(task: Task, facts: Facts) -> Any:
     from pytest_twin.release import Proof
 
+    title, today = task.golden.title, task.golden.criticality
     outcome = facts.outcomes.get(task.key)
-    if outcome is not None or task.proof is None:
-        assert outcome is not None
-        return Proof(outcome, task.golden.title, task.parts)
-    return Proof(
-        task.proof.outcome, task.golden.title, task.parts, task.proof.release, task.proof.at
-    )
+    if outcome is not None:
+        return Proof(outcome, title, task.parts)
+    before = facts.proven[task.key]
+    proof = task.proof
+    assert proof is not None
+    return Proof(replace(before, criticality=today), title, task.parts, proof.release, proof.at)
 
 
 def _report(

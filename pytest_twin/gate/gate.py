@@ -8,10 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pytest_twin import staleness
 from pytest_twin.errors import TwinError
 from pytest_twin.gate import specs
-from pytest_twin.gate.parts import changed_files, take_stock
-from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, gone, reasons_of
+from pytest_twin.gate.parts import changed_since, look_around
+from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, gone, vouched
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update, record
 from pytest_twin.gate.verdict import Facts, SessionFacts
@@ -30,14 +31,18 @@ class Gate:
 
     Args:
         twin_file: its ``twin.yaml``.
+        runner: runs what has to run in a child process.
+        signing: whether a release is wanted: nothing is then taken from a cache.
 
     Raises:
         TwinError: ``twin.yaml`` is broken.
     """
 
-    def __init__(self, twin_file: Path) -> None:
+    def __init__(self, twin_file: Path, runner: Runner, *, signing: bool = False) -> None:
         self.twin = load_twin(twin_file)
         self.root = self.twin.root
+        self.runner = runner
+        self.signing = signing
         self.outcomes: dict[str, Outcome] = {}
         self.updates: list[Update] = []
         self._goldens: dict[Path, Golden | TwinError] = {}
@@ -90,25 +95,26 @@ class Gate:
 
     def _made(self, goldens: list[Golden], broken: list[str]) -> Plan:
         traces = specs.trace_paths(self.twin)
-        today = take_stock(self.twin, goldens)
+        today = look_around(self.twin, goldens, self.runner.child(self.twin), fresh=self.signing)
         baseline, known, notes = self._baseline()
-        tasks: dict[str, Task] = {}
-        for golden in goldens:
-            for realization in golden.realizations:
-                key = f"{golden.id}@{realization}"
-                ids = today.depends[key]
-                tasks[key] = Task(
-                    golden,
-                    realization,
-                    ids,
-                    reasons_of(key, ids, today.parts, baseline),
-                    baseline.goldens.get(key) if baseline else None,
-                )
+        reasons = staleness.staleness(today.stock, vouched(baseline) if baseline else None)
+        proofs = baseline.goldens if baseline else {}
+        tasks = {
+            (key := f"{golden.id}@{realization}"): Task(
+                golden,
+                realization,
+                tuple(sorted(today.stock.rests_on[key])),
+                reasons[key],
+                proofs.get(key),
+            )
+            for golden in goldens
+            for realization in golden.realizations
+        }
         missing, dropped = gone(known, tasks, self.twin.retired)
         referred = {golden.path.parent / golden.trace.file for golden in goldens if golden.trace}
         return Plan(
             tasks=tasks,
-            parts=today.parts,
+            parts=today.stock.parts,
             baseline=baseline,
             missing=missing,
             dropped=dropped,
@@ -136,7 +142,6 @@ class Gate:
         self,
         golden: Golden,
         realization: str,
-        runner: Runner,
         *,
         reasons: tuple[Reason, ...],
         progress: Progress | None,
@@ -152,11 +157,9 @@ class Gate:
                 error=NEVER_PROVEN,
                 reasons=reasons,
             )
-        return runner.prove(self.twin, golden, realization, reasons=reasons, progress=progress)
+        return self.runner.prove(self.twin, golden, realization, reasons=reasons, progress=progress)
 
-    def record(
-        self, golden: Golden, runner: Runner, progress: Progress | None
-    ) -> tuple[Outcome, Update | None]:
+    def record(self, golden: Golden, progress: Progress | None) -> tuple[Outcome, Update | None]:
         """Record one golden on its first realization; the outcome says whether it now passes."""
         realization = golden.realizations[0]
         task = self.plan().tasks.get(f"{golden.id}@{realization}")
@@ -165,7 +168,7 @@ class Gate:
         update: Update | None = None
         error: str | None = None
         try:
-            update = record(self.twin, golden, rests_on, runner, progress=progress)
+            update = record(self.twin, golden, rests_on, self.runner, progress=progress)
         except TwinError as problem:
             error = str(problem)
         measures = update.measures if update else ()
@@ -198,10 +201,17 @@ class Gate:
             orphans=tuple(path.relative_to(self.root).as_posix() for path in plan.orphans),
             missing=plan.missing,
             dropped=plan.dropped,
-            changed=tuple(changed_files(plan.files)) if self.outcomes else (),
+            changed=self._changed(plan) if self.outcomes else (),
             problems=plan.problems,
             baseline=None if plan.baseline is None else plan.baseline.number,
             session=session,
+        )
+
+    def _changed(self, plan: Plan) -> tuple[str, ...]:
+        paths = set(specs.spec_paths(self.twin)) - plan.files.keys()
+        return (
+            *changed_since(plan.parts, plan.files),
+            *(f"{path}: a spec that was not there" for path in sorted(paths)),
         )
 
     def ids(self) -> dict[str, object]:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from pytest_twin.checks import check_of
-from pytest_twin.dependency import Part, Structure
+from pytest_twin.checks import check_of, kinds
+from pytest_twin.checks.files import find_file
+from pytest_twin.dependency import Part
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.golden import Golden
+from pytest_twin.realization.feature_cache import Features, features_of
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.staleness import Model, Stock, Surroundings, rule_problems, take_stock
 from pytest_twin.twin import Twin
+
+_VERSIONED = ("simulator:", "library:")
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,84 +26,96 @@ class Today:
     """What there is before a run.
 
     Attributes:
-        parts: part id -> part.
-        depends: ``golden@realization`` -> ids of all parts that its result rests on.
+        stock: parts, and what each golden rests on.
         files: file -> SHA-256.
         problems: what could not be found out, one line each.
     """
 
-    parts: Mapping[str, Part]
-    depends: Mapping[str, tuple[str, ...]]
+    stock: Stock
     files: Mapping[Path, str]
-    problems: tuple[str, ...] = ()
+    problems: tuple[str, ...]
 
 
-def take_stock(twin: Twin, goldens: Sequence[Golden]) -> Today:
-    """Parts, dependencies and digests of a twin and its goldens, now."""
-    parts: dict[str, Part] = {}
-    depends: dict[str, tuple[str, ...]] = {}
+def look_around(
+    twin: Twin, goldens: Sequence[Golden], child: Sandbox, *, fresh: bool = False
+) -> Today:
+    """Parts, dependencies and digests of a twin and its goldens, now.
+
+    Args:
+        twin: the twin.
+        goldens: its goldens.
+        child: reads models that are not known yet.
+        fresh: read every model, known or not: for what is to be signed.
+    """
     problems: list[str] = []
     files: dict[Path, None] = dict.fromkeys(twin.files)
-    structures: dict[str, Structure] = {}
-    with Sandbox(cwd=twin.root) as child:
-        for name in dict.fromkeys(name for golden in goldens for name in golden.realizations):
-            try:
-                found = child.call(
-                    "pytest_twin.gate.worker:features",
-                    {"twin": str(twin.path), "realization": name},
-                )
-            except TwinError as error:
-                problems.append(str(error))
-                continue
-            structures[name] = Structure.from_json(found["structure"])
-            parts.update({i: Part(i, content) for i, content in found["parts"].items()})
-            files.update(dict.fromkeys(map(Path, found["files"])))
+    models: dict[str, Model] = {}
+    for name in dict.fromkeys(name for golden in goldens for name in golden.realizations):
+        try:
+            features = _features(twin, name, child, fresh=fresh)
+            models[name] = Model(features.parts, features.structure)
+            files.update(dict.fromkeys(features.files))
+        except TwinError as error:
+            problems.append(str(error))
     for golden in goldens:
         files[golden.path] = None
         if golden.trace is not None:
             files[golden.path.parent / golden.trace.file] = None
-        for name in golden.realizations:
-            own = list(_around(golden, twin, name))
-            parts.update({part.id: part for part in own})
-            ids = {part.id for part in own}
-            if name in structures:
-                ids |= set(check_of(golden.kind).depends(golden, structures[name]))
-            depends[f"{golden.id}@{name}"] = tuple(sorted(ids))
-    return Today(parts, depends, _digests(files), tuple(problems))
+    digests: dict[Path, str] = {}
+
+    def digest(path: Path) -> str:
+        if path not in digests:
+            digests[path] = file_sha256(path)
+        return digests[path]
+
+    def file_digest(golden: Golden | None, reference: str) -> str | None:
+        try:
+            if golden is None:
+                return digest(Path(reference))
+            return digest(find_file(golden, "target", reference, twin))
+        except TwinError:
+            return None
+
+    surroundings = Surroundings(check_of, installed_version, file_digest)
+    problems += map(str, rule_problems(twin, goldens, models, kinds()))
+    stock = take_stock(twin, goldens, models, surroundings)
+    for path in files:
+        try:
+            digest(path)
+        except TwinError as error:
+            problems.append(str(error))
+    return Today(stock, digests, tuple(problems))
 
 
-def _around(golden: Golden, twin: Twin, realization: str) -> Iterator[Part]:
-    check = check_of(golden.kind)
-    yield Part(f"check:{golden.kind}", {"version": check.version})
-    simulator = twin.realizations[realization].simulator
-    yield Part(f"simulator:{simulator}", {"version": metadata.version(simulator)})
-    for library in check.libraries:
-        yield Part(f"library:{library}", {"version": metadata.version(library)})
-    yield Part(
-        f"spec:{golden.id}",
-        {
-            "kind": golden.kind,
-            "target": golden.target,
-            "stimulus": golden.stimulus,
-            "tolerance": {n: [q.value, q.unit] for n, q in golden.tolerance.items()},
-            "expected": golden.expected,
-        },
-    )
-    if golden.trace is not None:
-        yield Part(f"trace:{golden.id}", {"sha256": golden.trace.sha256})
-
-
-def _digests(files: Iterable[Path]) -> dict[Path, str]:
-    return {path: file_sha256(path) for path in files}
-
-
-def changed_files(files: Mapping[Path, str]) -> Iterator[str]:
-    """Names of the files whose content is not what it was."""
+def changed_since(parts: Mapping[str, Part], files: Mapping[Path, str]) -> Iterator[str]:
+    """What is not as it was: files by their bytes, installed distributions by their version."""
     for path, before in files.items():
         try:
-            now = file_sha256(path)
+            if file_sha256(path) != before:
+                yield str(path)
         except TwinError as error:
             yield str(error)
-            continue
-        if now != before:
-            yield str(path)
+    for ident, part in parts.items():
+        if ident.startswith(_VERSIONED):
+            now = installed_version(ident.partition(":")[2])
+            if now != part.content["version"]:
+                yield f"{ident} {part.content['version']} -> {now}"
+
+
+def installed_version(distribution: str) -> str:
+    """The version of an installed distribution, ``absent`` where there is none."""
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return "absent"
+
+
+def _features(twin: Twin, name: str, child: Sandbox, *, fresh: bool) -> Features:
+    arguments = {"twin": str(twin.path), "realization": name}
+    return features_of(
+        twin,
+        name,
+        lambda: child.call("pytest_twin.gate.worker:features", arguments),
+        {library: installed_version(library) for library in ("mujoco", "trimesh")},
+        fresh=fresh,
+    )

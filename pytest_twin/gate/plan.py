@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pytest_twin import staleness
 from pytest_twin.dependency import Part
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Reason
@@ -22,7 +23,7 @@ class Task:
     """One golden on one realization.
 
     Attributes:
-        parts: ids of everything that its result rests on today.
+        parts: ids of everything that its result rests on today, sorted.
         reasons: why the last release does not prove it; empty where it does.
         proof: what the last release says of it, None where it knows nothing.
     """
@@ -41,7 +42,7 @@ class Task:
     @property
     def stale(self) -> bool:
         """Whether it has to run."""
-        return bool(self.reasons) or self.proof is None
+        return bool(self.reasons)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,25 +88,14 @@ class Plan:
         return tuple(ident for ident, golden in goldens.items() if golden.provenance is None)
 
 
-def reasons_of(
-    key: str, ids: tuple[str, ...], parts: Mapping[str, Part], baseline: Release | None
-) -> tuple[Reason, ...]:
-    """Why ``baseline`` does not prove a golden that rests on ``ids`` today."""
-    if baseline is None:
-        return (Reason("no release yet"),)
-    proof = baseline.goldens.get(key)
-    if proof is None:
-        return (Reason("not in the last release"),)
-    reasons = []
-    for ident in ids:
-        old, new = baseline.parts.get(ident), parts.get(ident)
-        if new is None or old is None or old.digest != new.digest:
-            reasons.append(
-                Reason(ident, "", old.digest[:8] if old else "", new.digest[:8] if new else "")
-            )
-    if set(ids) != set(proof.parts):
-        reasons.append(Reason("dependency set changed"))
-    return tuple(reasons)
+def vouched(release: Release) -> staleness.Baseline:
+    """What staleness asks of a release."""
+    return staleness.Baseline(
+        number=release.number,
+        parts=release.parts,
+        passed={key: proof.outcome.status == "passed" for key, proof in release.goldens.items()},
+        rested_on={key: frozenset(proof.parts) for key, proof in release.goldens.items()},
+    )
 
 
 def gone(

@@ -33,6 +33,12 @@ class Runner:
         self.seconds = seconds
         self._children: dict[Path, Sandbox] = {}
 
+    def child(self, twin: Twin) -> Sandbox:
+        """The process that loads and steps this twin's models; it starts with its first call."""
+        if twin.root not in self._children:
+            self._children[twin.root] = Sandbox(seconds=self.seconds, cwd=twin.root)
+        return self._children[twin.root]
+
     def prove(
         self,
         twin: Twin,
@@ -86,10 +92,7 @@ class Runner:
         progress: Progress | None,
         **arguments: object,
     ) -> dict[str, Any]:
-        child = self._children.get(twin.root)
-        if child is None:
-            child = self._children[twin.root] = Sandbox(seconds=self.seconds, cwd=twin.root)
-        result: dict[str, Any] = child.call(
+        result: dict[str, Any] = self.child(twin).call(
             f"{_WORKER}:{function}",
             {
                 "twin": str(twin.path),

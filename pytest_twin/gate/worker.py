@@ -14,6 +14,7 @@ from pytest_twin.gate.specs import load_golden
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.realization import Realization, load
+from pytest_twin.realization.feature_cache import Features
 from pytest_twin.report import plots
 from pytest_twin.twin import Twin, load_twin
 
@@ -118,10 +119,6 @@ def _realization(twin: Path, name: str) -> Realization:
 
 
 def features(twin: str, realization: str) -> dict[str, Any]:
-    """Parts and structure of a realization, and the files that it was read from."""
+    """What the dependency map knows of a realization."""
     loaded = _realization(Path(twin), realization)
-    return {
-        "structure": loaded.structure.to_json(),
-        "parts": {ident: part.content for ident, part in loaded.parts.items()},
-        "files": [str(path) for path in loaded.source.files],
-    }
+    return Features(loaded.parts, loaded.structure, loaded.source.files).to_json()

@@ -77,7 +77,7 @@ class TwinSession:
         """The gate of a twin, None where its ``twin.yaml`` is broken."""
         if twin_file not in self.gates and twin_file not in self.broken:
             try:
-                self.gates[twin_file] = Gate(twin_file)
+                self.gates[twin_file] = Gate(twin_file, self.runner, signing=self.options.release)
             except TwinError as error:
                 self.broken[twin_file] = error
         return self.gates.get(twin_file)
@@ -176,13 +176,12 @@ class TwinSession:
         travels: dict[str, Any] = {"twin": str(gate.twin.path)}
         with self.progress.of(item) as progress:
             if self.options.update:
-                outcome, update = gate.record(item.golden, self.runner, progress)
+                outcome, update = gate.record(item.golden, progress)
                 travels["update"] = update and update.to_json()
             else:
                 outcome = gate.prove(
                     item.golden,
                     item.realization,
-                    self.runner,
                     reasons=self._reasons(item),
                     progress=progress,
                 )
@@ -240,7 +239,8 @@ class TwinSession:
         if isinstance(report.longrepr, str):
             # From a worker: our text again, so that summaries and JUnit stay short.
             path, line, _ = report.location
-            report.longrepr = FailureText(report.longrepr, headline(outcome), path, (line or 0) + 1)
+            text = FailureText(report.longrepr, headline(outcome), path, (line or 0) + 1)
+            report.longrepr = text  # type: ignore[assignment]
         if self.is_worker:
             return
         gate = self.gate(Path(told["twin"]))

@@ -10,7 +10,7 @@ import pytest
 
 MODEL = """\
 <mujoco model="arm">
-  <compiler autolimits="true"/>
+  <compiler angle="radian"/>
   <option timestep="0.002"/>
   <worldbody>
     <body name="upper" pos="0 0 0.2">
