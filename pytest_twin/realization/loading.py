@@ -107,6 +107,9 @@ def load(
         raise ModelError("not a robot model", path=path, value=tag, expected="<mujoco> or <robot>")
     if fit is not None:
         patch.apply_fit(spec, fit.patches, fit.option, refuse=_fit_error(fit))
+    base = twin.calibration.transform_world_to_base if twin and twin.calibration else None
+    if twin is not None and base is not None:
+        patch.place_base(spec, base, refuse=twin.error, where="calibration.base")
     try:
         model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:

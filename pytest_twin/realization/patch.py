@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import inertia
-from pytest_twin.twin import Patch, Payload
+from pytest_twin.twin import Patch, Payload, Pose
 
 Refuse = Callable[..., TwinError]
 """Makes the error: called with a dotted field, the problem, and ``value``/``unit``/``expected``."""
@@ -52,6 +52,40 @@ def apply_fit(
                 raise refuse(where, "unknown table", value=family)
     for attribute, value in option.items():
         _set(spec.option, attribute, value, f"{where}.option.{attribute}", refuse)
+
+
+def place_base(spec: mujoco.MjSpec, base: Pose, *, refuse: Refuse, where: str) -> None:
+    """Stand the robot where the calibration found it.
+
+    Raises:
+        TwinError: no body, or more than one, could be the base: it stands in the world and
+            carries joints.
+    """
+    carriers = [body for body in spec.worldbody.bodies if body.joints or _carries_joints(body)]
+    free = mujoco.mjtJoint.mjJNT_FREE
+    fixed = [body for body in carriers if all(joint.type != free for joint in body.joints)]
+    # A free body beside an arm is an object, not a second robot.
+    found = fixed or carriers
+    if len(found) != 1 or found[0].frame is not None:
+        raise refuse(
+            where,
+            "the model has no single base to place",
+            value=", ".join(body.name for body in found) or None,
+            expected="one body that stands in the world and carries joints",
+        )
+    found[0].pos = base.position
+    found[0].quat = base.quaternion
+    found[0].alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+def _carries_joints(body: mujoco.MjsBody) -> bool:
+    waiting = list(body.bodies)
+    while waiting:
+        child = waiting.pop()
+        if child.joints:
+            return True
+        waiting.extend(child.bodies)
+    return False
 
 
 def apply_controller(

@@ -43,7 +43,7 @@ class Reference:
 
     def __init__(self, realization: Realization) -> None:
         robot = realization.source.urdf
-        if robot is not None and not reference_urdf.has_kinematic_patches(realization):
+        if robot is not None and reference_urdf.is_described(realization, robot):
             rigid = reference_urdf.build(realization, robot)
         else:
             rigid = reference_mjcf.build(realization)
@@ -122,7 +122,7 @@ class Reference:
         return change
 
     def _configuration(self, q: Mapping[str, Value]) -> Vector:
-        full = pin.neutral(self.model)
+        full: Vector = pin.neutral(self.model)
         for name in (*self._rigid.neutral, *q):
             if name not in self._rigid.joints:
                 raise SpecError(
@@ -150,7 +150,8 @@ class Reference:
             angle = float(values[0]) - self._rigid.reference.get(name, 0.0)
             return (np.cos(angle), np.sin(angle)) if joint.nq == 2 else (angle,)
         if joint.nv == 3:
-            return np.roll(values / np.linalg.norm(values), -1)
+            turned: Vector = np.roll(values / np.linalg.norm(values), -1)
+            return turned
         turn = values[3:] / np.linalg.norm(values[3:])
         pose = self._rigid.world.actInv(pin.SE3(pin.Quaternion(*turn), values[:3]))
-        return np.asarray(pin.SE3ToXYZQUAT(pose))
+        return np.asarray(pin.SE3ToXYZQUAT(pose), dtype=np.float64)

@@ -28,15 +28,17 @@ _KEPT = frozenset(
 )
 
 
-def has_kinematic_patches(realization: Realization) -> bool:
-    """Whether the twin's fit moves a frame or an axis: then the text alone is not the robot."""
-    fit = None if realization.twin is None else realization.twin.fit
-    if fit is None:
+def is_described(realization: Realization, robot: Robot) -> bool:
+    """Whether the text alone gives the kinematics: no fit that moves a frame or an axis."""
+    twin = realization.twin
+    if twin is None:
+        return True
+    if robot.root == "world" and twin.calibration and twin.calibration.transform_world_to_base:
         return False
-    return any(
+    return twin.fit is None or not any(
         _KINEMATIC & set(patch)
         for family in ("body", "joint")
-        for patch in fit.patches.get(family, {}).values()
+        for patch in twin.fit.patches.get(family, {}).values()
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,7 +172,7 @@ def origin(node: Node) -> tuple[Vector, Vector]:
 def _nodes(root: xml.Element, path: Path, limits: ModelLimits) -> Node:
     count = 0
 
-    def node(element: xml.Element) -> Node:
+    def node(element: Any) -> Node:
         nonlocal count
         count += 1
         if count > limits.elements:
@@ -180,7 +181,7 @@ def _nodes(root: xml.Element, path: Path, limits: ModelLimits) -> Node:
             str(element.tag),
             {str(key): str(value) for key, value in element.attrib.items()},
             path,
-            int(element.sourceline or 1),
+            element.sourceline or 1,
             [node(child) for child in element if isinstance(child.tag, str)],
         )
 
