@@ -1,0 +1,236 @@
+"""What a plot of series shows: for each quantity its course now, the golden's, and the bound."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.outcome import Measure, use_of_tolerance
+
+FloatArray = NDArray[np.float64]
+
+MAX_PANELS = 3
+BUCKETS = 250
+_COMMAND = "command:"
+_ORDER = ("magnitude", "phase", "coherence")
+
+
+class Series(Protocol):
+    """Series on one axis, as checks record them (``checks.base.Trace``)."""
+
+    @property
+    def axis(self) -> tuple[str, str]:
+        """(name, unit) of ``x``."""
+
+    @property
+    def x(self) -> FloatArray:
+        """(n,) values of the axis."""
+
+    @property
+    def columns(self) -> Mapping[str, tuple[str, FloatArray]]:
+        """Name -> (unit, (n,) values)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """(n,) values over (n,) places on the axis."""
+
+    x: FloatArray
+    y: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """The sample that used most of a tolerance.
+
+    Attributes:
+        x: its place on the axis; ``y``: the value there now.
+        error, tolerance: in the panel's unit.
+        passed: whether it is within.
+    """
+
+    x: float
+    y: float
+    error: float
+    tolerance: float
+    passed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One quantity.
+
+    Attributes:
+        title, unit: what it is.
+        now: what was observed now.
+        then: what it is held against, None where nothing is; ``against`` its name.
+        command: what was commanded, where that has the same unit.
+        worst: the worst sample, None where no tolerance bounds the series.
+    """
+
+    title: str
+    unit: str
+    now: Line
+    then: Line | None = None
+    against: str = "golden"
+    command: Line | None = None
+    worst: Worst | None = None
+
+    @property
+    def residual(self) -> Line | None:
+        """Now minus then, at the places of now."""
+        if self.then is None:
+            return None
+        return Line(self.now.x, self.now.y - np.interp(self.now.x, self.then.x, self.then.y))
+
+
+def time_panels(
+    measures: Sequence[Measure], now: Series, stored: Series | None
+) -> tuple[list[Panel], int]:
+    """Panels over time, the worst first, and how many were left out."""
+    panels = []
+    for name, (unit, values) in now.columns.items():
+        quantity_name, _, subject = name.partition(":")
+        commanded = now.columns.get(_COMMAND + subject)
+        shares_panel = any(
+            name == _COMMAND + other.partition(":")[2] and other != name and unit == other_unit
+            for other, (other_unit, _) in now.columns.items()
+        )
+        if shares_panel:
+            continue
+        line = Line(now.x, values)
+        bound = _bound_of(subject, unit, line, measures)
+        command = None
+        if commanded is not None and commanded[0] == unit and not name.startswith(_COMMAND):
+            command = Line(now.x, commanded[1])
+        panels.append(
+            Panel(
+                title=f"{quantity_name} of {subject}" if subject else name,
+                unit=unit,
+                now=line,
+                then=_then(stored, name),
+                against=bound.against if bound else _against(measures),
+                command=command,
+                worst=None if bound is None or bound.time is None else _worst(bound, bound.time),
+            )
+        )
+    panels.sort(key=_telling, reverse=True)
+    return panels[:MAX_PANELS], max(0, len(panels) - MAX_PANELS)
+
+
+def frequency_panels(
+    measures: Sequence[Measure], now: Series, stored: Series | None
+) -> tuple[list[Panel], int]:
+    """Panels over frequency: magnitude in dB, phase, coherence, in this order."""
+    panels = []
+    for name, (unit, values) in now.columns.items():
+        kind, _, subject = name.partition(":")
+        then = _then(stored, name)
+        line = Line(now.x, values)
+        if kind == "magnitude" and unit != "dB":
+            line, unit = _decibel(line), f"dB re {unit}" if unit != "1" else "dB"
+            then = None if then is None else _decibel(then)
+        bound = next((measure for measure in measures if measure.name == kind), None)
+        panels.append(
+            Panel(
+                title=f"{kind} of {subject}" if subject else kind,
+                unit="" if unit == "1" else unit,
+                now=line,
+                then=then,
+                worst=None if bound is None or then is None else _worst_line(bound, line, then),
+            )
+        )
+    panels.sort(key=lambda panel: _position(panel.title))
+    return panels[:MAX_PANELS], max(0, len(panels) - MAX_PANELS)
+
+
+def thin(line: Line) -> Line:
+    """At most two points for each of ``BUCKETS`` stretches: its lowest and its highest."""
+    if line.x.size <= 2 * BUCKETS:
+        return line
+    edges = np.linspace(0, line.x.size, BUCKETS + 1).astype(int)
+    picked: list[int] = [0]
+    for start, end in itertools.pairwise(edges.tolist()):
+        piece = np.nan_to_num(line.y[start:end])
+        picked += [start + int(piece.argmin()), start + int(piece.argmax())]
+    picked.append(line.x.size - 1)
+    index = np.unique(picked)
+    return Line(line.x[index], line.y[index])
+
+
+def shifted(line: Line, offset: float) -> Line:
+    """``line``, ``offset`` higher."""
+    return replace(line, y=line.y + offset)
+
+
+def _telling(panel: Panel) -> tuple[float, float]:
+    """Use of the tolerance, then the residual in parts of the golden's range."""
+    worst, left = panel.worst, panel.residual
+    used = -1.0
+    if worst is not None:
+        used = worst.error / worst.tolerance if worst.tolerance > 0 else float(not worst.passed)
+        used = np.inf if np.isnan(used) else used
+    if left is None or panel.then is None:
+        return (used, float(np.ptp(panel.now.y)) * 1e-12)
+    scale = float(np.ptp(panel.then.y)) or 1.0
+    return (used, float(np.max(np.abs(left.y))) / scale)
+
+
+def _bound_of(subject: str, unit: str, line: Line, measures: Sequence[Measure]) -> Measure | None:
+    """The worst measure that speaks of one sample of a series.
+
+    It has the series' unit, subject and a time, and its value is the one of the series at that
+    time; a mean over the series (RMS) has not, and draws no band.
+    """
+    scale = float(np.ptp(line.y)) + 1e-12
+    fitting = [
+        measure
+        for measure in measures
+        if measure.unit == unit
+        and measure.subject == subject
+        and measure.time is not None
+        and abs(float(np.interp(measure.time, line.x, line.y)) - measure.measured) <= 1e-3 * scale
+    ]
+    return max(fitting, key=use_of_tolerance, default=None)
+
+
+def _worst(measure: Measure, time: float) -> Worst:
+    return Worst(time, measure.measured, measure.error, measure.tolerance, measure.passed)
+
+
+def _worst_line(measure: Measure, now: Line, then: Line) -> Worst | None:
+    """The line of a frequency response that a measure speaks of, found again in the series."""
+    found = np.interp(then.x, now.x, now.y)
+    error = np.abs(found - then.y)
+    if measure.unit == "rad":
+        error = np.abs((found - then.y + np.pi) % (2.0 * np.pi) - np.pi)
+    at = int(np.argmax(np.nan_to_num(error)))
+    return Worst(
+        float(then.x[at]), float(found[at]), measure.error, measure.tolerance, measure.passed
+    )
+
+
+def _then(stored: Series | None, name: str) -> Line | None:
+    if stored is None or name not in stored.columns:
+        return None
+    return Line(stored.x, stored.columns[name][1])
+
+
+def _against(measures: Sequence[Measure]) -> str:
+    names = {measure.against for measure in measures}
+    return "recording" if names == {"recording"} else "golden"
+
+
+def _decibel(line: Line) -> Line:
+    with np.errstate(divide="ignore"):
+        return replace(line, y=20.0 * np.log10(np.abs(line.y)))
+
+
+def _position(title: str) -> int:
+    kind = title.split(" ")[0]
+    return _ORDER.index(kind) if kind in _ORDER else len(_ORDER)
