@@ -184,16 +184,20 @@ class CollisionDistance(Check):
         apart = [[a, b] for distance, a, b in pairs if distance > 0.0][:_FIRST_PAIRS]
         if not apart and not disabled:
             return []
+        entries: list[dict[str, Any]] = [
+            {"pair": list(pair), "reason": _first_reason(shapes, data, pair, why)}
+            for pair, why in disabled
+        ]
+        if not pairs and len(disabled) > 1:
+            whole = sorted({name for pair, _ in disabled for name in pair})
+            entries = [{"among": whole, "reason": f"{disabled[0][1]} in the supplier's model"}]
         return [
             {
                 "name": "collision_distance",
                 "title": "Distances of the pairs that come closest, and every disabled pair",
                 "target": {
                     "pairs": apart,
-                    "disabled": [
-                        {"pair": list(pair), "reason": _first_reason(shapes, data, pair, why)}
-                        for pair, why in disabled
-                    ],
+                    "disabled": entries,
                 },
                 "stimulus": {"poses": [REFERENCE]},
                 "tolerance": {"distance": "10 um", "penetration": "0.5 mm"},

@@ -28,6 +28,7 @@ from pytest_twin.metrics.pose import (
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
+_MANY_SITES = 12
 _NOWHERE = [float("nan")] * 7
 
 
@@ -156,17 +157,21 @@ class ForwardKinematics(Check):
 
 
 def end_frames(realization: Realization) -> list[str]:
-    """Named leaf bodies that move, and the twin's TCP."""
+    """Frames worth watching: moving leaf bodies, sites on moving bodies, the twin's TCP.
+
+    Of many sites (tendon routes, tactile cells) none is taken.
+    """
     structure = realization.structure
-    parents = set(structure.body_parent.values())
-    leaves = {body for body in structure.body_parent if body not in parents}
     jointed = set(structure.joint_body.values())
-    moving = {body for body in leaves if jointed.intersection(structure.ancestors(body))}
-    frames = moving & set(structure.frame_body)
+    moving = {b for b in structure.body_parent if jointed.intersection(structure.ancestors(b))}
+    frames = moving - set(structure.body_parent.values())
+    sites = {site for site in realization.names("site") if structure.frame_body[site] in moving}
+    if len(sites) <= _MANY_SITES:
+        frames |= sites
     twin = realization.twin
-    if twin is not None and twin.tcp is not None and twin.tcp in structure.frame_body:
+    if twin is not None and twin.tcp is not None:
         frames.add(twin.tcp)
-    return sorted(frames)
+    return sorted(frames & set(structure.frame_body))
 
 
 def _errors(found: list[float], expected: list[float]) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.fields import POSITION_UNIT, known_name, quantity, spec_error, tolerance
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, Pose, keyframes_of, resolve_pose
 from pytest_twin.dependency import Structure
+from pytest_twin.errors import SimulationError
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import direction_error, rotation_vector
 
@@ -27,6 +28,8 @@ _DISPLACEMENT = {"hinge": 0.02, "slide": 0.002}  # rad, m
 _STILL = 1e-9  # rad or m: a smaller motion has no direction
 _PULSE = 0.1  # s
 _STEPS = 20_000  # bound on the steps of a pulse
+_LARGEST = 0.1  # rad or m: what a pulse may move
+_SHRINKS = 9
 
 _VECTOR: dict[str, Any] = {
     "type": "array",
@@ -40,8 +43,8 @@ class JointDirection(Check):
     """One joint at a time: where a named frame goes when the joint's value grows.
 
     The displacement is symmetric about the pose, so that a frame on an arc moves along its
-    tangent. The command is a short pulse on one actuator without gravity, contact, stops and dry
-    friction; the joint's motion is what the pulse adds to the same simulation without it.
+    tangent. The command is a short, small pulse on one actuator without gravity, contact, stops and
+    dry friction; the joint's motion is what the pulse adds to the same simulation without it.
 
     ``values``: ``direction`` joint -> (3,) unit vector in the declared frame, ``command`` joint
     -> rad or m that the pulse added.
@@ -287,10 +290,11 @@ def pulse(
     """What a growing command adds to a joint's position, in rad or m.
 
     Two simulations from rest at ``qpos``, without gravity, contact, stops and dry friction: one
-    that holds the command at which the actuator pushes least, one with 5 % of its range more.
+    that holds the command at which the actuator pushes least, one with more. The raise starts at
+    5 % of the command's range and shrinks until nothing moves further than a small displacement.
 
     Raises:
-        SimulationError: the simulation diverged.
+        SimulationError: the simulation diverges whatever the command.
     """
     import mujoco
 
@@ -304,25 +308,34 @@ def pulse(
     control = realization.control_index(actuator)
     address = realization.joint_qpos_index(joint)
     steps = min(simulate.steps_in(model, duration), _STEPS)
-    rest: float | None = None
-    ends = []
-    for raised in (False, True):
+    hold = simulate.hold(model, simulate.start(model, realization, qpos))
+
+    def end(command: float) -> FloatArray:
         data = simulate.start(model, realization, qpos)
         data.ctrl[:] = simulate.hold(model, data)
-        if rest is None:
-            rest, more = _commands(model, control, float(data.ctrl[control]))
-        data.ctrl[control] = more if raised else rest
-        mujoco.mj_step(model, data, nstep=steps)
-        simulate.check_finite(model, data)
-        ends.append(float(data.qpos[address]))
-    return ends[1] - ends[0]
+        data.ctrl[control] = command
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
+            simulate.check_finite(model, data)
+        return np.array(data.qpos)
+
+    rest, step = _command(model, control, float(hold[control]))
+    start = end(rest)
+    for _ in range(_SHRINKS):
+        try:
+            moved = end(rest + step) - start
+        except SimulationError:
+            moved = np.full(model.nq, np.inf)
+        if np.max(np.abs(moved)) <= _LARGEST:
+            break
+        step *= 0.1
+    return float(moved[address])
 
 
-def _commands(model: mujoco.MjModel, control: int, rest: float) -> tuple[float, float]:
-    """A command near rest, and a greater one, both within the actuator's range."""
+def _command(model: mujoco.MjModel, control: int, rest: float) -> tuple[float, float]:
+    """A command near rest, and what can be added to it within the actuator's range."""
     if not model.actuator_ctrllimited[control]:
-        return rest, rest + max(0.05, 0.05 * abs(rest))
+        return rest, max(0.05, 0.05 * abs(rest))
     lower, upper = (float(bound) for bound in model.actuator_ctrlrange[control])
     step = 0.05 * (upper - lower)
-    rest = min(max(rest, lower), upper - step)
-    return rest, rest + step
+    return min(max(rest, lower), upper - step), step

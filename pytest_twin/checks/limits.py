@@ -24,6 +24,7 @@ from pytest_twin.checks.fields import (
 )
 from pytest_twin.checks.poses import configuration
 from pytest_twin.dependency import Structure
+from pytest_twin.errors import SimulationError
 from pytest_twin.golden import Golden
 from pytest_twin.units import Quantity
 
@@ -36,6 +37,14 @@ FloatArray = NDArray[np.float64]
 
 _BEYOND = 1e3  # how many times past its range a command goes
 _DURATION = 0.5  # s
+_GIVING_WAY = 0.05  # of its range: a stop that gives way further holds nothing
+# Fraction of the effort -> (name, title) of a first spec.
+_PUSHES = {
+    1.0: ("limits", "the stops hold the full effort"),
+    0.1: ("limits_tenth", "the stops hold a tenth of the effort"),
+    0.01: ("limits_hundredth", "the stops hold a hundredth of the effort"),
+    0.0: ("limits_no_push", "the stops hold no effort to speak of"),
+}
 _RANGE_SCHEMA: Mapping[str, Any] = {
     "type": "array",
     "items": QUANTITY_SCHEMA,
@@ -53,8 +62,8 @@ _TOLERANCE = {
 class Limits(Check):
     """What bounds each joint, and that commands past the bounds come to nothing.
 
-    - ``hard``: the range equals the model's; pushed against each stop with its full effort, the
-      joint does not pass it by more than ``stop_angle`` or ``stop_length``.
+    - ``hard``: the range equals the model's; pushed against each stop with its effort, the joint
+      does not pass it by more than ``stop_angle`` or ``stop_length``.
     - ``soft``: lies inside the hard range; a position servo commanded far past it aims at its
       bounds.
     - ``velocity``: equals the limit of the model's source; where the source has none, the joint
@@ -117,7 +126,16 @@ class Limits(Check):
                 "duration": {
                     "type": "string",
                     "description": "How long each push lasts, '500 ms' when left out.",
-                }
+                },
+                "push": {
+                    "type": "number",
+                    "minimum": 0,
+                    "maximum": 1,
+                    "description": (
+                        "Fraction of its effort with which a joint is pushed against its stops: "
+                        "1 when left out, 0 for no push."
+                    ),
+                },
             },
             "additionalProperties": False,
         },
@@ -145,7 +163,7 @@ class Limits(Check):
             known_name(golden, place, joint, kinds, "hinge or slide joint")
             declared = _declared(golden, joint, kinds[joint])
             found[joint] = {"type": kinds[joint]} | _observed(
-                realization, joint, declared, duration
+                realization, joint, declared, duration, float(golden.stimulus.get("push", 1.0))
             )
             progress((number + 1) / len(joints))
         return Observation({"joints": found})
@@ -163,45 +181,78 @@ class Limits(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Every limit that the model or its source states, as it stands there."""
+        """Every limit that the model or its source states, as it stands there.
+
+        Stops that give way to the full effort by more than a twentieth of the range are pushed
+        with a tenth or a hundredth of it, or not at all, each in a spec of its own.
+        """
         structure = realization.structure
-        joints: dict[str, Any] = {}
+        groups: dict[float, dict[str, Any]] = {fraction: {} for fraction in _PUSHES}
         for joint in realization.joints:
-            kind = structure.joint_type.get(joint)
-            if kind in POSITION_UNIT and (entry := _stated(realization, joint)):
-                joints[joint] = entry
-        if not joints:
-            return []
-        target = {"joints": joints}
-        draft = Golden(
-            id="limits",
-            path=Path("limits.yaml"),
-            kind=self.kind,
-            title="",
-            realizations=(realization.name,),
-            criticality="critical",
-            target=target,
-            stimulus={},
-            tolerance={name: Quantity(math.inf, unit) for name, unit in self.tolerances.items()},
-        )
-        observation = self.observe(draft, realization, lambda fraction: None)
-        measures = self.compare(draft, observation, None)
-        bounds: dict[str, str] = {}
+            if structure.joint_type.get(joint) in POSITION_UNIT and (
+                entry := _stated(realization, joint)
+            ):
+                groups[self._holding(realization, joint, entry)][joint] = entry
+        specs: list[Mapping[str, Any]] = []
+        for fraction, joints in groups.items():
+            if not joints:
+                continue
+            stimulus: dict[str, Any] = {} if fraction == 1.0 else {"push": fraction}
+            specs.append(
+                {
+                    "name": _PUSHES[fraction][0],
+                    "title": f"Ranges, speeds and efforts; {_PUSHES[fraction][1]}",
+                    "target": {"joints": joints},
+                    "stimulus": stimulus,
+                    "tolerance": self._bounds(realization, joints, stimulus),
+                }
+            )
+        return specs
+
+    def _holding(self, realization: Realization, joint: str, entry: Mapping[str, Any]) -> float:
+        """The greatest fraction of its effort that a joint's stops hold."""
+        if not isinstance(entry["hard"], list):
+            return 1.0
+        lower, upper = entry["hard"]
+        for fraction in _PUSHES:
+            draft = self._draft(realization, {joint: entry}, {"push": fraction})
+            try:
+                found = self.observe(draft, realization, lambda done: None)
+            except SimulationError:
+                continue
+            passed = found.values["joints"][joint].get("stop", [0.0])
+            if max(passed) <= _GIVING_WAY * (upper - lower):
+                return fraction
+        return 0.0
+
+    def _bounds(
+        self, realization: Realization, joints: Mapping[str, Any], stimulus: Mapping[str, Any]
+    ) -> dict[str, str]:
+        draft = self._draft(realization, joints, stimulus)
+        measures = self.compare(draft, self.observe(draft, realization, lambda done: None), None)
+        bounds = {}
         for name, unit in self.tolerances.items():
             errors = [measure.error for measure in measures if measure.name == name]
             if errors:
                 # Half as much again as the model's own stops give way, two digits.
                 least = 1e-4 if name in _TOLERANCE["stop"].values() else 1e-6
                 bounds[name] = f"{_round_up(max(1.5 * max(errors), least)):g} {unit}"
-        return [
-            {
-                "name": "limits",
-                "title": "Ranges, speeds and efforts of all joints",
-                "target": target,
-                "stimulus": {},
-                "tolerance": bounds,
-            }
-        ]
+        return bounds
+
+    def _draft(
+        self, realization: Realization, joints: Mapping[str, Any], stimulus: Mapping[str, Any]
+    ) -> Golden:
+        return Golden(
+            id=self.kind,
+            path=Path(f"{self.kind}.yaml"),
+            kind=self.kind,
+            title="",
+            realizations=(realization.name,),
+            criticality="critical",
+            target={"joints": joints},
+            stimulus=stimulus,
+            tolerance={name: Quantity(math.inf, unit) for name, unit in self.tolerances.items()},
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,7 +360,11 @@ def _stated(realization: Realization, joint: str) -> dict[str, Any]:
 
 
 def _observed(
-    realization: Realization, joint: str, declared: _Declared, duration: float
+    realization: Realization,
+    joint: str,
+    declared: _Declared,
+    duration: float,
+    fraction: float,
 ) -> dict[str, Any]:
     model = realization.model
     found: dict[str, Any] = {"range": _model_range(model, realization.joint_index(joint))}
@@ -327,14 +382,14 @@ def _observed(
         found["velocity_limit"] = stated
         if stated is None and drivers:
             found["velocity_reached"] = _fastest(realization, joint, drivers, duration)
-    if declared.hard and found["range"] is not None:
+    if declared.hard and found["range"] is not None and fraction > 0.0:
         push = declared.effort
         if push is None and limit is not None:
             push = max(abs(end) for end in limit)
         elif push is None and reached is not None:
             push = max(abs(end) for end in reached)
         if push is not None:
-            found["stop"] = _pushed(realization, joint, found["range"], push, duration)
+            found["stop"] = _pushed(realization, joint, found["range"], fraction * push, duration)
     return found
 
 
@@ -348,6 +403,27 @@ def _bench(realization: Realization, free: frozenset[str]) -> mujoco.MjModel:
     model = simulate.bench(realization, gravity=False, locked=held)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return model
+
+
+def _start(
+    realization: Realization, model: mujoco.MjModel, values: Mapping[str, float]
+) -> mujoco.MjData:
+    """At rest with ``values`` (rad or m), the other joints at the reference or their next stop.
+
+    A held joint beyond its stop would be pushed back by the full force of the solver.
+    """
+    from pytest_twin.realization import simulate
+
+    robot = realization.model
+    inside: dict[str, float] = {}
+    for joint in realization.joints:
+        if realization.structure.joint_type[joint] in POSITION_UNIT:
+            index = realization.joint_index(joint)
+            reference = float(robot.qpos0[robot.jnt_qposadr[index]])
+            bounds = _model_range(robot, index)
+            if bounds is not None and not bounds[0] <= reference <= bounds[1]:
+                inside[joint] = min(max(reference, bounds[0]), bounds[1])
+    return simulate.start(model, realization, configuration(realization, inside | dict(values)))
 
 
 def _far(model: mujoco.MjModel, control: int, sign: float) -> float:
@@ -385,12 +461,13 @@ def _strongest(
     from pytest_twin.realization import simulate
 
     model = _bench(realization, frozenset())
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     dof = realization.joint_dof_index(joint)
     bounds = _model_range(realization.model, realization.joint_index(joint))
     reached = []
     for sign in (-1.0, 1.0):
         values = {} if bounds is None else {joint: bounds[0] if sign > 0.0 else bounds[1]}
-        data = simulate.start(model, realization, configuration(realization, values))
+        data = _start(realization, model, values)
         data.ctrl[:] = simulate.hold(model, data)
         _command(realization, model, data, drivers, sign)
         extreme = 0.0
@@ -419,7 +496,7 @@ def _fastest(realization: Realization, joint: str, drivers: list[str], duration:
         if sign < 0.0:
             near, far = (None, -math.inf) if bounds is None else (bounds[1], bounds[0])
         values = {} if near is None else {joint: near}
-        data = simulate.start(model, realization, configuration(realization, values))
+        data = _start(realization, model, values)
         data.ctrl[:] = simulate.hold(model, data)
         _command(realization, model, data, drivers, sign)
         for _ in range(simulate.steps_in(model, duration)):
@@ -444,7 +521,7 @@ def _pushed(
     address, dof = realization.joint_qpos_index(joint), realization.joint_dof_index(joint)
     passed = []
     for stop, sign in zip(bounds, (-1.0, 1.0), strict=True):
-        data = simulate.start(model, realization, configuration(realization, {joint: stop}))
+        data = _start(realization, model, {joint: stop})
         data.qfrc_applied[dof] = sign * push
         furthest = 0.0
         for _ in range(simulate.steps_in(model, duration)):

@@ -190,7 +190,9 @@ class _Coupled:
         self._model = model = realization.model
         types = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
         self._joint = {
-            model.joint(i).name: i for i in range(model.njnt) if int(model.jnt_type[i]) in types
+            name: i
+            for i in range(model.njnt)
+            if int(model.jnt_type[i]) in types and (name := str(model.joint(i).name))
         }
         self.joint_type = {name: types[int(model.jnt_type[i])] for name, i in self._joint.items()}
         self._names = {i: name for name, i in self._joint.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import coal
@@ -22,6 +23,7 @@ _GJK_TOLERANCE = 1e-8
 # Tighter, and EPA gives up on round shapes in deep overlap.
 _EPA_TOLERANCE = 1e-6
 _ITERATIONS = 1000
+_IN_PART = "contype and conaffinity keep some of their geoms apart"
 _SUPPORTED = frozenset(
     {
         Geom.mjGEOM_PLANE,
@@ -70,7 +72,7 @@ class Shapes:
             ModelError: height fields and signed distance fields have no distance to all shapes.
         """
         return min(
-            mujoco.mj_geomDistance(self._model, data, a, b, self._bound(data, a, b), None)
+            float(mujoco.mj_geomDistance(self._model, data, a, b, self._bound(data, a, b), None))
             for a, b in self._ordered(first, second)
         )
 
@@ -194,14 +196,7 @@ def hull_points(model: mujoco.MjModel, spec: mujoco.MjSpec, mesh: int) -> Vector
 
 def enabled_pairs(realization: Realization) -> list[tuple[str, str]]:
     """Pairs of bodies of which some geoms can collide, sorted by name."""
-    model = realization.model
-    excluded = _excluded(model)
-    found = set()
-    for a, b in _candidates(model):
-        masks = _mask_verdicts(model, a, b)
-        if any(masks) and (a, b) not in excluded:
-            found.add(_names(model, a, b))
-    return sorted(found)
+    return sorted(pair for pair, why in _verdicts(realization.model) if why in ("", _IN_PART))
 
 
 def disabled_pairs(realization: Realization) -> list[tuple[tuple[str, str], str]]:
@@ -211,18 +206,38 @@ def disabled_pairs(realization: Realization) -> list[tuple[tuple[str, str], str]
     move against each other, a body and its parent (where the model keeps MuJoCo's filter), and
     geoms that an explicit ``pair`` brings together.
     """
-    model = realization.model
+    return sorted((pair, why) for pair, why in _verdicts(realization.model) if why)
+
+
+def _verdicts(model: mujoco.MjModel) -> Iterator[tuple[tuple[str, str], str]]:
+    """Every pair of bodies that could meet, by sorted names, and what disables it, or ''."""
     excluded = _excluded(model)
-    found = {}
-    for a, b in _candidates(model):
-        masks = _mask_verdicts(model, a, b)
-        if (a, b) in excluded:
-            found[_names(model, a, b)] = "an exclude element keeps them apart"
-        elif not any(masks):
-            found[_names(model, a, b)] = "contype and conaffinity keep them apart"
-        elif not all(masks):
-            found[_names(model, a, b)] = "contype and conaffinity keep some of their geoms apart"
-    return sorted(found.items())
+    bodies = _bodies(model)
+    explicit = {
+        frozenset((int(first), int(second)))
+        for first, second in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    }
+    off = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT))
+    contype, conaffinity = model.geom_contype, model.geom_conaffinity
+    for a, b in _candidates(model, bodies):
+        paired = [frozenset((g, h)) in explicit for g in bodies[a] for h in bodies[b]]
+        masked = [
+            bool(contype[g] & conaffinity[h] or contype[h] & conaffinity[g])
+            for g in bodies[a]
+            for h in bodies[b]
+        ]
+        first, second = sorted((_body_name(model, a), _body_name(model, b)))
+        if off:
+            why = "the option contact='disable' keeps them apart"
+        elif (a, b) in excluded and not all(paired):
+            why = "an exclude element keeps them apart"
+        elif not any(masked) and not any(paired):
+            why = "contype and conaffinity keep them apart"
+        elif not all(p or m for p, m in zip(paired, masked, strict=True)):
+            why = _IN_PART
+        else:
+            why = ""
+        yield (first, second), why
 
 
 def _bodies(model: mujoco.MjModel) -> dict[int, list[int]]:
@@ -235,20 +250,17 @@ def _bodies(model: mujoco.MjModel) -> dict[int, list[int]]:
     return bodies
 
 
-def _candidates(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
-    """Pairs of collision bodies that MuJoCo's own rules would let collide."""
+def _candidates(model: mujoco.MjModel, bodies: dict[int, list[int]]) -> Iterator[tuple[int, int]]:
+    """Pairs of ``bodies`` that MuJoCo's own rules would let collide."""
     parents = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-    bodies = sorted(_bodies(model))
-    for i, a in enumerate(bodies):
-        for b in bodies[i + 1 :]:
-            weld_a, weld_b = int(model.body_weldid[a]), int(model.body_weldid[b])
-            if weld_a == weld_b:
-                continue
-            above_a = int(model.body_weldid[model.body_parentid[weld_a]])
-            above_b = int(model.body_weldid[model.body_parentid[weld_b]])
-            family = weld_a == above_b or weld_b == above_a
-            if parents and family and weld_a and weld_b:
-                continue
+    for a, b in combinations(sorted(bodies), 2):
+        weld_a, weld_b = int(model.body_weldid[a]), int(model.body_weldid[b])
+        if weld_a == weld_b:
+            continue
+        above_a = int(model.body_weldid[model.body_parentid[weld_a]])
+        above_b = int(model.body_weldid[model.body_parentid[weld_b]])
+        family = weld_a == above_b or weld_b == above_a
+        if not (parents and family and weld_a and weld_b):
             yield a, b
 
 
@@ -258,29 +270,6 @@ def _excluded(model: mujoco.MjModel) -> set[tuple[int, int]]:
         a, b = int(signature) >> 16, int(signature) & 0xFFFF
         pairs.add((min(a, b), max(a, b)))
     return pairs
-
-
-def _mask_verdicts(model: mujoco.MjModel, a: int, b: int) -> list[bool]:
-    """For all pairs of geoms of two bodies, whether masks or an explicit pair let them collide."""
-    bodies = _bodies(model)
-    explicit = {
-        frozenset((int(first), int(second)))
-        for first, second in zip(model.pair_geom1, model.pair_geom2, strict=True)
-    }
-    return [
-        bool(
-            model.geom_contype[first] & model.geom_conaffinity[second]
-            or model.geom_contype[second] & model.geom_conaffinity[first]
-        )
-        or frozenset((first, second)) in explicit
-        for first in bodies[a]
-        for second in bodies[b]
-    ]
-
-
-def _names(model: mujoco.MjModel, a: int, b: int) -> tuple[str, str]:
-    first, second = sorted((_body_name(model, a), _body_name(model, b)))
-    return first, second
 
 
 def _body_name(model: mujoco.MjModel, body: int) -> str:

@@ -18,9 +18,11 @@ from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
 
-# A locked dof's armature, kg m^2 or kg: a force of 1 kN moves it by less than 1 um in 10 s.
-_LOCKED_ARMATURE = 1e12
-_SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+# A locked dof's inertia, against the heaviest and the lightest dof that moves. More, and rounding
+# in the solver lets stops, contacts and couplings of the light one give way.
+_LOCKED_TO_HEAVIEST, _LOCKED_TO_LIGHTEST = 1e5, 1e6
+# Integers: an array's element is never equal to an enum that stands on the left.
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FATAL = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -40,7 +42,8 @@ def bench(
 
     Args:
         gravity: False switches gravity off.
-        locked: joints that keep their start position, as bolted (by an armature of 1e12).
+        locked: joints that keep their start position, as bolted (by an armature far above
+            the inertia of what moves).
         edit: changes a copy of the spec before it is compiled, such as an object to touch.
 
     Raises:
@@ -66,8 +69,13 @@ def bench(
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
     if locked:
         mean_inertia = float(model.stat.meaninertia)
+        moves = np.ones(model.nv, dtype=bool)
         for joint in locked:
-            model.dof_armature[_dofs(model, realization.joint_index(joint))] = _LOCKED_ARMATURE
+            moves[_dofs(model, realization.joint_index(joint))] = False
+        inertia = model.dof_M0[moves] if moves.any() else model.dof_M0
+        model.dof_armature[~moves] = min(
+            _LOCKED_TO_HEAVIEST * float(inertia.max()), _LOCKED_TO_LIGHTEST * float(inertia.min())
+        )
         mujoco.mj_setConst(model, mujoco.MjData(model))
         model.stat.meaninertia = mean_inertia  # scales the solver's tolerance
     return model
@@ -128,7 +136,7 @@ def driven_joints(realization: Realization, actuator: str) -> tuple[str, ...]:
 
 
 def _driven(model: mujoco.MjModel, actuator: int) -> list[int]:
-    kind = model.actuator_trntype[actuator]
+    kind = mujoco.mjtTrn(model.actuator_trntype[actuator])
     target = int(model.actuator_trnid[actuator, 0])
     if kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
         return [target]
@@ -280,12 +288,15 @@ def simulate(
     steps: int,
     *,
     before: Callable[[float], None] | None = None,
+    after: Callable[[int], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
     """Step ``data`` on and record it.
 
     Args:
         before: called with the time in s before each step; may write controls and forces.
+        after: called with k when contacts and forces of state k are in ``data``; positions and
+            velocities are then already those of the next state.
         progress: called with the fraction done.
 
     Raises:
@@ -320,6 +331,8 @@ def simulate(
             penetration[k] = max(0.0, -float(distance[worst]))
             if penetration[k] > 0.0 and penetration[k] >= penetration[: k + 1].max():
                 deepest = _geom_names(model, data.contact.geom[worst])
+        if after is not None:
+            after(k)
         if progress is not None and k % 256 == 0:
             progress(k / n)
     return Run(time, qpos, qvel, energy, actuator_work, constraint_work, penetration, deepest)

@@ -1,0 +1,118 @@
+"""Small robots and goldens that the tests of the checks share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.checks.base import Check, Measure
+from pytest_twin.golden import Golden
+from pytest_twin.realization import Realization, load
+from pytest_twin.units import Quantity, parse_quantity
+
+ARM = """
+<mujoco model="arm">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.001"/>
+  <worldbody>
+    <body name="turret" pos="0 0 0.1">
+      <joint name="pan" axis="0 0 1" range="-2 2" damping="0.5" armature="0.02"/>
+      <geom name="turret" type="cylinder" size="0.05 0.04" mass="1"/>
+      <body name="upper_arm" pos="0 0 0.08">
+        <joint name="lift" axis="0 1 0" range="-1.5 1.5" damping="0.5" armature="0.02"/>
+        <geom name="upper_arm" type="capsule" fromto="0 0 0.06 0 0 0.24" size="0.03" mass="0.8"/>
+        <body name="forearm" pos="0 0 0.3">
+          <joint name="elbow" axis="0 1 0" range="-2.2 2.2" damping="0.3" armature="0.01"/>
+          <geom name="forearm" type="box" pos="0 0 0.1" size="0.025 0.02 0.08" mass="0.5"/>
+          <body name="palm" pos="0 0 0.2">
+            <geom name="palm" type="box" size="0.04 0.02 0.01" mass="0.1"/>
+            <site name="tcp" pos="0 0 0.05" euler="0 0 0.3"/>
+            <body name="left" pos="0.01 0 0.03">
+              <joint name="left" type="slide" axis="1 0 0" range="0 0.03" damping="5"/>
+              <geom name="left" type="box" size="0.004 0.01 0.02" mass="0.02"/>
+            </body>
+            <body name="right" pos="-0.01 0 0.03">
+              <joint name="right" type="slide" axis="-1 0 0" range="0 0.03" damping="5"/>
+              <geom name="right" type="box" size="0.004 0.01 0.02" mass="0.02"/>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <contact><exclude body1="left" body2="right"/></contact>
+  <equality>
+    <joint name="mimic" joint1="right" joint2="left" polycoef="0 1 0 0 0"/>
+  </equality>
+  <actuator>
+    <position name="pan" joint="pan" kp="50" ctrlrange="-1.9 1.9" forcerange="-10 10"/>
+    <motor name="lift" joint="lift" gear="20" ctrlrange="-1 1"/>
+    <position name="elbow" joint="elbow" kp="30" ctrlrange="-2 2" forcerange="-5 5"/>
+    <position name="grip" joint="left" kp="200" ctrlrange="0 0.03" forcerange="-8 8"/>
+  </actuator>
+  <keyframe>
+    <key name="home" qpos="0 0.5 1.0 0.01 0.01"/>
+  </keyframe>
+</mujoco>
+"""
+
+
+def robot(folder: Path, text: str = ARM, name: str = "robot.xml") -> Realization:
+    path = folder / name
+    path.write_text(text)
+    return load(path)
+
+
+def golden(
+    check: Check,
+    *,
+    target: Mapping[str, Any] | None = None,
+    stimulus: Mapping[str, Any] | None = None,
+    tolerance: Mapping[str, str] | None = None,
+    expected: Mapping[str, Any] | None = None,
+    lines: Mapping[str, int] | None = None,
+) -> Golden:
+    bounds: dict[str, Quantity] = {
+        name: parse_quantity(text, (check.tolerances[name],))
+        for name, text in (tolerance or {}).items()
+    }
+    return Golden(
+        id="golden/spec",
+        path=Path("golden/spec.yaml"),
+        kind=check.kind,
+        title="",
+        realizations=("mujoco",),
+        criticality="critical",
+        target=target or {},
+        stimulus=stimulus or {},
+        tolerance=bounds,
+        expected=expected,
+        lines=lines or {},
+    )
+
+
+def from_first(check: Check, realization: Realization, index: int = 0) -> Golden:
+    """The golden of a first spec."""
+    spec = check.first(realization)[index]
+    return golden(
+        check, target=spec["target"], stimulus=spec["stimulus"], tolerance=spec["tolerance"]
+    )
+
+
+def measure(check: Check, spec: Golden, realization: Realization) -> list[Measure]:
+    """Observe and compare."""
+    observation = check.observe(spec, realization, lambda fraction: None)
+    return check.compare(spec, observation, None)
+
+
+def record(check: Check, spec: Golden, realization: Realization) -> Golden:
+    """The golden with what ``--twin-update`` would record."""
+    import dataclasses
+
+    expected, _ = check.expect(spec, check.observe(spec, realization, lambda fraction: None))
+    return dataclasses.replace(spec, expected=expected)
+
+
+def failed(measures: list[Measure]) -> list[Measure]:
+    return [measure for measure in measures if not measure.passed]

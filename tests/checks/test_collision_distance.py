@@ -1,0 +1,401 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from check_robots import ARM, failed, from_first, golden, measure, record, robot
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pytest_twin.checks.collision_distance import CollisionDistance
+from pytest_twin.errors import ModelError, SpecError
+from pytest_twin.realization import collision
+
+CHECK = CollisionDistance()
+SHAPES = {
+    "sphere": 'type="sphere" size="0.1"',
+    "capsule": 'type="capsule" size="0.05 0.1"',
+    "cylinder": 'type="cylinder" size="0.08 0.1"',
+    "box": 'type="box" size="0.1 0.05 0.2"',
+    "ellipsoid": 'type="ellipsoid" size="0.1 0.05 0.2"',
+    "mesh": 'type="mesh" mesh="wedge"',
+}
+WEDGE = "0 0 0  0.2 0 0  0 0.3 0  0.2 0.3 0  0 0 0.1  0 0.3 0.15"
+
+
+def two(folder: Path, first: str, second: str, extra: str = "") -> tuple:
+    """A realization with free bodies ``a`` and ``b`` and its shapes."""
+    realization = robot(
+        folder,
+        f"""<mujoco><asset><mesh name="wedge" vertex="{WEDGE}"/></asset><worldbody>
+        <body name="a"><freejoint/><geom name="a" {first} {extra}/></body>
+        <body name="b"><freejoint/><geom name="b" {second} {extra}/></body>
+        </worldbody></mujoco>""",
+    )
+    return realization, collision.Shapes(realization)
+
+
+def both(realization: object, shapes: collision.Shapes, place: list[float]) -> tuple[float, float]:
+    """Distance by MuJoCo and by coal with body b at ``place`` (7,)."""
+    data = mujoco.MjData(realization.model)
+    data.qpos[7:] = place
+    mujoco.mj_kinematics(realization.model, data)
+    a, b = shapes.geoms("a"), shapes.geoms("b")
+    return shapes.distance(data, a, b), shapes.distance_by_coal(data, a, b)
+
+
+half = np.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "place", "expected"),
+    [
+        ("sphere", "sphere", [0.3, 0.4, 0, 1, 0, 0, 0], 0.3),
+        ("sphere", "sphere", [0.15, 0, 0, 1, 0, 0, 0], -0.05),
+        ("sphere", "box", [0, 0, 0.5, 1, 0, 0, 0], 0.2),
+        ("sphere", "box", [0.15, 0, 0, 1, 0, 0, 0], -0.05),
+        ("capsule", "capsule", [0.3, 0, 0.1, 1, 0, 0, 0], 0.2),
+        ("capsule", "capsule", [0, 0.25, 0, half, 0, half, 0], 0.15),
+        ("capsule", "sphere", [0, 0, 0.5, 1, 0, 0, 0], 0.25),
+        ("box", "box", [0.3, 0, 0, 1, 0, 0, 0], 0.1),
+        ("box", "box", [0.3, 0.4, 0, 1, 0, 0, 0], np.hypot(0.1, 0.3)),
+        ("box", "box", [0.19, 0, 0, 1, 0, 0, 0], -0.01),
+        ("sphere", "cylinder", [0.3, 0, 0, 1, 0, 0, 0], 0.12),
+        ("sphere", "cylinder", [0.1, 0, 0, 1, 0, 0, 0], -0.08),
+        ("ellipsoid", "sphere", [0, 0, 0.4, 1, 0, 0, 0], 0.1),
+    ],
+)
+@pytest.mark.parametrize("extra", ["", 'margin="0.05" gap="0.02"'])
+def test_closed_forms(
+    tmp_path: Path, first: str, second: str, place: list[float], expected: float, extra: str
+) -> None:
+    realization, shapes = two(tmp_path, SHAPES[first], SHAPES[second], extra)
+    by_mujoco, by_coal = both(realization, shapes, place)
+    assert by_mujoco == pytest.approx(expected, abs=1e-6)
+    assert by_coal == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "rotation", "reach"),
+    [
+        ("sphere", [1, 0, 0, 0], 0.1),
+        ("box", [1, 0, 0, 0], 0.2),
+        ("box", [half, 0, half, 0], 0.1),
+        ("capsule", [half, 0, half, 0], 0.05),
+        ("cylinder", [1, 0, 0, 0], 0.1),
+        ("ellipsoid", [half, half, 0, 0], 0.05),
+    ],
+)
+@pytest.mark.parametrize("height", [0.5, 0.05])
+def test_a_plane_is_a_half_space(
+    tmp_path: Path, shape: str, rotation: list[float], reach: float, height: float
+) -> None:
+    realization = robot(
+        tmp_path,
+        f"""<mujoco><worldbody><geom name="a" type="plane" size="1 1 0.1"/>
+        <body name="b"><freejoint/><geom name="b" {SHAPES[shape]}/></body></worldbody></mujoco>""",
+    )
+    shapes = collision.Shapes(realization)
+    data = mujoco.MjData(realization.model)
+    data.qpos[:] = [0.3, 0.2, height, *rotation]
+    mujoco.mj_kinematics(realization.model, data)
+    a, b = shapes.geoms("a"), shapes.geoms("b")
+    assert shapes.distance(data, a, b) == pytest.approx(height - reach, abs=1e-6)
+    assert shapes.distance_by_coal(data, a, b) == pytest.approx(height - reach, abs=1e-6)
+
+
+places = st.tuples(*[st.floats(-0.5, 0.5)] * 3, *[st.floats(-1, 1)] * 4).filter(
+    lambda p: np.linalg.norm(p[3:]) > 0.1
+)
+
+
+@pytest.mark.parametrize("first", SHAPES)
+@pytest.mark.parametrize("second", SHAPES)
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(place=places)
+def test_the_two_agree_wherever_shapes_are_apart(
+    tmp_path: Path, first: str, second: str, place: tuple
+) -> None:
+    realization, shapes = two(tmp_path, SHAPES[first], SHAPES[second])
+    by_mujoco, by_coal = both(realization, shapes, list(place))
+    if by_coal > 1e-4:
+        assert by_mujoco == pytest.approx(by_coal, abs=1e-6)
+    else:
+        assert by_mujoco <= 1e-3
+
+
+def support(model: mujoco.MjModel, data: mujoco.MjData, geom: int, ways: np.ndarray) -> np.ndarray:
+    """How far a geom reaches along each of ``ways`` (n, 3), m."""
+    x, y, z = np.abs(ways @ data.geom_xmat[geom].reshape(3, 3)).T
+    a, b, c = model.geom_size[geom]
+    reach = {
+        mujoco.mjtGeom.mjGEOM_BOX: a * x + b * y + c * z,
+        mujoco.mjtGeom.mjGEOM_CYLINDER: a * np.hypot(x, y) + b * z,
+        mujoco.mjtGeom.mjGEOM_SPHERE: a + 0 * x,
+    }
+    return ways @ data.geom_xpos[geom] + reach[mujoco.mjtGeom(model.geom_type[geom])]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "offset"),
+    [
+        ("sphere", "cylinder", [0.06, 0.02, 0.09]),
+        ("box", "cylinder", [0.1, 0.05, 0.1]),
+        ("box", "box", [0.1, 0.03, 0.2]),
+    ],
+)
+def test_depth_is_the_least_way_out(
+    tmp_path: Path, first: str, second: str, offset: list[float]
+) -> None:
+    realization, shapes = two(tmp_path, SHAPES[first], SHAPES[second])
+    place = [*offset, 1, 0, 0, 0]
+    data = mujoco.MjData(realization.model)
+    data.qpos[7:] = place
+    mujoco.mj_kinematics(realization.model, data)
+    azimuth, height = np.meshgrid(np.linspace(0, 2 * np.pi, 721), np.linspace(-1, 1, 801))
+    ring = np.sqrt(1 - height**2)
+    ways = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), height], -1).reshape(-1, 3)
+    model = realization.model
+    depth = np.min(support(model, data, 0, ways) + support(model, data, 1, -ways))
+    by_mujoco, by_coal = both(realization, shapes, place)
+    assert by_mujoco == pytest.approx(-depth, abs=2e-4)
+    assert by_coal == pytest.approx(-depth, abs=2e-4)
+
+
+def test_the_hull_is_built_from_the_vertices_anew(tmp_path: Path) -> None:
+    cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * 0.1
+    inner = np.random.default_rng(0).uniform(-0.09, 0.09, (50, 3))
+    vertices = " ".join(f"{x:.9g}" for x in np.vstack([cube, inner]).ravel())
+    realization = robot(
+        tmp_path,
+        f"""<mujoco><asset><mesh name="m" vertex="{vertices}"/></asset><worldbody>
+        <body name="a"><freejoint/><geom name="a" type="mesh" mesh="m"/></body>
+        <body name="b"><freejoint/><geom name="b" type="sphere" size="0.1"/></body>
+        </worldbody></mujoco>""",
+    )
+    shapes = collision.Shapes(realization)
+    by_mujoco, by_coal = both(realization, shapes, [0, 0, 0.5, 1, 0, 0, 0])
+    assert by_mujoco == pytest.approx(0.3, abs=1e-6)
+    assert by_coal == pytest.approx(0.3, abs=1e-6)
+
+
+def test_a_height_field_is_refused_by_name(tmp_path: Path) -> None:
+    realization = robot(
+        tmp_path,
+        """<mujoco><asset><hfield name="h" nrow="3" ncol="3" size="1 1 1 1"/></asset><worldbody>
+        <geom name="ground" type="hfield" hfield="h"/>
+        <body name="b"><freejoint/><geom name="b" size="0.1"/></body></worldbody></mujoco>""",
+    )
+    spec = golden(
+        CHECK,
+        target={"pairs": [["ground", "b"]], "disabled": []},
+        stimulus={"poses": ["reference"]},
+        tolerance={"distance": "1 mm"},
+    )
+    with pytest.raises(ModelError, match=r"geom 'ground'.*got 'hfield'; expected plane, sphere"):
+        measure(CHECK, spec, realization)
+
+
+# -- the golden
+
+
+def arm_spec(**target: object) -> object:
+    return golden(
+        CHECK,
+        target={
+            "pairs": [["turret", "forearm"], ["upper_arm", "palm"]],
+            "disabled": [{"pair": ["right", "left"], "reason": "the fingers close on each other"}],
+        }
+        | target,
+        stimulus={"poses": ["reference", "home", {"seed": 3, "count": 5}]},
+        tolerance={"distance": "1 um", "penetration": "1 mm"},
+    )
+
+
+def test_an_arm_passes_against_record_and_coal(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    measures = measure(CHECK, record(CHECK, arm_spec(), arm), arm)
+    assert failed(measures) == []
+    assert {(m.subject.split(" at ")[0], m.against) for m in measures} == {
+        ("turret - forearm", "golden"),
+        ("turret - forearm", "coal"),
+        ("upper_arm - palm", "golden"),
+        ("upper_arm - palm", "coal"),
+        ("every disabled pair has its reason", "declared"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "pair"),
+    [
+        ('pos="0 0 0.1" size="0.025', 'pos="0 0 0.09" size="0.025', "turret - forearm"),
+        ("0.04 0.02 0.01", "0.04 0.02 0.02", "upper_arm - palm"),
+    ],
+)
+def test_a_changed_shape_fails_its_pair_alone(
+    tmp_path: Path, old: str, new: str, pair: str
+) -> None:
+    spec = record(CHECK, arm_spec(), robot(tmp_path))
+    assert ARM.count(old) == 1
+    faults = failed(measure(CHECK, spec, robot(tmp_path, ARM.replace(old, new))))
+    assert faults
+    assert {m.subject.split(" at ")[0] for m in faults} == {pair}
+    assert {m.against for m in faults} == {"golden"}
+
+
+def test_a_mesh_in_millimetres_fails(tmp_path: Path) -> None:
+    text = f"""<mujoco><asset><mesh name="m" vertex="{WEDGE}" scale="1 1 1"/></asset><worldbody>
+        <body name="a"><joint name="j"/><geom type="mesh" mesh="m"/></body>
+        <body name="b" pos="0 0 1"><geom size="0.1"/></body></worldbody></mujoco>"""
+    spec = golden(
+        CHECK,
+        target={"pairs": [["a", "b"]], "disabled": []},
+        stimulus={"poses": ["reference"]},
+        tolerance={"distance": "0.1 mm"},
+    )
+    spec = record(CHECK, spec, robot(tmp_path, text))
+    huge = text.replace("1 1 1", "1000 1000 1000")
+    faults = failed(measure(CHECK, spec, robot(tmp_path, huge)))
+    assert [m.against for m in faults if m.name == "distance"][0] == "golden"
+    assert failed(measure(CHECK, spec, robot(tmp_path, text))) == []
+
+
+def test_wrong_distances_from_mujoco_fail_against_coal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = robot(tmp_path)
+    right = collision.Shapes.distance
+    monkeypatch.setattr(collision.Shapes, "distance", lambda *a: right(*a) + 1e-4)
+    faults = failed(measure(CHECK, arm_spec(), arm))
+    assert {m.against for m in faults} == {"coal"}
+    assert all(m.error == pytest.approx(1e-4, rel=0.05) for m in faults)
+
+
+def test_a_distance_that_is_not_finite_fails(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    spec = record(CHECK, arm_spec(), arm)
+    observation = CHECK.observe(spec, arm, lambda fraction: None)
+    observation.values["distance"]["turret - forearm"]["home"] = float("nan")
+    faults = failed(CHECK.compare(spec, observation, None))
+    assert {m.subject for m in faults} == {"turret - forearm at home"}
+
+
+def test_every_disabled_pair_needs_its_reason(tmp_path: Path) -> None:
+    fault = failed(measure(CHECK, arm_spec(disabled=[]), robot(tmp_path)))
+    assert [m.subject for m in fault] == [
+        "left - right: an exclude element keeps them apart, and no reason stands under "
+        "target.disabled"
+    ]
+
+
+def test_masks_disable_pairs_too(tmp_path: Path) -> None:
+    masked = ARM.replace('name="turret" type', 'name="turret" contype="2" conaffinity="2" type')
+    fault = failed(measure(CHECK, arm_spec(), robot(tmp_path, masked)))
+    # The upper arm is the turret's child and never collides with it.
+    assert [m.subject.split(":")[0] for m in fault] == [
+        "forearm - turret",
+        "left - turret",
+        "palm - turret",
+        "right - turret",
+    ]
+    assert "contype and conaffinity keep them apart" in fault[0].subject
+
+
+def test_pairs_among_bodies_share_a_reason(tmp_path: Path) -> None:
+    masked = ARM.replace('name="turret" type', 'name="turret" contype="2" conaffinity="2" type')
+    disabled = [
+        {"among": ["turret", "forearm", "palm", "left", "right"], "reason": "cannot meet"},
+    ]
+    assert failed(measure(CHECK, arm_spec(disabled=disabled), robot(tmp_path, masked))) == []
+
+
+def test_a_reason_for_a_pair_that_collides_fails(tmp_path: Path) -> None:
+    plain = ARM.replace('<exclude body1="left" body2="right"/>', "")
+    assert [m.subject for m in failed(measure(CHECK, arm_spec(), robot(tmp_path, plain)))] == [
+        "right - left: declared as disabled, but can collide"
+    ]
+
+
+def test_contact_switched_off_disables_all(tmp_path: Path) -> None:
+    text = ARM.replace('<option timestep="0.001"/>', '<option><flag contact="disable"/></option>')
+    arm = robot(tmp_path, text)
+    pairs = collision.disabled_pairs(arm)
+    # The palm is fixed to the forearm: both are the fingers' parents and the upper arm's child.
+    assert [pair for pair, _ in pairs] == [
+        ("forearm", "turret"),
+        ("left", "right"),
+        ("left", "turret"),
+        ("left", "upper_arm"),
+        ("palm", "turret"),
+        ("right", "turret"),
+        ("right", "upper_arm"),
+    ]
+    assert {why for _, why in pairs} == {"the option contact='disable' keeps them apart"}
+    assert failed(measure(CHECK, from_first(CHECK, arm), arm)) == []
+
+
+def test_explicit_pairs_and_partial_masks(tmp_path: Path) -> None:
+    text = """<mujoco><worldbody>
+      <body name="a"><joint/><geom name="a0" size="0.1"/>
+        <geom name="a1" size="0.1" contype="2" conaffinity="2"/></body>
+      <body name="b"><joint/><geom name="b0" size="0.1"/></body>
+      <body name="c"><joint/><geom name="c0" size="0.1" contype="4" conaffinity="4"/></body>
+      <body name="drawn"><joint/><geom size="0.1" contype="0" conaffinity="0"/></body>
+      </worldbody><contact><pair geom1="b0" geom2="c0"/></contact></mujoco>"""
+    pairs = dict(collision.disabled_pairs(robot(tmp_path, text)))
+    assert pairs == {
+        ("a", "b"): "contype and conaffinity keep some of their geoms apart",
+        ("a", "c"): "contype and conaffinity keep them apart",
+    }
+
+
+def test_the_filter_agrees_with_mujocos_own_contacts(tmp_path: Path) -> None:
+    """Every pair that is not disabled is found touching by MuJoCo in a heap, and no other."""
+    masks = {"a": (1, 1), "b": (2, 1), "c": (2, 2), "d": (4, 3), "e": (0, 1), "f": (1, 0)}
+    bodies = "".join(
+        f'<body name="{n}"><joint type="slide"/><geom size="0.1" contype="{t}" conaffinity="{a}"/>'
+        f'<body name="{n}2"><joint/><geom size="0.1"/></body></body>'
+        for n, (t, a) in masks.items()
+    )
+    text = (
+        f'<mujoco><worldbody><geom size="0.1"/>{bodies}</worldbody>'
+        '<contact><exclude body1="a" body2="b2"/></contact></mujoco>'
+    )
+    heap = robot(tmp_path, text)
+    data = mujoco.MjData(heap.model)
+    mujoco.mj_forward(heap.model, data)
+    touching = {
+        tuple(sorted(heap.model.body(heap.model.geom_bodyid[g]).name for g in contact.geom))
+        for contact in data.contact
+    }
+    assert set(collision.enabled_pairs(heap)) == touching
+    assert not touching & {pair for pair, _ in collision.disabled_pairs(heap)}
+
+
+def test_unknown_names_point_at_the_line(tmp_path: Path) -> None:
+    spec = golden(
+        CHECK,
+        target={"pairs": [["turret", "forarm"]], "disabled": []},
+        stimulus={"poses": ["reference"]},
+        tolerance={"distance": "1 mm"},
+        lines={"target.pairs.0": 7},
+    )
+    with pytest.raises(SpecError) as caught:
+        measure(CHECK, spec, robot(tmp_path))
+    assert str(caught.value) == (
+        "golden/spec.yaml:7: target.pairs.0: no geom or collision body of this name "
+        "(got 'forarm'; expected did you mean 'forearm'?)"
+    )
+
+
+def test_a_first_spec_passes_and_writes_reasons(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    spec = record(CHECK, from_first(CHECK, arm), arm)
+    assert failed(measure(CHECK, spec, arm)) == []
+    [entry] = spec.target["disabled"]
+    assert entry["pair"] == ["left", "right"]
+    assert entry["reason"].startswith("an exclude element keeps them apart")
