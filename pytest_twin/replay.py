@@ -13,7 +13,8 @@ How a trial becomes a simulation:
 - An effort command on a joint without any actuator acts on the joint itself.
 - Between steps, positions follow the cubic through positions and velocities of both ends (error
   of the order of step^4, against step^2 of a straight line), velocities the straight line;
-  ``effort`` is that of the step which holds the stamp.
+  ``effort`` is the one that MuJoCo computed for the step which holds the stamp (at the step's
+  start; with the RK4 integrator at its end).
 
 Trials are rows of one ``mujoco.batch.Batch``, each with its own model if need be; the steps are
 bit for bit those of ``mj_step``.

@@ -75,7 +75,7 @@ def command_input(model: mujoco.MjModel, joint: str, mode: CommandMode) -> Comma
     names = ", ".join(f"{_actuator_name(model, i.actuator)} ({i.mode})" for i in inputs)
     if fitting:
         raise SpecError(
-            f"more than one actuator takes a {mode} command",
+            f"more than one actuator takes {mode} commands",
             where=f"joint '{joint}'",
             value=names,
             expected="one",
@@ -83,10 +83,10 @@ def command_input(model: mujoco.MjModel, joint: str, mode: CommandMode) -> Comma
     if mode == "effort" and not inputs:
         return None
     raise SpecError(
-        f"no actuator takes a {mode} command",
+        f"no actuator takes {mode} commands",
         where=f"joint '{joint}'",
         value=names or "no actuator",
-        expected=f"an actuator of this joint with a {mode} input",
+        expected=f"an actuator of this joint with {mode} as its input",
     )
 
 

@@ -1,0 +1,261 @@
+"""From a recording to a trial: one clock, marks for every doubt, errors that say where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from replay_trials import START_NS, recording, series
+
+from pytest_twin.dependency import Structure
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.mcap import Damage, Recording
+from pytest_twin.trial import make_trial
+
+JOINTS = ("pan", "rail")
+STRUCTURE = Structure(
+    realization="mujoco",
+    body_parent={"a": "world", "b": "a"},
+    joint_body={"pan": "a", "rail": "b"},
+    joint_range={"pan": (-1.5, 1.5), "rail": (0.0, 0.2)},
+    joint_type={"pan": "hinge", "rail": "slide"},
+    frame_body={},
+    actuator_joints={},
+    collision_bodies=frozenset(),
+    couplings={},
+    part_ids=frozenset(),
+)
+
+
+def sound(count: int = 200, **changed: object) -> Recording:
+    """Two joints that follow their commands, 100 Hz."""
+    time = np.arange(count) * 0.01
+    command = np.column_stack([np.sin(time), 0.1 + 0.05 * np.cos(time)])
+    state = {"position": command, "velocity": np.zeros((count, 2)), "effort": None}
+    state |= {key: value for key, value in changed.items() if key in state}
+    order = changed.get("command", {"position": command})
+    return recording(
+        series("/joint_states", JOINTS, changed.get("time", time), **state),  # type: ignore[arg-type]
+        series("/joint_commands", JOINTS, changed.get("command_time", time), **order),  # type: ignore[arg-type]
+        {"role": "fit", "controller": "kp1"},
+    )
+
+
+def test_the_clock_starts_at_the_first_state() -> None:
+    time = np.arange(50) * 0.02
+    made = make_trial(sound(50, time=time + 0.5, command_time=time + 0.3), STRUCTURE)
+    assert made.time[0] == 0.0
+    assert made.time[-1] == pytest.approx(0.98, abs=1e-12)
+    assert made.command_time[0] == pytest.approx(-0.2, abs=1e-12)
+    assert made.start == START_NS + 500_000_000
+    assert made.stamps[-1] == START_NS + 1_480_000_000
+    assert made.command_mode == "position"
+    assert made.metadata == {"role": "fit", "controller": "kp1"}
+    assert made.marks == ()
+
+
+@given(st.integers(0, 2**40), st.lists(st.integers(0, 10**12), min_size=2, max_size=50))
+def test_absolute_stamps_survive_exactly(first: int, offsets: list[int]) -> None:
+    stamp = np.sort(np.array(offsets, dtype=np.int64)) + first
+    fields = {"position": np.zeros((len(stamp), 1)), "velocity": None, "effort": None}
+    state = series("/joint_states", ("pan",), np.arange(len(stamp)), **fields)
+    command = series("/joint_commands", ("pan",), np.arange(len(stamp)), **fields)
+    made = make_trial(
+        recording(
+            replace(state, stamp=stamp, log_time=stamp),
+            replace(command, stamp=stamp, log_time=stamp),
+        )
+    )
+    assert np.array_equal(made.stamps, stamp)
+
+
+def test_unordered_and_duplicate_stamps_are_sorted_and_marked() -> None:
+    time = np.arange(200) * 0.01
+    time[[50, 51]] = time[[51, 50]]
+    time[100] = time[99]
+    made = make_trial(sound(time=time), STRUCTURE)
+    assert (np.diff(made.time) >= 0).all()
+    assert {(mark.kind, round(mark.start, 3)) for mark in made.marks} == {
+        ("unordered_stamp", 0.5),
+        ("duplicate_stamp", 0.99),
+    }
+    assert made.position[50, 0] == pytest.approx(np.sin(0.51))
+    assert len(made.time) == 200
+
+
+def test_of_commands_with_one_stamp_the_last_holds() -> None:
+    time = np.arange(200) * 0.01
+    twice = time.copy()
+    twice[100] = twice[99]
+    made = make_trial(sound(command_time=twice))
+    last = np.searchsorted(made.command_time, 0.9901, side="right") - 1
+    assert made.command[last, 0] == pytest.approx(np.sin(1.0))
+
+
+def test_gaps_are_marked_on_their_topic() -> None:
+    time = np.arange(200) * 0.01
+    time[120:] += 0.3
+    (mark,) = make_trial(sound(time=time), STRUCTURE).marks
+    assert (mark.kind, mark.topic) == ("gap", "/joint_states")
+    assert (mark.start, mark.end) == pytest.approx((1.19, 1.5))
+    assert mark.text == "no message for 0.31 s, usually 0.01 s"
+
+
+def test_outliers_are_marked_and_kept() -> None:
+    position = sound().series["state"].position
+    assert position is not None
+    spiked = position.copy()
+    spiked[77, 0] += 0.6
+    made = make_trial(sound(position=spiked), STRUCTURE)
+    assert [(m.kind, m.joint) for m in made.marks] == [("outlier", "pan")]
+    assert made.position[77, 0] == spiked[77, 0]
+    assert np.flatnonzero(made.marked("pan", ["outlier"])).tolist() == [77]
+    assert not made.marked("rail", ["outlier"]).any()
+
+
+def test_a_step_or_a_quantized_encoder_is_no_outlier() -> None:
+    position = np.round(np.column_stack([np.sin(np.arange(200) * 0.01), np.full(200, 0.1)]), 2)
+    position[100:, 1] = 0.15
+    assert make_trial(sound(position=position), STRUCTURE).marks == ()
+
+
+def test_a_stuck_encoder_is_marked_where_its_command_moves() -> None:
+    count = 400
+    position = np.column_stack([np.sin(np.arange(count) * 0.01), np.full(count, 0.1)])
+    position[100:250, 0] = position[100, 0]
+    (mark,) = make_trial(sound(count, position=position), STRUCTURE).marks
+    assert (mark.kind, mark.joint) == ("stuck", "pan")
+    assert (mark.start, mark.end) == pytest.approx((1.0, 2.49))
+    assert "stays at 0.841471 rad while its command moves" in mark.text
+
+
+def test_damage_of_the_file_is_carried() -> None:
+    torn = replace(sound(), damage=(Damage("byte 4711", "3 messages"),))
+    (mark,) = make_trial(torn).marks
+    assert (mark.kind, mark.text) == ("damage", "byte 4711: 3 messages")
+
+
+def test_a_velocity_that_was_not_filled_is_no_measurement() -> None:
+    empty = np.full((200, 2), np.nan)
+    assert make_trial(sound(velocity=empty)).velocity is None
+    half = empty.copy()
+    half[:, 0] = 0.0
+    made = make_trial(sound(velocity=half))
+    assert made.velocity is not None
+    assert np.isnan(made.velocity[:, 1]).all()
+    assert [(m.kind, m.joint) for m in made.marks] == [("unavailable", "rail")]
+
+
+def test_a_joint_that_is_never_commanded_is_left_out_of_the_commands() -> None:
+    command = np.column_stack([np.sin(np.arange(200) * 0.01), np.full(200, np.nan)])
+    made = make_trial(sound(command={"position": command}), STRUCTURE)
+    assert made.command_joints == ("pan",)
+    assert made.command.shape == (200, 1)
+    assert [(m.kind, m.joint) for m in made.marks] == [("unavailable", "rail")]
+
+
+def test_the_mode_is_the_field_that_is_filled() -> None:
+    made = make_trial(sound(command={"effort": np.ones((200, 2))}), STRUCTURE)
+    assert made.command_mode == "effort"
+
+
+def spoiled(row: int, column: int, value: float) -> np.ndarray:
+    position = sound().series["state"].position
+    assert position is not None
+    position = position.copy()
+    position[row, column] = value
+    return position
+
+
+ERRORS: dict[str, tuple[Callable[[], Recording], str]] = {
+    "no command": (
+        lambda: recording(sound().series["state"], None),
+        "made.mcap: command: no command messages (expected a topic for role 'command'; topics are "
+        "mapped in twin.yaml or by --topics state=/x,command=/y)",
+    ),
+    "one state": (
+        lambda: sound(1),
+        "made.mcap: /joint_states: too few states (got 1; expected 2)",
+    ),
+    "no position": (
+        lambda: sound(position=None),
+        "made.mcap: /joint_states: no state has positions",
+    ),
+    "NaN": (
+        lambda: sound(position=spoiled(70, 1, np.nan)),
+        "made.mcap: /joint_states joint 'rail': position is not finite in 1 of 200 messages "
+        "(got 'nan at 0.7 s'; expected a finite number of m)",
+    ),
+    "infinite velocity": (
+        lambda: sound(velocity=np.full((200, 2), np.inf)),
+        "made.mcap: /joint_states joint 'pan': velocity is not finite in 200 of 200 messages "
+        "(got 'inf at 0 s'; expected a finite number of rad/s)",
+    ),
+    "two fields": (
+        lambda: sound(command={"position": np.ones((200, 2)), "effort": np.ones((200, 2))}),
+        "made.mcap: /joint_commands: commands fill position and effort (expected position, "
+        "velocity or effort, the one that the controller mode uses)",
+    ),
+    "empty commands": (
+        lambda: sound(command={"position": np.full((200, 2), np.nan)}),
+        "made.mcap: /joint_commands: commands fill no field (expected position, velocity or "
+        "effort, the one that the controller mode uses)",
+    ),
+    "no overlap": (
+        lambda: sound(command_time=np.arange(200) * 0.01 + 3600.0),
+        "made.mcap: /joint_commands: commands and states do not overlap in time (got 'commands "
+        "from 3600 to 3601.99 s, states from 0 to 1.99' s; expected one clock)",
+    ),
+    "degrees": (
+        lambda: sound(position=np.rad2deg(np.tile([[0.9, 0.001]], (200, 1)))),
+        "made.mcap: /joint_states joint 'pan': positions far beyond the joint's range, as if in "
+        "degrees (got '51.5662' rad; expected the model's range, -1.5 to 1.5 rad)",
+    ),
+    "encoder counts": (
+        lambda: sound(command={"position": np.tile([[2048.0, 0.1]], (200, 1))}),
+        "made.mcap: /joint_commands joint 'pan': positions far beyond the joint's range, as if in "
+        "encoder counts (got '2048' rad; expected the model's range, -1.5 to 1.5 rad)",
+    ),
+    "millimetres": (
+        lambda: sound(position=np.tile([[0.1, 150.0]], (200, 1))),
+        "made.mcap: /joint_states joint 'rail': positions far beyond the joint's range, as if in "
+        "mm (got '150' m; expected the model's range, 0 to 0.2 m)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_a_recording_that_cannot_be_used_says_why(name: str) -> None:
+    made, words = ERRORS[name]
+    with pytest.raises(RecordingError) as refusal:
+        make_trial(made(), STRUCTURE)
+    assert str(refusal.value) == words
+
+
+def test_a_joint_that_the_model_lacks_is_named() -> None:
+    state = replace(sound().series["state"], names=("pan", "wrist"))
+    with pytest.raises(RecordingError) as refusal:
+        make_trial(recording(state, sound().series["command"]), STRUCTURE)
+    assert str(refusal.value) == (
+        "made.mcap: /joint_states joint 'wrist': the model has no such joint "
+        "(expected one of pan, rail)"
+    )
+
+
+def test_a_little_beyond_the_range_is_only_marked() -> None:
+    position = sound().series["state"].position
+    assert position is not None
+    position = position + np.array([0.0, 0.06])
+    (mark,) = make_trial(sound(position=position), STRUCTURE).marks
+    assert (mark.kind, mark.joint) == ("beyond_range", "rail")
+    assert mark.text == "outside the model's range, 0 to 0.2 m in 65 messages"
+
+
+def test_a_command_latched_shortly_before_the_first_state_holds() -> None:
+    command = {"position": np.full((1, 2), 0.1)}
+    made = make_trial(sound(command_time=np.array([-0.4]), command=command), STRUCTURE)
+    assert made.command_time[0] == pytest.approx(-0.4)
