@@ -144,7 +144,7 @@ def write_recording(
     if len({one.topic for one in series}) != len(series):
         raise RecordingError("a topic stands twice", path=path)
     with open_replacement(path) as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
         writer.start(profile="ros2", library="pytest-twin")
         if metadata:
             writer.add_metadata("trial", dict(sorted(metadata.items())))
@@ -201,6 +201,10 @@ def _by_channel(region: Region) -> Iterator[tuple[int, Integers]]:
         yield channel, np.flatnonzero(region.channel == channel)
 
 
+def _first_row(found: Batch | tuple[int, MessageError]) -> int:
+    return found[0] if isinstance(found, tuple) else int(found.rows[0])
+
+
 @dataclass
 class _TopicReader:
     """Gathers one topic's messages."""
@@ -223,16 +227,15 @@ class _TopicReader:
         self.check(channel)
         starts, sizes = region.start[rows], region.size[rows]
         if channel.encoding == "cdr":
-            for found in decode_cdr(region.data, starts, sizes):
-                self.keep(found, region, rows)
+            found = list(decode_cdr(region.data, starts, sizes))
+            for batch in sorted(found, key=_first_row):
+                self.keep(batch, region, rows)
         else:
             for row, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
                 try:
-                    batch = decode_json(region.data[start : start + size], row)
+                    self.keep(decode_json(region.data[start : start + size], row), region, rows)
                 except MessageError as error:
                     self.keep((row, error), region, rows)
-                else:
-                    self.keep(batch, region, rows)
         self.seen += len(rows)
 
     def keep(self, found: Batch | tuple[int, MessageError], region: Region, rows: Integers) -> None:
