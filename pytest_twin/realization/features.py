@@ -105,6 +105,9 @@ class _Elements:
         self.site = self._of_bodies(_OBJ.mjOBJ_SITE, model.site_bodyid)
         self.camera = self._of_bodies(_OBJ.mjOBJ_CAMERA, model.cam_bodyid)
         self.felt = felt_geoms(model)
+        self._geoms: dict[int, list[int]] = {}
+        for geom in np.flatnonzero(self.felt):
+            self._geoms.setdefault(int(model.geom_bodyid[geom]), []).append(int(geom))
         # Only those that can be felt are counted: one that is only seen moves no place.
         owners = [
             f"{self.body[b]}" if felt else f"{self.body[b]}~"
@@ -150,8 +153,7 @@ class _Elements:
 
     def geoms_of(self, body: int) -> list[int]:
         """Geoms of a body that can be felt."""
-        start = int(self.model.body_geomadr[body])
-        return [g for g in range(start, start + self.model.body_geomnum[body]) if self.felt[g]]
+        return self._geoms.get(body, [])
 
     def equality_ends(self, equality: int) -> tuple[int, list[int]]:
         """(object type, indices) of what an equality ties; MuJoCo states the type for some only."""
