@@ -244,6 +244,8 @@ def _resolved(
             ids |= {known for known in parts if known.startswith(f"{layer}:")}
         elif layer == "calibration" and ident not in parts:
             parts[ident] = Part(ident, _calibration(_IDENTITY))
+        elif layer == "library" and ident not in parts:
+            parts[ident] = Part(ident, {"version": surroundings.version_of(name)})
         elif layer in ("recording", "file") and ident not in parts:
             digest = surroundings.file_digest(golden, name)
             if digest is not None:

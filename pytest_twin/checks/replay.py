@@ -149,10 +149,9 @@ class Replay(Check):
                 replay.frame_poses(realization, result.qpos, frame),
                 replay.frame_poses(realization, replay.measured_qpos(realization, result), frame),
             )
+        now = _series(trial, joints, {"position": result.position} | _commands(trial))
         return Observation(
-            values,
-            _series(result, joints, result.position),
-            against=_series(result, joints, trial.position),
+            values, now, against=_series(trial, joints, {"position": trial.position})
         )
 
     def _check_variant(self, golden: Golden, realization: Realization, trial: Trial) -> None:
@@ -244,15 +243,27 @@ def _numbers(found: Residual, time: FloatArray) -> dict[str, float]:
     }
 
 
-def _series(result: Replayed, joints: Mapping[str, Any], positions: FloatArray) -> Trace:
-    time, first = np.unique(result.time, return_index=True)
+def _commands(trial: Trial) -> dict[str, FloatArray]:
+    """Position commands as they were held at the states' stamps; NaN where there were none."""
+    if trial.command_mode != "position":
+        return {}
+    at = np.searchsorted(trial.command_time, trial.time, side="right") - 1
+    held = np.full_like(trial.position, np.nan)
+    for column, joint in enumerate(trial.command_joints):
+        if joint in trial.joints:
+            held[:, trial.joints.index(joint)] = trial.command[np.maximum(at, 0), column]
+    return {"command": held}
+
+
+def _series(trial: Trial, joints: Mapping[str, Any], tables: Mapping[str, FloatArray]) -> Trace:
+    time, first = np.unique(trial.time, return_index=True)
     columns = {}
     for joint, values in joints.items():
         unit = "m" if values["type"] == "slide" else "rad"
-        columns[f"position:{joint}"] = (
-            unit,
-            positions[first, result.trial.joints.index(joint)],
-        )
+        for name, table in tables.items():
+            column = table[first, trial.joints.index(joint)]
+            if np.isfinite(column).all():
+                columns[f"{name}:{joint}"] = (unit, column)
     return Trace(("time", "s"), time, columns)
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.util
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -85,13 +87,14 @@ class Task(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Everything of the realization, the function's file, and the files that it declares."""
+        """Everything of the realization, the function's file (or the version of the distribution
+        that brought it), and the files that the spec declares."""
         parts = set(structure.everything())
         place, _, _ = golden.target["function"].partition(":")
         if place.endswith(".py"):
             parts.add(f"file:{place}")
         else:
-            parts.add(f"module:{place}")
+            parts |= {f"library:{name}" for name in _distributions(place)}
         parts |= {f"file:{name}" for name in golden.target.get("files", ())}
         parts |= {f"calibration:{joint}" for joint in structure.joint_body}
         return parts
@@ -220,6 +223,12 @@ def _numbers(golden: Golden, name: str, value: Any) -> float | list[float]:
     return numbers if isinstance(value, list | tuple) else numbers[0]
 
 
+@functools.cache
+def _distributions(module: str) -> tuple[str, ...]:
+    """Installed distributions that bring the top package of ``module``."""
+    return tuple(metadata.packages_distributions().get(module.partition(".")[0], ()))
+
+
 def _function(golden: Golden, realization: Realization) -> Callable[..., Any]:
     place, _, name = golden.target["function"].partition(":")
     field = "target.function"
@@ -238,6 +247,14 @@ def _function(golden: Golden, realization: Realization) -> Callable[..., Any]:
                 value=place,
                 expected="an installed module, or a file ending in .py",
             ) from error
+        if not _distributions(place):
+            raise spec_error(
+                golden,
+                field,
+                "no installed distribution brings this module, so a change of it goes unseen",
+                value=place,
+                expected="an installed module, or a file ending in .py",
+            )
     found: Callable[..., Any] | None = getattr(module, name, None)
     if not callable(found):
         raise spec_error(golden, field, f"no function of this name in {place}", value=name)
