@@ -25,8 +25,12 @@ MAX_PLOT_BYTES = 32 * 2**20
 """All plots of one report together; the failed ones are shown first."""
 MAX_MEASURES = 400
 """Rows for one golden; the worst are shown."""
+MAX_ALL_MEASURES = 12_000
+"""Rows for all goldens together; once they are used up each shows its worst."""
 MAX_PARTS = 60
 """Ids that one golden lists of what it rests on."""
+MAX_ALL_PARTS = 30_000
+"""Ids for all goldens together."""
 
 _WORDS: Mapping[Verdict, str] = {
     "released": "Released",
@@ -50,7 +54,6 @@ class _Row:
     measures_left_out: int
     used: float | None
     parts: tuple[str, ...]
-    parts_left_out: int
     plot: str | None
     plot_left_out: bool
 
@@ -87,14 +90,18 @@ def _rows(entries: Iterable[Entry]) -> list[_Row]:
         advisory = outcome.criticality != "critical"
         return (_ORDER[outcome.status], int(advisory), -used, outcome.key)
 
-    room = MAX_PLOT_BYTES
+    plot_room, measure_room, part_room = MAX_PLOT_BYTES, MAX_ALL_MEASURES, MAX_ALL_PARTS
     rows = []
     for index, entry in enumerate(sorted(entries, key=gravity)):
         outcome = entry.outcome
         ordered = sorted(outcome.measures, key=use_of_tolerance, reverse=True)
+        measures = tuple(ordered[: min(MAX_MEASURES, max(1, measure_room))])
+        parts = tuple(sorted(entry.parts)[: min(MAX_PARTS, max(0, part_room))])
+        measure_room -= len(measures)
+        part_room -= len(parts)
         plot = None
-        if entry.plot is not None and len(entry.plot) <= room:
-            room -= len(entry.plot)
+        if entry.plot is not None and len(entry.plot) <= plot_room:
+            plot_room -= len(entry.plot)
             plot = "data:image/svg+xml;base64," + base64.b64encode(entry.plot).decode()
         rows.append(
             _Row(
@@ -102,11 +109,10 @@ def _rows(entries: Iterable[Entry]) -> list[_Row]:
                 anchor=f"g{index}",
                 state=outcome.status,
                 headline=headline(outcome),
-                measures=tuple(ordered[:MAX_MEASURES]),
-                measures_left_out=len(ordered) - MAX_MEASURES,
+                measures=measures,
+                measures_left_out=len(ordered) - len(measures),
                 used=use_of_tolerance(ordered[0]) if ordered else None,
-                parts=tuple(sorted(entry.parts)[:MAX_PARTS]),
-                parts_left_out=len(entry.parts) - MAX_PARTS,
+                parts=parts,
                 plot=plot,
                 plot_left_out=entry.plot is not None and plot is None,
             )
