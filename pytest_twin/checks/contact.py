@@ -194,9 +194,12 @@ class Contact(Check):
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
         """All that moves, all that can be touched, and the named keyframe."""
+        target = golden.target
+        own = {name for name in (OBJECT, FLOOR) if name in target}
         return (
             set(structure.dynamics())
             | set(structure.contact())
+            | set(structure.contact(set(target["pair"]) - own))
             | {f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)}
         )
 

@@ -55,6 +55,10 @@ TARGET_SCHEMA: Mapping[str, Any] = {
 BENCH_SCHEMA: Mapping[str, Any] = {
     "pose": POSE_SCHEMA,
     "gravity": {"type": "boolean", "description": "True by default."},
+    "contact": {
+        "type": "boolean",
+        "description": "True by default; False lets bodies pass through each other.",
+    },
     "others": {
         "enum": ["free", "locked"],
         "description": "free (default): position servos hold the pose, the rest is loose. locked: "
@@ -127,7 +131,12 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
     if stimulus.get("others", "free") == "locked":
         tied = simulate.coupled_joints(realization, joint)
         locked = [name for name in realization.joints if name not in tied]
-    model = simulate.bench(realization, gravity=stimulus.get("gravity", True), locked=locked)
+    model = simulate.bench(
+        realization,
+        gravity=stimulus.get("gravity", True),
+        contact=stimulus.get("contact", True),
+        locked=locked,
+    )
     data = simulate.start(model, realization, pose.qpos)
     data.ctrl[:] = simulate.hold(model, data)
     hold = 0.0 if item is None else float(data.ctrl[item.control]) / item.scale
@@ -244,13 +253,16 @@ def drivable(realization: Realization) -> list[tuple[str, str]]:
 
 
 def first_bench(realization: Realization, command: str) -> dict[str, Any]:
-    """Pose, gravity and others of a first spec: alone on the bench where nothing holds the rest."""
+    """Pose and surroundings of a first spec: alone on the bench where nothing holds the rest,
+    without contact where bodies overlap at the pose."""
     from pytest_twin.realization import simulate
 
     alone = command != "position" or "free" in realization.structure.joint_type.values()
     bench: dict[str, Any] = {"pose": simulate.first_pose(realization), "gravity": not alone}
     if alone:
         bench["others"] = "locked"
+    if simulate.overlaps(realization, first_qpos(realization)):
+        bench["contact"] = False
     return bench
 
 
@@ -268,7 +280,7 @@ def first_amplitude(realization: Realization, joint: str, command: str, duration
     index = realization.joint_index(joint)
     travel = 0.1 if realization.structure.joint_type[joint] == "hinge" else 0.02
     data = mujoco.MjData(model)
-    data.qpos[:] = _first_qpos(realization)
+    data.qpos[:] = first_qpos(realization)
     mujoco.mj_forward(model, data)
     sign = 1.0
     if model.jnt_limited[index]:
@@ -291,7 +303,8 @@ def first_amplitude(realization: Realization, joint: str, command: str, duration
     return float(f"{sign * amplitude:.3g}")
 
 
-def _first_qpos(realization: Realization) -> FloatArray:
+def first_qpos(realization: Realization) -> FloatArray:
+    """(nq,) of the pose that first specs start from."""
     from pytest_twin.realization import simulate
 
     pose = simulate.first_pose(realization)

@@ -16,6 +16,7 @@ BoolArray = NDArray[np.bool_]
 TAIL = 0.1
 """Fraction of the time, at its end, over which rest is averaged."""
 _SATURATED = 0.99  # of the friction while it slides
+_STEADY = 0.05  # spread of the friction while it slides; more is a creep, not a slip
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +71,8 @@ def slip(
     """When and at what friction a contact gives way; None where it does not.
 
     Soft contacts creep under any tangential force, so slip is told by saturation: friction is the
-    median ratio of tangential to normal force over the samples beyond ``least_travel``, and
-    slip starts where the ratio first comes within 1 % of it.
+    median ratio of tangential to normal force over the samples beyond ``least_travel``, if nine
+    of ten lie within 5 % of it, and slip starts where the ratio first comes within 1 % of it.
 
     Args:
         time: (n,) s.
@@ -84,6 +85,10 @@ def slip(
         return None
     ratio = np.divide(tangential, normal, out=np.zeros_like(normal), where=normal > 0.0)
     friction = float(np.median(ratio[sliding]))
+    if friction == 0.0:
+        return Slip(0.0, float(time[sliding][0]), float(applied[sliding][0]))
+    if np.quantile(np.abs(ratio[sliding] / friction - 1.0), 0.9) > _STEADY:
+        return None
     start = int(np.flatnonzero(ratio >= _SATURATED * friction)[0])
     return Slip(friction=friction, time=float(time[start]), force=float(applied[start]))
 

@@ -136,7 +136,8 @@ def bandwidth(response: Response) -> float | None:
     """Hz where the magnitude first falls 3 dB (half the power) below that of the lowest line.
 
     None where it does not fall that far on the lines that are carried, where the lowest excited
-    line is not carried, or where the fall lies in a gap.
+    line is not carried, where the fall lies in a gap, or where it falls within the first octave:
+    then there is no plateau to fall from, as of an integrator.
     """
     if response.frequency.size < 2 or response.frequency[0] != response.excited[0]:
         return None
@@ -146,7 +147,7 @@ def bandwidth(response: Response) -> float | None:
         return None
     k = int(below[0])
     line = np.searchsorted(response.excited, response.frequency[k - 1 : k + 1])
-    if line[1] - line[0] != 1:
+    if line[1] - line[0] != 1 or response.frequency[k] <= 2.0 * response.frequency[0]:
         return None
     share = (_BANDWIDTH_DB - level[k - 1]) / (level[k] - level[k - 1])
     low, high = np.log(response.frequency[k - 1 : k + 1])

@@ -35,13 +35,14 @@ def bench(
     realization: Realization,
     *,
     gravity: bool = True,
+    contact: bool = True,
     locked: Collection[str] = (),
     edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> mujoco.MjModel:
     """A model to step, apart from the realization's own, which stays as it is.
 
     Args:
-        gravity: False switches gravity off.
+        gravity, contact: False switches it off.
         locked: joints that keep their start position, as bolted (by an armature far above
             the inertia of what moves).
         edit: changes a copy of the spec before it is compiled, such as an object to touch.
@@ -67,6 +68,8 @@ def bench(
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if not gravity:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    if not contact:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     if locked:
         mean_inertia = float(model.stat.meaninertia)
         moves = np.ones(model.nv, dtype=bool)
@@ -247,6 +250,13 @@ def first_pose(realization: Realization) -> str | dict[str, dict[str, float]]:
         if not lower + margin <= reference <= upper - margin and model.joint(i).name:
             pose[str(model.joint(i).name)] = round(0.5 * (lower + upper), 4)
     return {"joints": pose} if pose else "reference"
+
+
+def overlaps(realization: Realization, qpos: Vector) -> bool:
+    """Whether bodies touch or overlap at ``qpos`` (nq,)."""
+    data = start(realization.model, realization, qpos)
+    mujoco.mj_fwdPosition(realization.model, data)
+    return bool(data.ncon)
 
 
 # -- stepping

@@ -158,3 +158,8 @@ def test_bandwidth_is_not_read_across_a_gap() -> None:
         lines[1:], np.abs(gain[1:]), np.angle(gain[1:]), np.ones(lines.size - 1), lines, 1.0
     )
     assert f.bandwidth(late) is None
+
+
+def test_an_integrator_has_no_bandwidth() -> None:
+    lines = np.geomspace(0.5, 20.0, 40)
+    assert f.bandwidth(exact(lines, 1.0 / (2j * np.pi * lines))) is None
