@@ -74,7 +74,8 @@ def load(
         ModelError: no model that could be simulated.
         SpecError: the fit names what the model lacks.
     """
-    path = path.absolute()
+    # Its folder without links, as the roots have it; a link in place of the file is refused.
+    path = path.parent.resolve() / path.name
     fit = None if twin is None else twin.fit
     tag = xml.parse(path).tag
     if tag == "mujoco":

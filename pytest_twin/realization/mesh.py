@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,13 @@ def _collada(data: bytes, path: Path) -> Triangles:
 
     # Bounds, and no DTD, before a parser that would follow one.
     xml.parse_bytes(data, path)
-    document = collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError])
+    with warnings.catch_warnings():
+        # pycollada still builds numpy matrices.
+        warnings.simplefilter("ignore", PendingDeprecationWarning)
+        return _collada_triangles(collada.Collada(io.BytesIO(data), ignore=[collada.DaeError]))
+
+
+def _collada_triangles(document: Any) -> Triangles:
     scale = document.assetInfo.unitmeter or 1.0
     vertices: list[Vertices] = []
     faces: list[NDArray[np.int64]] = []

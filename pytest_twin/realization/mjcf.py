@@ -31,12 +31,14 @@ class Document:
 
     Attributes:
         root: the ``mujoco`` element with every include spliced in.
-        assets: name that MuJoCo asks for -> bytes.
+        assets: name that MuJoCo asks for -> bytes of a mesh, texture or other asset.
+        models: name that MuJoCo asks for -> text of a model that is attached.
         asset_paths: the same name -> file that the bytes were read from.
     """
 
     root: Node
     assets: dict[str, bytes] = field(default_factory=dict)
+    models: dict[str, bytes] = field(default_factory=dict)
     asset_paths: dict[str, Path] = field(default_factory=dict)
     places: list[tuple[Path, int]] = field(default_factory=list)
     """Place that each line of :meth:`text` was read from."""
@@ -79,7 +81,7 @@ def build(document: Document) -> mujoco.MjSpec:
     """
     text = document.text()
     try:
-        return mujoco.MjSpec.from_string(text, assets=document.assets)
+        return mujoco.MjSpec.from_string(text, include=document.models, assets=document.assets)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise translate(error, document.root.path, document.places) from None
 
@@ -277,10 +279,11 @@ class _Reader:
         path = self.roots.resolve(str(base / reference), at=node.path, line=node.line)
         nested = self.document(path, depth + 1)
         document.assets.update(nested.assets)
+        document.models.update(nested.models)
         document.asset_paths.update(nested.asset_paths)
         content = nested.text().encode()
         name = hashlib.sha256(content).hexdigest()[:24] + ".xml"
-        document.assets[name] = content
+        document.models[name] = content
         document.asset_paths[name] = path
         node.attributes["file"] = name
         node.attributes.pop("content_type", None)

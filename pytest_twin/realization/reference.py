@@ -7,7 +7,7 @@ frames, and inertias from shapes are worked out here.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -137,7 +137,7 @@ class Reference:
             )
         return full
 
-    def _joint_values(self, name: str, values: Vector, joint: pin.JointModel) -> Iterable[float]:
+    def _joint_values(self, name: str, values: Vector, joint: pin.JointModel) -> Vector:
         width = {3: 4, 6: 7}.get(joint.nv, 1)
         if values.shape != (width,) or not np.isfinite(values).all():
             raise SpecError(
@@ -148,7 +148,7 @@ class Reference:
             )
         if joint.nv == 1:
             angle = float(values[0]) - self._rigid.reference.get(name, 0.0)
-            return (np.cos(angle), np.sin(angle)) if joint.nq == 2 else (angle,)
+            return np.array([np.cos(angle), np.sin(angle)] if joint.nq == 2 else [angle])
         if joint.nv == 3:
             turned: Vector = np.roll(values / np.linalg.norm(values), -1)
             return turned
