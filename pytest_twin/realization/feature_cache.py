@@ -93,7 +93,9 @@ def features_of(
         ValueError: ``read`` returned something else.
     """
     path = twin.root / FOLDER / f"{realization}.json"
-    key = {"schema": _SCHEMA, "reader": _reader(), "versions": dict(versions)}
+    # The place too: a copied folder brings along an entry that speaks of the files it came from.
+    place = str(twin.path)
+    key = {"schema": _SCHEMA, "reader": _reader(), "versions": dict(versions), "twin": place}
     found = None if fresh else _stored(path, key, realization)
     if found is not None:
         return found
