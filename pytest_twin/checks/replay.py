@@ -270,7 +270,7 @@ def _series(trial: Trial, joints: Mapping[str, Any], tables: Mapping[str, FloatA
 def _joint_measures(golden: Golden, joints: Mapping[str, Any]) -> Iterator[Measure]:
     stated = golden.target.get("joints", {})
     for joint, values in joints.items():
-        own = (stated[joint] or {}) if isinstance(stated, Mapping) else {}
+        own = (stated.get(joint) or {}) if isinstance(stated, Mapping) else {}
         for number, name in _BOUNDS[values["type"]].items():
             unit = _TOLERANCES[name]
             if name in own:

@@ -1,0 +1,68 @@
+"""The SO-101 as a twin: the vendor's model and real recordings, which stay where they are."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+RECORDINGS = Path(
+    os.environ.get("TWIN_RECORDINGS") or HERE.parents[2] / "shared" / "recordings"
+).resolve()
+
+TWIN = """\
+name: so101
+model: {so101}/model.xml
+roots:
+  so101: {so101}
+tcp: gripperframe
+"""
+
+
+def recordings(name: str) -> Path:
+    """The folder of one set of recordings, or a skip that says where it was looked for."""
+    folder = RECORDINGS / name
+    if not folder.is_dir():
+        pytest.skip(
+            f"no recordings at {folder}: the environment variable TWIN_RECORDINGS says where"
+        )
+    return folder
+
+
+@dataclass
+class Workshop:
+    """A twin in a folder of its own, and a pytest that runs in it."""
+
+    root: Path
+    home: Path
+
+    def pytest(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Run pytest there as a user does."""
+        kept = {k: v for k, v in os.environ.items() if k not in ("CI", "PYTEST_ADDOPTS")}
+        folders = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")
+        return subprocess.run(
+            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
+            cwd=self.root,
+            env=kept | dict.fromkeys(folders, str(self.home)),
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+
+
+@pytest.fixture
+def so101(tmp_path: Path) -> Workshop:
+    """The twin with its declared goldens."""
+    folder = recordings("so101")
+    root = tmp_path / "so101"
+    shutil.copytree(HERE / "golden", root / "golden")
+    (root / "twin.yaml").write_text(TWIN.format(so101=folder))
+    (tmp_path / "home").mkdir()
+    return Workshop(root, tmp_path / "home")
