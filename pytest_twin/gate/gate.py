@@ -118,7 +118,9 @@ class Gate:
             baseline=baseline,
             missing=missing,
             dropped=dropped,
-            orphans=tuple(path for path in traces if path not in referred),
+            orphans=tuple(
+                path.relative_to(self.root).as_posix() for path in traces if path not in referred
+            ),
             files=today.files,
             problems=(*broken, *today.problems),
             notes=notes,
@@ -198,7 +200,7 @@ class Gate:
             },
             outcomes=self.outcomes,
             unproven=plan.unproven,
-            orphans=tuple(path.relative_to(self.root).as_posix() for path in plan.orphans),
+            orphans=plan.orphans,
             missing=plan.missing,
             dropped=plan.dropped,
             changed=self._changed(plan) if self.outcomes else (),

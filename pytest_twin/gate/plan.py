@@ -55,7 +55,7 @@ class Plan:
         baseline: the last release that holds.
         missing: ids of goldens that were released before, are gone, and are not retired.
         dropped: keys of the baseline that were retired or whose realization was given up.
-        orphans: traces that no spec refers to.
+        orphans: traces that no spec refers to, relative to the twin's root.
         files: file -> SHA-256 before the run.
         problems: what speaks against a release whatever the outcomes are.
         notes: what else to say.
@@ -66,7 +66,7 @@ class Plan:
     baseline: Release | None = None
     missing: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
-    orphans: tuple[Path, ...] = ()
+    orphans: tuple[str, ...] = ()
     files: Mapping[Path, str] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

@@ -111,8 +111,11 @@ def _reasons(facts: Facts) -> Iterator[str]:
             continue
         if (broken := not_finite(outcome)) is not None:
             yield f"{key}: {broken.name} of {broken.subject} is not finite"
+        elif outcome.status == "error":
+            # Advisory goldens may fail; one that gave no number proves nothing at all.
+            yield f"{key}: nothing to compare: {outcome.error}"
         elif criticality == "critical" and outcome.status != "passed":
-            yield f"{key}: critical, and it {_how(outcome)}"
+            yield f"{key}: critical, and it failed"
     for golden in facts.unproven:
         yield f"{golden}: never proven: run pytest --twin-update"
     for trace in facts.orphans:
@@ -123,10 +126,6 @@ def _reasons(facts: Facts) -> Iterator[str]:
         yield f"{failure}: failed in the same session"
     if not facts.criticality:
         yield "no golden to prove"
-
-
-def _how(outcome: Outcome) -> str:
-    return "failed" if outcome.status == "failed" else f"did not run: {outcome.error}"
 
 
 def not_finite(outcome: Outcome) -> Measure | None:

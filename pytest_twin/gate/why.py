@@ -23,7 +23,7 @@ def why_lines(plan: Plan) -> list[str]:
         lines += [f"         {reason}" for reason in task.reasons]
     lines += [f"missing  {ident}" for ident in plan.missing]
     lines += [f"given up  {key}" for key in plan.dropped]
-    lines += [f"orphaned trace  {path}" for path in plan.orphans]
+    lines += [f"orphaned trace  {name}" for name in plan.orphans]
     lines += list(plan.problems)
     lines.append(f"{len(plan.stale)} stale, {len(plan.fresh)} fresh")
     return lines

@@ -67,6 +67,13 @@ def test_criticality_is_that_of_today() -> None:
     )
 
 
+def test_an_advisory_golden_that_gave_no_number_blocks() -> None:
+    crashed = outcome("error", criticality="advisory")
+    assert refusals(facts(criticality={KEY: "advisory"}, outcomes={KEY: crashed})) == (
+        f"{KEY}: nothing to compare: it crashed",
+    )
+
+
 @pytest.mark.parametrize("field", ["error", "measured", "golden"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: float) -> None:
@@ -86,7 +93,7 @@ def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: fl
         ),
         (
             {"outcomes": {KEY: outcome("error")}},
-            f"{KEY}: critical, and it did not run: it crashed",
+            f"{KEY}: nothing to compare: it crashed",
         ),
         (
             {"unproven": ("golden/fk/home",), "outcomes": {}},

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+
+# Loaded once out here: pytester forgets what an inner run imported, and extension modules such as
+# libyaml's cannot be imported twice.
+from pytest_twin.checks import check_of, kinds
+
+for _kind in kinds():
+    check_of(_kind)
 
 MODEL = """\
 <mujoco model="arm">
@@ -62,16 +70,24 @@ tolerance:
 """
 
 
-class TwinFolder:
-    """A twin below pytester's folder, with two goldens: ``fk/home`` and ``mass/arm``."""
+TASK = """\
+schema: 1
+kind: task
+title: A user's own function
+criticality: {criticality}
+target:
+  function: {name}.py:run
+  outputs:
+    reach: {{unit: m, tolerance: 1 mm}}
+"""
 
-    def __init__(self, pytester: pytest.Pytester, root: Path) -> None:
+
+class TwinFolder:
+    """A twin in ``arm/`` below pytester's folder, with two goldens: ``fk/home``, ``mass/arm``."""
+
+    def __init__(self, pytester: pytest.Pytester) -> None:
         self.pytester = pytester
-        self.root = root
-        self.write("twin.yaml", "name: arm\nmodel: arm.xml\ntcp: tcp\n")
-        self.write("arm.xml", MODEL)
-        self.write("golden/fk/home.yaml", FK)
-        self.write("golden/mass/arm.yaml", MASS.replace("CRITICALITY", "critical"))
+        self.root = pytester.path / "arm"
 
     def write(self, name: str, text: str) -> Path:
         path = self.root / name
@@ -85,18 +101,19 @@ class TwinFolder:
         assert old in text
         path.write_text(text.replace(old, new))
 
-    def run(self, *arguments: str, env: Sequence[str] = ()) -> pytest.RunResult:
-        """pytest in a process of its own, as a user would run it."""
-        command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
-        if "--lf" in arguments or "--ff" in arguments:
-            command = [sys.executable, "-m", "pytest", *arguments]
-        return self.pytester.run(*command, timeout=120)
+    def task(self, name: str, code: str, criticality: str = "critical") -> None:
+        """A golden of kind task, ``golden/task/<name>``, with the body of its function."""
+        body = "".join(f"    {line}\n" for line in code.splitlines())
+        self.write(f"{name}.py", f"def run(realization):\n{body}")
+        self.write(f"golden/task/{name}.yaml", TASK.format(name=name, criticality=criticality))
 
-    def record(self) -> None:
-        assert self.run("--twin-update").ret == 0
+    def run(self, *arguments: str) -> pytest.RunResult:
+        """pytest in the twin's folder, without a process of its own."""
+        return self.pytester.runpytest_inprocess("-p", "no:xdist", *arguments)
 
-    def release(self) -> None:
-        assert self.run("--twin-release").ret == 0
+    def run_apart(self, *arguments: str) -> pytest.RunResult:
+        """pytest in the twin's folder, as a user starts it."""
+        return self.pytester.run(sys.executable, "-m", "pytest", *arguments, timeout=100)
 
     @property
     def releases(self) -> list[str]:
@@ -104,13 +121,70 @@ class TwinFolder:
         return sorted(path.name for path in folder.glob("[0-9]*")) if folder.is_dir() else []
 
 
-@pytest.fixture
-def twin(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> TwinFolder:
-    """A twin in pytester's own folder; nobody's keys, no CI."""
-    home = pytester.path / ".home"
-    home.mkdir()
+def _environment(monkeypatch: pytest.MonkeyPatch, home: Path) -> None:
+    """Nobody's keys, nobody's memory, no CI."""
     for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
         monkeypatch.setenv(name, str(home))
     for name in ("CI", "TWIN_SIGNING_KEY", "PYTEST_ADDOPTS"):
         monkeypatch.delenv(name, raising=False)
-    return TwinFolder(pytester, pytester.path)
+
+
+@pytest.fixture(scope="session")
+def templates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders ``new``, ``recorded`` and ``released``, each with ``arm`` and ``home``."""
+    base = tmp_path_factory.mktemp("twins")
+    new = base / "new" / "arm"
+    (new / "golden" / "fk").mkdir(parents=True)
+    (new / "golden" / "mass").mkdir()
+    (base / "new" / "home").mkdir()
+    (new / "twin.yaml").write_text("name: arm\nmodel: arm.xml\ntcp: tcp\n")
+    (new / "arm.xml").write_text(MODEL)
+    (new / "golden" / "fk" / "home.yaml").write_text(FK)
+    (new / "golden" / "mass" / "arm.yaml").write_text(MASS.replace("CRITICALITY", "critical"))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        before = base / "new"
+        for name, flag in (("recorded", "--twin-update"), ("released", "--twin-release")):
+            after = base / name
+            shutil.copytree(before, after)
+            _environment(monkeypatch, after / "home")
+            result = subprocess.run(
+                [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", flag],
+                cwd=after / "arm",
+                capture_output=True,
+                text=True,
+                timeout=120,
+            )
+            assert result.returncode == 0, result.stdout + result.stderr
+            before = after
+    return base
+
+
+def _copy(
+    name: str, templates: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> TwinFolder:
+    shutil.copytree(templates / name, pytester.path, dirs_exist_ok=True)
+    _environment(monkeypatch, pytester.path / "home")
+    monkeypatch.chdir(pytester.path / "arm")
+    return TwinFolder(pytester)
+
+
+@pytest.fixture
+def twin(templates: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> TwinFolder:
+    """A twin that nobody has recorded."""
+    return _copy("new", templates, pytester, monkeypatch)
+
+
+@pytest.fixture
+def recorded(
+    templates: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> TwinFolder:
+    """A twin whose goldens are recorded and that was never released."""
+    return _copy("recorded", templates, pytester, monkeypatch)
+
+
+@pytest.fixture
+def released(
+    templates: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> TwinFolder:
+    """A twin with release 0001 and nothing stale."""
+    return _copy("released", templates, pytester, monkeypatch)

@@ -1,0 +1,186 @@
+"""--twin-release: what it signs, what it carries over, and everything that it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+
+def _results(twin, number: str) -> dict[str, dict[str, object]]:
+    results = json.loads((twin.root / "releases" / number / "results.json").read_text())
+    return {entry["outcome"]["golden"]: entry for entry in results["goldens"]}
+
+
+def test_everything_proven_is_signed_and_still_holds(recorded) -> None:
+    result = recorded.run("--twin-release")
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["twin arm: 2 stale, 0 still proven", "release 0001 signed: *"])
+    assert recorded.releases == ["0001"]
+    result = recorded.run("--twin-release")
+    result.stdout.fnmatch_lines(["2 still proven by release 0001", "release 0001 still holds"])
+    assert result.ret == 0
+    assert recorded.releases == ["0001"]
+
+
+def test_a_plain_run_leaves_out_what_is_proven(released) -> None:
+    result = released.run()
+    result.assert_outcomes(deselected=2)
+    result.stdout.fnmatch_lines(["2 still proven by release 0001"])
+    assert result.ret == 0
+
+
+def test_fresh_results_are_carried_over_with_where_they_were_proven(released) -> None:
+    released.edit("golden/mass/arm.yaml", "mass: 1 g", "mass: 2 g")
+    result = released.run("--twin-release")
+    result.assert_outcomes(passed=1, deselected=1)
+    result.stdout.fnmatch_lines(["1 still proven by release 0001", "release 0002 signed: *"])
+    results = _results(released, "0002")
+    assert results["golden/fk/home"]["release"] == 1
+    assert results["golden/mass/arm"]["release"] == 2
+    reasons = results["golden/mass/arm"]["outcome"]["reasons"]
+    assert [reason["part"] for reason in reasons] == ["spec:golden/mass/arm"]
+
+
+def test_a_comment_and_a_colour_make_nothing_stale(released) -> None:
+    released.edit("arm.xml", "<worldbody>", "<!-- hello -->\n  <worldbody>")
+    released.edit("arm.xml", 'size="0.02"', 'size="0.02" rgba="1 0 0 1"')
+    released.edit("golden/fk/home.yaml", "schema: 1", "# hello\nschema: 1")
+    released.run("--twin-release").stdout.fnmatch_lines(["release 0001 still holds"])
+
+
+def test_an_ini_file_can_ask_for_it(released) -> None:
+    released.write("pytest.ini", "[pytest]\ntwin_release = true\n")
+    released.run().stdout.fnmatch_lines(["release 0001 still holds"])
+    released.run("-o", "twin_release=false").stdout.no_fnmatch_line("*still holds*")
+
+
+def test_it_excludes_update(recorded) -> None:
+    result = recorded.run("--twin-release", "--twin-update")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["ERROR: --twin-release and --twin-update exclude each other: *"])
+
+
+def test_without_a_twin_it_is_a_usage_error(pytester) -> None:
+    result = pytester.runpytest_inprocess("--twin-release")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["ERROR: no twin.yaml at, above or below *"])
+
+
+def refused(twin, *words: str, arguments: tuple[str, ...] = ()) -> None:
+    """The release is refused for each of ``words``, and nothing is signed."""
+    before = twin.releases
+    result = twin.run("--twin-release", *arguments)
+    text = result.stdout.str()
+    assert "no release:" in text
+    for word in words:
+        assert f"  {word}" in text.partition("no release:")[2]
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    assert twin.releases == before
+
+
+def test_a_critical_failure_is_refused(recorded) -> None:
+    recorded.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    refused(recorded, "golden/mass/arm@mujoco: critical, and it failed")
+
+
+def test_a_golden_never_proven_is_refused(twin) -> None:
+    refused(twin, "golden/fk/home: never proven: run pytest --twin-update")
+    twin.run().stdout.fnmatch_lines(["*golden/fk/home@mujoco: never proven: run pytest --twin-*"])
+
+
+def test_an_orphaned_trace_is_refused(released) -> None:
+    released.write("golden/old.trace.csv", "time [s]\n0\n")
+    refused(released, "golden/old.trace.csv: a trace that no spec refers to")
+
+
+def test_a_missing_golden_is_refused_until_it_is_retired(released) -> None:
+    (released.root / "golden/fk/home.yaml").unlink()
+    refused(released, "golden/fk/home: missing: restore it, or give its reason under 'retired:'")
+    released.edit("twin.yaml", "tcp: tcp", "retired: {golden/fk/home: replaced by a better one}")
+    released.run("--twin-release").stdout.fnmatch_lines(["release 0002 signed: *"])
+    assert list(_results(released, "0002")) == ["golden/mass/arm"]
+
+
+def test_all_goldens_gone_is_refused(released) -> None:
+    shutil.rmtree(released.root / "golden")
+    refused(released, "golden/fk/home: missing", "golden/mass/arm: missing", "no golden to prove")
+
+
+def test_what_is_not_finite_is_refused_even_where_advisory(recorded) -> None:
+    recorded.task("odd", "return {'reach': 1.0}", criticality="advisory")
+    assert recorded.run("--twin-update", "-k", "odd").ret == 0
+    recorded.write("odd.py", "def run(realization):\n    return {'reach': float('nan')}\n")
+    refused(recorded, "golden/task/odd@mujoco: nothing to compare: ")
+
+
+def test_a_failing_ordinary_test_is_refused(released) -> None:
+    released.write("test_a.py", "def test_b(): assert False")
+    refused(released, "test_a.py::test_b: failed in the same session")
+
+
+def test_a_broken_spec_is_refused(released) -> None:
+    released.write("golden/b.yaml", "schema: 1\nkind: teleport\n")
+    result = released.run("--twin-release", "--continue-on-collection-errors")
+    result.stdout.fnmatch_lines(["no release:", "  could not be collected: *b.yaml:2: kind: *"])
+    assert result.ret != 0
+    assert released.releases == ["0001"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("-k", "home"), "-k 'home'"),
+        (("-m", "fk"), "-m 'fk'"),
+        (("--lf",), "--lf"),
+        (("--deselect", "golden/fk/home.yaml"), "--deselect golden/fk/home.yaml"),
+        (("--ignore", "golden/fk"), "--ignore golden/fk"),
+        (("golden/fk/home.yaml::home[mujoco]",), "golden/fk/home.yaml::home[mujoco]"),
+        (("golden/fk",), "golden/fk"),
+    ],
+)
+def test_a_selected_subset_never_signs(released, arguments, words) -> None:
+    refused(released, f"a selected subset never signs: {words}", arguments=arguments)
+
+
+def test_a_run_cut_short_is_refused(recorded) -> None:
+    recorded.write("test_a.py", "def test_b(): assert False\ndef test_c(): pass\n")
+    recorded.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    refused(recorded, "the run did not end: stopping after 1 failures", arguments=("-x",))
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("open('arm.xml', 'a').write('<!-- -->')", "arm.xml"),
+        ("open('golden/fk/home.yaml', 'a').write('# \\n')", "golden/fk/home.yaml"),
+        ("open('golden/more.yaml', 'w').write('a: 1')", "golden/more.yaml: a spec that was not"),
+    ],
+)
+def test_what_changes_under_the_run_is_refused(recorded, code, words) -> None:
+    recorded.write("test_zz.py", f"def test_sabotage():\n    {code}\n")
+    refused(recorded, f"changed while it ran: {recorded.root}/{words}")
+
+
+def test_a_version_that_changes_under_the_run_is_refused(recorded) -> None:
+    recorded.write(
+        "test_zz.py",
+        "from importlib import metadata\n"
+        "true = metadata.version\n"
+        "def test_sabotage(monkeypatch_session=None):\n"
+        "    metadata.version = lambda name: '9.9' if name == 'pin' else true(name)\n",
+    )
+    result = recorded.run_apart("--twin-release")
+    result.stdout.fnmatch_lines(["  changed while it ran: library:pin * -> 9.9"])
+    assert recorded.releases == []
+
+
+def test_two_twins_are_judged_each_on_its_own(released, pytester) -> None:
+    shutil.copytree(released.root, pytester.path / "other")
+    (pytester.path / "other" / "golden" / "fk" / "home.yaml").unlink()
+    result = pytester.runpytest_inprocess(
+        "-p", "no:xdist", "--twin-release", str(released.root), str(pytester.path / "other")
+    )
+    result.stdout.fnmatch_lines(["release 0001 still holds", "*golden/fk/home: missing: *"])
+    assert result.ret == pytest.ExitCode.TESTS_FAILED

@@ -1,0 +1,65 @@
+"""--twin-report, --twin-key and --twin-timeout, each with its ini twin."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+
+def test_the_report_lies_in_the_twins_own_output(released) -> None:
+    released.run()
+    page = (released.root / ".twin" / "report.html").read_text()
+    assert "golden/fk/home" in page
+
+
+def test_the_report_goes_where_it_is_sent(released) -> None:
+    released.run("--twin-report", "out/gate.html").stdout.fnmatch_lines(
+        [f"report: {released.root}/out/gate.html"]
+    )
+    assert (released.root / "out" / "gate.html").is_file()
+    released.write("pytest.ini", "[pytest]\ntwin_report = from_ini.html\n")
+    released.run()
+    assert (released.root / "from_ini.html").is_file()
+
+
+def test_a_key_that_the_twin_does_not_trust_signs_nothing(released) -> None:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import (
+        Encoding,
+        NoEncryption,
+        PrivateFormat,
+    )
+
+    key = Ed25519PrivateKey.generate()
+    path = released.pytester.path / "foreign.pem"
+    path.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    path.chmod(0o600)
+    released.edit("golden/fk/home.yaml", "position: 0.1 mm", "position: 0.2 mm")
+    for how in ("flag", "ini"):
+        if how == "ini":
+            released.write("pytest.ini", f"[pytest]\ntwin_key = {path}\n")
+        arguments = ("--twin-key", str(path)) if how == "flag" else ()
+        result = released.run("--twin-release", *arguments)
+        result.stdout.fnmatch_lines(["no release:", "*is not among the keys that this twin*"])
+        assert result.ret == pytest.ExitCode.TESTS_FAILED
+    assert released.releases == ["0001"]
+
+
+def test_a_golden_past_its_time_fails_alone(recorded) -> None:
+    recorded.task("long", "return {'reach': 1.0}")
+    assert recorded.run("--twin-update", "-k", "long").ret == 0
+    recorded.write("long.py", "import time\ndef run(realization):\n    time.sleep(60)\n")
+    start = time.monotonic()
+    result = recorded.run("--twin-timeout", "3")
+    assert time.monotonic() - start < 30
+    result.assert_outcomes(passed=2, failed=1)
+    result.stdout.fnmatch_lines(["*ran past its bound of time and was killed*at most 3 s*"])
+
+
+@pytest.mark.parametrize("value", ["0", "soon", "nan", "-1"])
+def test_a_bound_that_is_none(recorded, value) -> None:
+    recorded.write("pytest.ini", f"[pytest]\ntwin_timeout = {value}\n")
+    result = recorded.run()
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["ERROR: --twin-timeout: *expected a number of seconds"])
