@@ -136,10 +136,11 @@ class Structure:
         wanted = frozenset(joints)
         return self._remember(("dynamics", wanted), lambda: self._dynamics_of(wanted))
 
-    def contact(self, bodies: Iterable[str] | None = None) -> frozenset[str]:
-        """Geometry of contact of ``bodies`` (all by default) at a pose: their chains, shapes,
-        meshes, contact parameters, the pairs that are declared or disabled, and options."""
-        wanted = self.collision_bodies if bodies is None else frozenset(bodies)
+    def contact(self, names: Iterable[str] | None = None) -> frozenset[str]:
+        """Geometry of contact of bodies or geoms (all bodies by default) at a pose: their chains,
+        shapes, meshes, contact parameters, the pairs that are declared, disabled or filtered, and
+        options."""
+        wanted = self.collision_bodies if names is None else frozenset(names)
         return self._remember(("contact", wanted), lambda: self._contact(wanted))
 
     def actuation(self, joints: Iterable[str]) -> frozenset[str]:
@@ -156,8 +157,11 @@ class Structure:
         return frozenset({self._id(f"keyframe:{name}")})
 
     def everything(self) -> frozenset[str]:
-        """All parts: for checks that may look at anything."""
-        return self.part_ids
+        """All parts but shapes that are only seen: for checks that may look at anything."""
+        seen = self._id("geom:")
+        return self._remember(
+            "everything", lambda: frozenset(i for i in self.part_ids if not i.startswith(seen))
+        )
 
     # -- walks over the model
 
@@ -232,13 +236,18 @@ class Structure:
             {a for a, ends in self.actuator_bodies.items() if not moving.isdisjoint(ends)},
         )
         parts |= {self._id("option:gravity"), self._id("option:integration")}
-        parts |= self._known({self._id("contact:pairs")})
+        if not moving.isdisjoint(self.collision_bodies):
+            parts |= self._known({self._id("contact:pairs")})
         return frozenset(parts)
 
-    def _contact(self, bodies: frozenset[str]) -> frozenset[str]:
-        meshes = {mesh for body in bodies for mesh in self.body_meshes.get(body, ())}
-        shapes = self._layer("collision", bodies) | self._known({self._id("contact:pairs")})
-        return self.chain(bodies) | meshes | shapes | {self._id("option:integration")}
+    def _contact(self, names: frozenset[str]) -> frozenset[str]:
+        bodies = {self.geom_body.get(name, name) for name in names}
+        # A geom may bear a body's name: both count.
+        bodies |= {name for name in names if name in self.body_parent}
+        parts = self._layer("geom", names) | self._layer("collision", bodies)
+        parts |= {mesh for body in bodies for mesh in self.body_meshes.get(body, ())}
+        parts |= self._known({self._id("contact:pairs"), self._id("contact:filter")})
+        return self.chain(bodies) | parts | {self._id("option:integration")}
 
     def _actuation(self, joints: frozenset[str]) -> frozenset[str]:
         bodies = {self.joint_body[joint] for joint in joints if joint in self.joint_body}

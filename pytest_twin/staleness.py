@@ -389,6 +389,9 @@ def changes(before: Part, after: Part) -> list[Reason]:
         was, now = old.get(name), new.get(name)
         if name in old and name in new and canonical(was) == canonical(now):
             continue
+        if [] in (was, now) and not (name in old and name in new):
+            # A list that got its first element, or lost its last: the element is named.
+            continue
         match = _UNIT.fullmatch(name)
         title, unit = (match[1], f" {match[2]}") if match else (name, "")
         found.append(

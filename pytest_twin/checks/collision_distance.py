@@ -97,16 +97,14 @@ class CollisionDistance(Check):
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
         """Shapes and chains of the pairs, the masks of all bodies, and the disabled pairs."""
-        bodies = {
-            structure.geom_body.get(name, name) for pair in golden.target["pairs"] for name in pair
-        }
+        names = {name for pair in golden.target["pairs"] for name in pair}
         masks = {
             part
             for part in structure.part_ids
             if part.startswith(f"{structure.realization}/collision:")
         }
         keyframes = [structure.keyframe(name) for name in keyframes_of(golden)]
-        return structure.contact(bodies).union(
+        return structure.contact(names).union(
             masks, {f"{structure.realization}/contact:pairs"}, *keyframes
         )
 

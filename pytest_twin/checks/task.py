@@ -97,6 +97,8 @@ class Task(Check):
             parts |= {f"library:{name}" for name in _distributions(place)}
         parts |= {f"file:{name}" for name in golden.target.get("files", ())}
         parts |= {f"calibration:{joint}" for joint in structure.joint_body}
+        # The function may ask for any variant.
+        parts |= {"controller:*", "payload:*", "calibration:*", "base:calibration"}
         return parts
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:

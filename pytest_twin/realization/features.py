@@ -282,7 +282,12 @@ class _Content:
             found[f"mesh:{names.mesh[mesh]}"] = self.mesh(mesh)
         for hfield in sorted(self.felt_data({"hfield"})):
             found[f"hfield:{names.hfield[hfield]}"] = self.hfield(hfield)
+        for geom in range(model.ngeom):
+            name = mujoco.mj_id2name(model, _OBJ.mjOBJ_GEOM, geom)
+            if name and not names.felt[geom]:
+                found[f"geom:{name}"] = self.seen(geom)
         found["contact:pairs"] = self.pairs()
+        found["contact:filter"] = self.filtered()
         for coupling, value in self.couplings():
             # An equality and a tendon may bear one name.
             found.setdefault(f"coupling:{coupling}", {}).update(value)
@@ -445,6 +450,23 @@ class _Content:
                 for g in names.geoms_of(body)
             ]
         }
+
+    def seen(self, geom: int) -> dict[str, Any]:
+        """A geom that never collides: its distance can be asked for all the same."""
+        data = int(self.model.geom_dataid[geom])
+        content = {"body": self.names.body[int(self.model.geom_bodyid[geom])], **self.shape(geom)}
+        return content | (self.mesh(data) if "mesh" in content else {})
+
+    def filtered(self) -> dict[str, Any]:
+        """What is welded to what: neighbours are not tested for contact."""
+        model, body = self.model, self.names.body
+        found = {}
+        for b in range(model.nbody):
+            if self.names.geoms_of(b):
+                weld = int(model.body_weldid[b])
+                above = int(model.body_weldid[model.body_parentid[weld]])
+                found[body[b]] = [body[weld], body[above]]
+        return found
 
     def felt_data(self, kinds: set[str]) -> set[int]:
         """Meshes or height fields of geoms that can be felt, in a contact or in a fluid."""

@@ -1,0 +1,47 @@
+"""What the tests of staleness share: a twin's stock of today, taken in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from pytest_twin.checks import check_of
+from pytest_twin.checks.files import find_file
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.gate.parts import installed_version
+from pytest_twin.gate.specs import load_golden, spec_paths
+from pytest_twin.golden import Golden
+from pytest_twin.realization import load
+from pytest_twin.staleness import Baseline, Model, Stock, Surroundings, take_stock
+from pytest_twin.twin import Twin, load_twin
+
+
+def stock_of(root: Path, versions: Mapping[str, str] | None = None) -> Stock:
+    """Parts and dependencies of the twin in a folder, as the gate takes them."""
+    twin = load_twin(root / "twin.yaml")
+    goldens = [load_golden(path, twin) for path in spec_paths(twin)]
+    models = {}
+    for name, ref in twin.realizations.items():
+        realization = load(ref.file, twin=twin, name=name)
+        models[name] = Model(realization.parts, realization.structure)
+    return take_stock(twin, goldens, models, surroundings(twin, versions or {}))
+
+
+def surroundings(twin: Twin, versions: Mapping[str, str]) -> Surroundings:
+    def file_digest(golden: Golden | None, reference: str) -> str | None:
+        try:
+            path = Path(reference) if golden is None else find_file(golden, "", reference, twin)
+            return file_sha256(path)
+        except TwinError:
+            return None
+
+    def version(name: str) -> str:
+        return versions.get(name, installed_version(name))
+
+    return Surroundings(check_of, version, file_digest)
+
+
+def proven(stock: Stock, number: int = 1) -> Baseline:
+    """A release in which everything of a stock has passed."""
+    return Baseline(number, stock.parts, dict.fromkeys(stock.rests_on, True), stock.rests_on)
