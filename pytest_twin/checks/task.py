@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import importlib.util
@@ -16,7 +17,7 @@ from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.fields import spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Structure
-from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
 from pytest_twin.units import SI_UNITS, parse_quantity
 
@@ -103,21 +104,19 @@ class Task(Check):
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Call the function and hold what it returns against what the spec declares."""
-        function = _function(golden, realization)
         outputs = golden.target["outputs"]
-        try:
-            returned = function(realization, **golden.stimulus)
-        except TwinError:
-            raise
-        except TypeError as error:
-            if error.__traceback__ is not None and error.__traceback__.tb_next is None:
+        with _function(golden, realization) as function:
+            try:
+                returned = function(realization, **golden.stimulus)
+            except TypeError as error:
+                if error.__traceback__ is None or error.__traceback__.tb_next is not None:
+                    raise
                 raise spec_error(
                     golden,
                     "stimulus",
                     f"the function cannot be called so: {error}",
                     expected="function(realization, **stimulus)",
                 ) from error
-            raise
         progress(1.0)
         if not isinstance(returned, Mapping):
             raise _refuse(
@@ -231,52 +230,72 @@ def _distributions(module: str) -> tuple[str, ...]:
     return tuple(metadata.packages_distributions().get(module.partition(".")[0], ()))
 
 
-def _function(golden: Golden, realization: Realization) -> Callable[..., Any]:
+@contextlib.contextmanager
+def _function(golden: Golden, realization: Realization) -> Iterator[Callable[..., Any]]:
+    """The function, while its own folder can be imported from."""
     place, _, name = golden.target["function"].partition(":")
     field = "target.function"
-    if place.endswith(".py"):
-        if realization.twin is None:
-            raise SpecError("a task golden needs a twin.yaml", path=golden.path)
-        module = _load(golden, find_file(golden, field, place, realization.twin))
-    else:
-        try:
-            module = importlib.import_module(place)
-        except ImportError as error:
-            raise spec_error(
-                golden,
-                field,
-                f"cannot be imported: {error}",
-                value=place,
-                expected="an installed module, or a file ending in .py",
-            ) from error
-        if not _distributions(place):
-            raise spec_error(
-                golden,
-                field,
-                "no installed distribution brings this module, so a change of it goes unseen",
-                value=place,
-                expected="an installed module, or a file ending in .py",
-            )
-    found: Callable[..., Any] | None = getattr(module, name, None)
-    if not callable(found):
-        raise spec_error(golden, field, f"no function of this name in {place}", value=name)
-    return found
+    with contextlib.ExitStack() as stack:
+        if place.endswith(".py"):
+            if realization.twin is None:
+                raise SpecError("a task golden needs a twin.yaml", path=golden.path)
+            path = find_file(golden, field, place, realization.twin)
+            stack.enter_context(_importable(path.parent))
+            module = _load(path)
+        else:
+            module = _installed(golden, field, place)
+        found: Callable[..., Any] | None = getattr(module, name, None)
+        if not callable(found):
+            raise spec_error(golden, field, f"no function of this name in {place}", value=name)
+        yield found
 
 
-def _load(golden: Golden, path: Path) -> ModuleType:
-    """Run a file as a module of its own, afresh: the child may have seen an older one."""
+def _installed(golden: Golden, field: str, place: str) -> ModuleType:
+    expected = "an installed module, or a file ending in .py"
+    if not _distributions(place):
+        raise spec_error(
+            golden,
+            field,
+            "no installed distribution brings this module",
+            value=place,
+            expected=expected,
+        )
+    try:
+        return importlib.import_module(place)
+    except ImportError as error:
+        raise spec_error(
+            golden, field, f"cannot be imported: {error}", value=place, expected=expected
+        ) from error
+
+
+@contextlib.contextmanager
+def _importable(folder: Path) -> Iterator[None]:
+    """Let modules beside a file be imported; forget them afterwards.
+
+    The child lives on, and another golden's ``helper.py`` is another module.
+    """
+    before = set(sys.modules)
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))
+        for name in set(sys.modules) - before:
+            file = getattr(sys.modules[name], "__file__", None)
+            if file is not None and Path(file).is_relative_to(folder):
+                del sys.modules[name]
+
+
+def _load(path: Path) -> ModuleType:
+    """Run a file as a module of its own."""
     spec = importlib.util.spec_from_file_location(f"pytest_twin_task_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise spec_error(golden, "target.function", "not a Python file", value=str(path))
+        raise SpecError("not a Python file", path=path)
     module = importlib.util.module_from_spec(spec)
     # Dataclasses and pickling look a module up by its name.
     sys.modules[spec.name] = module
-    folder = str(path.parent)
-    sys.path.insert(0, folder)
     try:
         spec.loader.exec_module(module)
     except SyntaxError as error:
         raise SpecError(f"not valid Python: {error.msg}", path=path, line=error.lineno) from error
-    finally:
-        sys.path.remove(folder)
     return module
