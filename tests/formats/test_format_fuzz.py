@@ -59,7 +59,14 @@ def read_xml(path: Path) -> None:
 
 READERS: dict[str, tuple[Callable[[Path], object], list[bytes]]] = {
     "yaml": (read_yaml, [SPEC]),
-    "xml": (read_xml, [URDF, URDF.decode().replace("utf-8", "utf-16").encode("utf-16")]),
+    "xml": (
+        read_xml,
+        [
+            URDF,
+            URDF.replace(b"<!-- <!DOCTYPE none> -->\n", b""),
+            URDF.decode().replace("utf-8", "utf-16").encode("utf-16"),
+        ],
+    ),
     "trace": (read_trace, [TRACE]),
     "mcap": (
         read_recording,

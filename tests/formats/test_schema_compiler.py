@@ -86,6 +86,49 @@ def test_agrees_with_jsonschema(body: dict[str, Any], shared: Any, data: list[An
         assert fits(value) == authority.is_valid(value), value
 
 
+INSTANCES: list[Any] = [
+    *(None, True, False, 0, 1, 2, 3, 1.0, 2.5, -1, "", "a", "b", "ab", "abcd"),
+    *([], [1], [1, 1], [1, True], [1, 1.0], ["a"], ["a", 1], [1, "a"], ["a", "a"], [1, 2, "a"]),
+    *({}, {"a": 1}, {"a": "x"}, {"b": 1}, {"a": 1, "b": 1}, {"a": True}, {"ab": "x"}),
+    *({"a": 1, "b": 2, "c": 3}, {"a": {"a": 1}}, {"a": [1]}, [{"a": 1}, {"a": 1.0}]),
+]
+SCHEMAS: list[dict[str, Any]] = [
+    *({"type": name} for name in ("object", "array", "string", "number", "integer", "boolean")),
+    *({"type": "null"}, {"type": ["string", "null"]}, {"enum": ["a", "b"]}, {"enum": [1, "a"]}),
+    *({"enum": [True]}, {"enum": [[1], {"a": 1}]}, {"const": 1}, {"const": True}, {"const": 1.0}),
+    *({"const": [1, 1]}, {"const": {"a": 1}}, {"required": ["a", "b"]}),
+    {"properties": {"a": {"type": "string"}}},
+    {"properties": {"a": True}, "additionalProperties": False},
+    {"properties": {"a": True}, "additionalProperties": {"const": 1}},
+    {"patternProperties": {"^a": {"type": "string"}}, "additionalProperties": False},
+    {"properties": {"a": {"type": "integer"}}, "patternProperties": {"a": {"minimum": 2}}},
+    *({"propertyNames": {"maxLength": 1}}, {"minProperties": 1}, {"maxProperties": 1}),
+    *({"dependentRequired": {"a": ["b"]}}, {"items": {"type": "number"}}, {"items": False}),
+    {"prefixItems": [{"type": "number"}]},
+    {"prefixItems": [{"type": "number"}], "items": {"type": "string"}},
+    *({"minItems": 2}, {"maxItems": 1}, {"uniqueItems": True}, {"uniqueItems": False}),
+    *({"minLength": 2}, {"maxLength": 1}, {"pattern": "b"}, {"pattern": "^a$"}),
+    *({"minimum": 1}, {"maximum": 1}, {"exclusiveMinimum": 1}, {"exclusiveMaximum": 1}),
+    *({"allOf": [{"minimum": 1}, {"maximum": 2}]}, {"anyOf": [{"const": 1}, {"type": "string"}]}),
+    *({"oneOf": [{"minimum": 1}, {"maximum": 2}]}, {"not": {"type": "string"}}),
+    {"if": {"type": "string"}, "then": {"minLength": 1}, "else": {"type": "number"}},
+    *({"if": {"type": "string"}, "then": {"minLength": 1}}, {"then": False}, {"else": False}),
+    {"if": {"type": "string"}, "else": False},
+    {"allOf": [{"type": "object"}, {"required": ["a"]}, {"maxProperties": 2}]},
+    {"$defs": {"x/y~z": {"const": 1}}, "$ref": "#/$defs/x~1y~0z"},
+    {"title": "t", "description": "d", "format": "date", "default": 3, "examples": [1]},
+]
+
+
+@pytest.mark.parametrize("body", SCHEMAS, ids=str)
+def test_every_keyword_agrees_with_jsonschema(body: dict[str, Any]) -> None:
+    fits = compile_schema(body)
+    assert fits is not None
+    authority = jsonschema.Draft202012Validator(body)
+    for value in INSTANCES:
+        assert fits(value) == authority.is_valid(value), value
+
+
 def test_a_schema_may_refer_to_itself() -> None:
     tree = {
         "$ref": "#/$defs/node",
