@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hypothesis import strategies as st
+
 from pytest_twin.checks.base import Check, Measure
 from pytest_twin.golden import Golden
 from pytest_twin.realization import Realization, load
@@ -29,11 +31,11 @@ ARM = """
             <geom name="palm" type="box" size="0.04 0.02 0.01" mass="0.1"/>
             <site name="tcp" pos="0 0 0.05" euler="0 0 0.3"/>
             <body name="left" pos="0.01 0 0.03">
-              <joint name="left" type="slide" axis="1 0 0" range="0 0.03" damping="5"/>
+              <joint name="left" type="slide" axis="1 0 0" range="0 0.03" damping="5" armature="0.2"/>
               <geom name="left" type="box" size="0.004 0.01 0.02" mass="0.02"/>
             </body>
             <body name="right" pos="-0.01 0 0.03">
-              <joint name="right" type="slide" axis="-1 0 0" range="0 0.03" damping="5"/>
+              <joint name="right" type="slide" axis="-1 0 0" range="0 0.03" damping="5" armature="0.2"/>
               <geom name="right" type="box" size="0.004 0.01 0.02" mass="0.02"/>
             </body>
           </body>
@@ -116,3 +118,51 @@ def record(check: Check, spec: Golden, realization: Realization) -> Golden:
 
 def failed(measures: list[Measure]) -> list[Measure]:
     return [measure for measure in measures if not measure.passed]
+
+
+def numbers(count: int, size: float = 1.0) -> st.SearchStrategy[list[float]]:
+    return st.lists(
+        st.floats(-size, size).map(lambda x: round(x, 3)), min_size=count, max_size=count
+    )
+
+
+def directions(count: int = 3) -> st.SearchStrategy[list[float]]:
+    return numbers(count).filter(lambda v: sum(x * x for x in v) > 0.05)
+
+
+@st.composite
+def random_robots(draw: st.DrawFn) -> str:
+    """MJCF of a tree of up to six bodies, each with zero to two joints and any inertia."""
+    count = draw(st.integers(2, 6))
+    parents = [-1] + [draw(st.integers(0, i - 1)) for i in range(1, count)]
+
+    def words(values: list[float]) -> str:
+        return " ".join(f"{x:g}" for x in values)
+
+    def body(i: int) -> str:
+        joints = ""
+        for k in range(draw(st.integers(0 if i else 1, 2))):
+            kind = draw(st.sampled_from(["hinge", "slide"]))
+            joints += (
+                f'<joint name="j{i}_{k}" type="{kind}" axis="{words(draw(directions()))}" '
+                f'pos="{words(draw(numbers(3, 0.2)))}" range="-1 1.5" '
+                f'ref="{draw(st.sampled_from([0, 0.2]))}"/>'
+            )
+        low = draw(st.floats(0.01, 0.1))
+        inertial = (
+            f'<inertial mass="{draw(st.floats(0.1, 5)):.3f}" pos="{words(draw(numbers(3, 0.3)))}" '
+            f'quat="{words(draw(directions(4)))}" '
+            f'diaginertia="{low:.4f} {1.1 * low:.4f} {1.5 * low:.4f}"/>'
+        )
+        children = "".join(body(c) for c in range(count) if parents[c] == i)
+        return (
+            f'<body name="b{i}" pos="{words(draw(numbers(3)))}" quat="{words(draw(directions(4)))}">'
+            f'{joints}{inertial}<site name="s{i}" pos="{words(draw(numbers(3, 0.2)))}" '
+            f'quat="{words(draw(directions(4)))}"/>{children}</body>'
+        )
+
+    gravity = words(draw(numbers(3, 10)))
+    return (
+        f'<mujoco><compiler angle="radian" autolimits="true"/><option gravity="{gravity}"/>'
+        f"<worldbody>{body(0)}</worldbody></mujoco>"
+    )

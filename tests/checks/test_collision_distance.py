@@ -260,7 +260,7 @@ def test_a_mesh_in_millimetres_fails(tmp_path: Path) -> None:
     spec = record(CHECK, spec, robot(tmp_path, text))
     huge = text.replace("1 1 1", "1000 1000 1000")
     faults = failed(measure(CHECK, spec, robot(tmp_path, huge)))
-    assert [m.against for m in faults if m.name == "distance"][0] == "golden"
+    assert next(m.against for m in faults if m.name == "distance") == "golden"
     assert failed(measure(CHECK, spec, robot(tmp_path, text))) == []
 
 

@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from check_robots import ARM, failed, from_first, golden, measure, random_robots, record, robot
+from hypothesis import HealthCheck, given, settings
+
+from pytest_twin.checks.fk import ForwardKinematics
+from pytest_twin.errors import SpecError
+
+CHECK = ForwardKinematics()
+
+
+def arm_spec(**changes: object) -> object:
+    fields = {
+        "target": {"frames": ["tcp", "left"]},
+        "stimulus": {"poses": ["home", {"joints": {"elbow": "90 deg"}}, {"seed": 1, "count": 5}]},
+        "tolerance": {"position": "1 um", "orientation": "1e-6 rad"},
+    }
+    return golden(CHECK, **fields | changes)
+
+
+def test_an_arm_agrees_with_record_and_pinocchio(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    measures = measure(CHECK, record(CHECK, arm_spec(), arm), arm)
+    assert failed(measures) == []
+    assert len(measures) == 8
+    assert all(m.error < 1e-12 for m in measures)
+
+
+def test_the_closed_form_of_the_elbow(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    spec = arm_spec(stimulus={"poses": [{"name": "bent", "joints": {"elbow": "90 deg"}}]})
+    observation = CHECK.observe(spec, arm, lambda fraction: None)
+    position = observation.values["frames"]["bent"]["tcp"][:3]
+    np.testing.assert_allclose(position, [0.25, 0, 0.1 + 0.08 + 0.3], atol=1e-12)
+
+
+# Each is a fault of the kind that a supplier's update brings.
+FAULTS = {
+    "flipped axis": ('name="elbow" axis="0 1 0"', 'name="elbow" axis="0 -1 0"', "both"),
+    "swapped axis": ('name="elbow" axis="0 1 0"', 'name="elbow" axis="1 0 0"', "both"),
+    "millimetres": (
+        '<body name="forearm" pos="0 0 0.3">',
+        '<body name="forearm" pos="0 0 300">',
+        "both",
+    ),
+    "turned tool": ('euler="0 0 0.3"', 'euler="0 0 0.31"', "tcp"),
+    "moved tool": ('pos="0 0 0.05" euler', 'pos="0 0 0.0501" euler', "tcp"),
+    "mimic the other way": ("0 1 0 0 0", "0 -1 0 0 0", "none"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_fail(tmp_path: Path, fault: str) -> None:
+    old, new, frames = FAULTS[fault]
+    spec = record(CHECK, arm_spec(), robot(tmp_path))
+    assert ARM.count(old) == 1
+    faults = failed(measure(CHECK, spec, robot(tmp_path, ARM.replace(old, new))))
+    expected = {"both": {"tcp", "left"}, "tcp": {"tcp"}, "none": set()}[frames]
+    assert {m.subject.split()[0] for m in faults} == expected
+    assert {m.against for m in faults} <= {"golden"}
+
+
+def test_a_mimic_fault_fails_the_follower(tmp_path: Path) -> None:
+    spec = record(CHECK, arm_spec(target={"frames": ["right"]}), robot(tmp_path))
+    turned = robot(tmp_path, ARM.replace("0 1 0 0 0", "0 -1 0 0 0"))
+    assert {m.name for m in failed(measure(CHECK, spec, turned))} == {"position"}
+
+
+def test_the_worst_pose_is_named_with_its_error(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    spec = record(CHECK, arm_spec(), arm)
+    observation = CHECK.observe(spec, arm, lambda fraction: None)
+    observation.values["frames"]["seed 1 #3"]["tcp"][2] += 0.0021
+    [fault] = failed([m for m in CHECK.compare(spec, observation, None) if m.against == "golden"])
+    assert fault.subject == "tcp at seed 1 #3"
+    assert fault.error == pytest.approx(0.0021)
+    assert fault.margin == pytest.approx(1e-6 - 0.0021)
+    assert fault.unit == "m"
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_fails(tmp_path: Path, bad: float) -> None:
+    arm = robot(tmp_path)
+    spec = record(CHECK, arm_spec(), arm)
+    observation = CHECK.observe(spec, arm, lambda fraction: None)
+    observation.values["frames"]["home"]["tcp"][0] = bad
+    assert {m.subject for m in failed(CHECK.compare(spec, observation, None))} == {"tcp at home"}
+
+
+def test_a_pose_that_was_not_recorded_fails(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    spec = record(CHECK, arm_spec(), arm)
+    del spec.expected["frames"]["home"]
+    faults = failed(measure(CHECK, spec, arm))
+    assert {(m.subject, m.against) for m in faults} == {
+        ("tcp at home", "golden"),
+        ("left at home", "golden"),
+    }
+
+
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(text=random_robots())
+def test_random_robots_agree_with_pinocchio(tmp_path: Path, text: str) -> None:
+    realization = robot(tmp_path, text)
+    spec = from_first(CHECK, realization)
+    measures = measure(CHECK, spec, realization)
+    assert failed(measures) == []
+    assert measures
+
+
+def test_an_engine_that_disagrees_with_pinocchio_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = robot(tmp_path)
+    arm.reference  # built from the sound model
+    arm.model.jnt_axis[arm.joint_index("lift")] *= -1.0
+    faults = failed(measure(CHECK, arm_spec(), arm))
+    assert {m.against for m in faults} == {"pinocchio"}
+
+
+def test_unknown_frames_point_at_the_line(tmp_path: Path) -> None:
+    spec = arm_spec(target={"frames": ["tpc"]}, lines={"target.frames": 4, "target.frames.0": 5})
+    with pytest.raises(SpecError) as caught:
+        measure(CHECK, spec, robot(tmp_path))
+    assert str(caught.value) == (
+        "golden/spec.yaml:5: target.frames.0: no frame of this name "
+        "(got 'tpc'; expected did you mean 'tcp'?)"
+    )
+
+
+def test_what_it_rests_on(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    parts = set(CHECK.depends(arm_spec(), arm.structure))
+    assert parts <= set(arm.parts)
+    assert "mujoco/kinematics:forearm" in parts
+    assert "mujoco/keyframe:home" in parts
+    assert not any(":limit" in p or "/inertia:" in p or "/actuator:" in p for p in parts)
+    assert not any(p.startswith("mujoco/limit:") for p in parts)
+    [only] = [
+        p
+        for p in CHECK.depends(arm_spec(target={"frames": ["right"]}), arm.structure)
+        if "coupling" in p
+    ]
+    assert "mimic" in only
+
+
+def test_a_first_spec_names_tools_and_leaves(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    assert CHECK.first(arm)[0]["target"] == {"frames": ["left", "right", "tcp"]}
+    spec = record(CHECK, from_first(CHECK, arm), arm)
+    assert failed(measure(CHECK, spec, arm)) == []
+
+
+def test_a_model_without_joints_has_no_first_spec(tmp_path: Path) -> None:
+    rigid = robot(tmp_path, '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>')
+    assert CHECK.first(rigid) == []
