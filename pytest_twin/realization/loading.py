@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -112,9 +113,13 @@ def load(
     if twin is not None and base is not None:
         patch.place_base(spec, base, refuse=twin.error, where="calibration.base")
     try:
-        model = spec.compile()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise mjcf.translate(error, path, places) from None
+    said = tuple(f"{path}: MuJoCo warns: {' '.join(str(w.message).split())}" for w in caught)
+    source = replace(source, notes=source.notes + said)
     return Realization(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
 
 

@@ -118,7 +118,8 @@ class Reference:
         change = np.eye(joint.nv)
         if joint.nv == 6:
             x, y, z, w = configuration[joint.idx_q + 3 : joint.idx_q + 7]
-            change[:3, :3] = self._rigid.world.rotation @ pin.Quaternion(w, x, y, z).matrix()
+            turn = pin.Quaternion(w, x, y, z).matrix()
+            change[:3, :3] = self._before(joint).rotation @ turn
         return change
 
     def _configuration(self, q: Mapping[str, Value]) -> Vector:
@@ -153,5 +154,9 @@ class Reference:
             turned: Vector = np.roll(values / np.linalg.norm(values), -1)
             return turned
         turn = values[3:] / np.linalg.norm(values[3:])
-        pose = self._rigid.world.actInv(pin.SE3(pin.Quaternion(*turn), values[:3]))
+        pose = self._before(joint).actInv(pin.SE3(pin.Quaternion(*turn), values[:3]))
         return np.asarray(pin.SE3ToXYZQUAT(pose), dtype=np.float64)
+
+    def _before(self, joint: pin.JointModel) -> pin.SE3:
+        """Where a free joint starts in the world; its value is told from the world itself."""
+        return self._rigid.world * self.model.jointPlacements[joint.id]
