@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
 from pytest_twin.checks.base import Check, Measure
@@ -31,11 +32,13 @@ ARM = """
             <geom name="palm" type="box" size="0.04 0.02 0.01" mass="0.1"/>
             <site name="tcp" pos="0 0 0.05" euler="0 0 0.3"/>
             <body name="left" pos="0.01 0 0.03">
-              <joint name="left" type="slide" axis="1 0 0" range="0 0.03" damping="5" armature="0.2"/>
+              <joint name="left" type="slide" axis="1 0 0"
+                range="0 0.03" damping="5" armature="0.2"/>
               <geom name="left" type="box" size="0.004 0.01 0.02" mass="0.02"/>
             </body>
             <body name="right" pos="-0.01 0 0.03">
-              <joint name="right" type="slide" axis="-1 0 0" range="0 0.03" damping="5" armature="0.2"/>
+              <joint name="right" type="slide" axis="-1 0 0"
+                range="0 0.03" damping="5" armature="0.2"/>
               <geom name="right" type="box" size="0.004 0.01 0.02" mass="0.02"/>
             </body>
           </body>
@@ -130,6 +133,15 @@ def directions(count: int = 3) -> st.SearchStrategy[list[float]]:
     return numbers(count).filter(lambda v: sum(x * x for x in v) > 0.05)
 
 
+# Robots shrink slowly; the example that failed is printed whole.
+QUICK = settings(
+    max_examples=25,
+    deadline=None,
+    phases=(Phase.explicit, Phase.generate),
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+
+
 @st.composite
 def random_robots(draw: st.DrawFn) -> str:
     """MJCF of a tree of up to six bodies, each with zero to two joints and any inertia."""
@@ -141,8 +153,8 @@ def random_robots(draw: st.DrawFn) -> str:
 
     def body(i: int) -> str:
         joints = ""
-        for k in range(draw(st.integers(0 if i else 1, 2))):
-            kind = draw(st.sampled_from(["hinge", "slide"]))
+        kinds = draw(st.sampled_from([["hinge"], ["slide"], ["slide", "hinge"], []]))
+        for k, kind in enumerate(kinds if i else kinds or ["hinge"]):
             joints += (
                 f'<joint name="j{i}_{k}" type="{kind}" axis="{words(draw(directions()))}" '
                 f'pos="{words(draw(numbers(3, 0.2)))}" range="-1 1.5" '
@@ -156,7 +168,8 @@ def random_robots(draw: st.DrawFn) -> str:
         )
         children = "".join(body(c) for c in range(count) if parents[c] == i)
         return (
-            f'<body name="b{i}" pos="{words(draw(numbers(3)))}" quat="{words(draw(directions(4)))}">'
+            f'<body name="b{i}" pos="{words(draw(numbers(3)))}" '
+            f'quat="{words(draw(directions(4)))}">'
             f'{joints}{inertial}<site name="s{i}" pos="{words(draw(numbers(3, 0.2)))}" '
             f'quat="{words(draw(directions(4)))}"/>{children}</body>'
         )

@@ -167,6 +167,8 @@ def test_held_joints_cost_a_light_finger_none_of_its_stop(tmp_path: Path) -> Non
     single = ARM.replace(' armature="0.2"', "").replace(
         '<joint name="mimic" joint1="right" joint2="left" polycoef="0 1 0 0 0"/>', ""
     )
+    assert 'armature="0.2"' not in single
+    assert "mimic" not in single
     stops = [
         CHECK.observe(arm_spec(joints), robot(tmp_path, text), lambda fraction: None).values[
             "joints"

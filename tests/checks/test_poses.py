@@ -90,9 +90,10 @@ def test_couplings_of_every_degree_leave_no_residual(tmp_path: Path, coefficient
 
 def test_random_poses_keep_limits_of_masters_and_followers(tmp_path: Path) -> None:
     narrow = ARM.replace(
-        'name="right" type="slide" axis="-1 0 0" range="0 0.03"',
-        'name="right" type="slide" axis="-1 0 0" range="0 0.012"',
+        'axis="-1 0 0"\n                range="0 0.03"',
+        'axis="-1 0 0" range="0 0.012"',
     )
+    assert narrow != ARM
     arm = robot(tmp_path, narrow)
     drawn = poses(arm, {"seed": 4, "count": 100})
     for pose in drawn:
