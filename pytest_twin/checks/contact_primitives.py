@@ -92,17 +92,21 @@ def _approach(golden: Golden, scene: Scene, progress: Progress) -> Observation:
 
 
 def _release(golden: Golden, scene: Scene, progress: Progress) -> Observation:
+    from pytest_twin.realization import scene as stage
+
     record = _Record(scene, scene.geoms)
     height: list[float] = []
+    velocity: list[float] = []
 
     def observe() -> None:
         record()
-        height.append(float(scene.data.xipos[scene.bodies[0], 2]))
+        body = scene.bodies[0]
+        height.append(float(scene.data.xipos[body, 2]))
+        velocity.append(stage.velocity_of(scene.model, scene.data, body)[2])
 
     run = scene.run(scene.seconds("duration"), observe, progress)
     heights = np.array(height)
-    velocity = np.diff(heights, prepend=heights[0]) / float(scene.model.opt.timestep)
-    bounce = metrics.rebound(heights, velocity, np.array(record.touching))
+    bounce = metrics.rebound(heights, np.array(velocity), np.array(record.touching))
     values = record.values(run.time) | {
         "rebound": None if bounce is None else bounce.height,
         "restitution": None if bounce is None else bounce.restitution,

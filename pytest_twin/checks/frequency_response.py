@@ -59,8 +59,9 @@ class _Plan:
 class FrequencyResponse(Check):
     """Periodic multisine or chirp on one joint's command, the rest as declared.
 
-    Spectra are taken over whole periods after the transient ones, so nothing leaks. A command is
-    held over each timestep h, which alone lags by half a step: phase error of about pi f h rad.
+    Spectra are taken over whole periods after the transient ones, so nothing leaks. What is found
+    is the transfer function of the discrete steps: it lags that of the continuous joint by less
+    than half a timestep h, pi f h rad, which is what a command held over each step costs.
 
     ``values``: ``bandwidth``, ``resonance`` in Hz, ``resonance_peak`` in dB over the lowest line,
     each None where the carried lines do not show it; ``lines_excited``, ``lines_carried``,

@@ -249,6 +249,13 @@ def body_pose(data: mujoco.MjData, body: int) -> Vector:
     return pose
 
 
+def velocity_of(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[float, ...]:
+    """Velocity (3,) in m/s of a body's centre of mass in the world, at the last forward step."""
+    found: Vector = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, found, 0)
+    return tuple(float(v) for v in found[3:])
+
+
 def push(
     model: mujoco.MjModel, data: mujoco.MjData, body: int, force: Vector, point: Vector
 ) -> None:

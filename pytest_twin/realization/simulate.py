@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from pytest_twin.errors import ModelError, SimulationError, SpecError
+from pytest_twin.errors import ModelError, SimulationError
 from pytest_twin.realization.inputs import CommandMode, steady_activation
 from pytest_twin.realization.model import Realization
 
@@ -23,6 +23,10 @@ Vector = NDArray[np.float64]
 _LOCKED_TO_HEAVIEST, _LOCKED_TO_LIGHTEST = 1e5, 1e6
 # Integers: an array's element is never equal to an enum that stands on the left.
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_STATE = (
+    "time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart", "eq_active",
+    "mocap_pos", "mocap_quat",
+)  # fmt: skip
 _FATAL = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -120,16 +124,6 @@ def coupled_joints(realization: Realization, joint: str) -> frozenset[str]:
 # -- controls
 
 
-def driving_actuator(realization: Realization, joint: str) -> str | None:
-    """The first actuator whose transmission is ``joint``, or a tendon over it; None if none."""
-    model = realization.model
-    index = realization.joint_index(joint)
-    for actuator in range(model.nactuator):
-        if index in _driven(model, actuator):
-            return str(model.actuator(actuator).name)
-    return None
-
-
 def driven_joints(realization: Realization, actuator: str) -> tuple[str, ...]:
     """Joints that an actuator drives, directly or through a tendon."""
     model = realization.model
@@ -187,6 +181,12 @@ def hold(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:
         steady = steady_activation(model, data, actuator)
         if steady is not None:
             data.act[steady[0]] = steady[1]
+        if model.actuator_historyadr[actuator] >= 0:
+            # A delay starts as if the hold had been there all along.
+            first = int(model.actuator_ctrladr[actuator])
+            held = data.ctrl[first : first + int(model.actuator_ctrlnum[actuator])]
+            samples = int(model.actuator_history[actuator, 0])
+            mujoco.mj_initCtrlHistory(model, data, actuator, None, np.tile(held, samples))
     return np.array(data.ctrl)
 
 
@@ -408,8 +408,10 @@ def periodic(
         spec |= mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
         inputs = np.concatenate((control, applied), axis=2)
     pool = batch.Batch(model, rows)
-    for name in ("qpos", "qvel", "act"):
-        pool.bind(name)[:] = getattr(data, name)
+    begin = float(data.time)
+    for name in _STATE:
+        if np.size(getattr(data, name)):
+            pool.bind(name)[:] = getattr(data, name)
     qpos, qvel = np.empty((rows, steps, model.nq)), np.empty((rows, steps, model.nv))
     stride = 2000
     for first in range(0, steps, stride):
@@ -418,21 +420,26 @@ def periodic(
             last - first,
             np.ascontiguousarray(inputs[:, first:last]),
             spec,
-            record=("qpos", "qvel"),
+            record=("qpos", "qvel", mujoco.mjtState.mjSTATE_TIME),
         )
         qpos[:, first:last], qvel[:, first:last] = out["qpos"], out["qvel"]
-        _check_rows(model, qvel[:, first:last], first)
+        time = out[mujoco.mjtState.mjSTATE_TIME][..., 0]
+        _check_rows(model, time, qvel[:, first:last], begin + first * float(model.opt.timestep))
         if progress is not None:
             progress(last / steps)
     return qpos, qvel
 
 
-def _check_rows(model: mujoco.MjModel, qvel: Vector, first: int) -> None:
-    bad = ~np.isfinite(qvel) | (np.abs(qvel) > mujoco.mjMAXVAL)
-    if bad.any():
-        step = int(np.flatnonzero(bad.any(axis=(0, 2)))[0])
-        dof = int(np.flatnonzero(bad[:, step].any(axis=0))[0])
-        raise diverged(model, dof, (first + step + 1) * float(model.opt.timestep))
+def _check_rows(model: mujoco.MjModel, time: Vector, qvel: Vector, begin: float) -> None:
+    """Refuse rows (m, n) that stopped at a warning: their clock stands, their states repeat."""
+    timestep = float(model.opt.timestep)
+    due = begin + timestep * np.arange(1, 1 + time.shape[1])
+    stopped = (time < due - 0.5 * timestep) | ~np.isfinite(qvel).all(axis=2)
+    if stopped.any():
+        step = int(np.argmax(stopped.any(axis=0)))
+        row = int(np.argmax(stopped[:, step]))
+        velocity = np.where(np.isfinite(qvel[row, step]), np.abs(qvel[row, step]), np.inf)
+        raise diverged(model, int(np.argmax(velocity)), begin + step * timestep)
 
 
 def resample(time: Vector, values: Vector, grid: Vector) -> Vector:
@@ -440,18 +447,3 @@ def resample(time: Vector, values: Vector, grid: Vector) -> Vector:
     if values.ndim == 1:
         return np.interp(grid, time, values)
     return np.column_stack([np.interp(grid, time, column) for column in values.T])
-
-
-def scalar_joint(realization: Realization, joint: str) -> tuple[int, int, str]:
-    """(qpos index, dof index, ``rad`` or ``m``) of a hinge or slide joint.
-
-    Raises:
-        SpecError: no such joint, or one of another type.
-    """
-    index = realization.joint_index(joint)
-    model = realization.model
-    kind = model.jnt_type[index]
-    if kind not in _SCALAR:
-        raise SpecError(f"joint {joint!r} is neither hinge nor slide", path=realization.path)
-    unit = "rad" if kind == mujoco.mjtJoint.mjJNT_HINGE else "m"
-    return int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index]), unit

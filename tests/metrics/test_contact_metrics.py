@@ -56,7 +56,8 @@ def test_rebound_of_a_ball() -> None:
     touching[0] = False
     landed = int(np.flatnonzero((after > 0.01) & (height < 0.0))[0])
     height[landed:], touching[landed:] = 0.0, True
-    velocity = np.diff(height, prepend=height[0]) / 1e-3
+    velocity = np.where(after < 0.0, -g * TIME, up - g * after)
+    velocity[int(np.flatnonzero(touching)[0])] = -g * fall
     found = contact.rebound(height, velocity, touching)
     assert found is not None
     assert found.restitution == pytest.approx(restitution, rel=0.02)

@@ -1,0 +1,231 @@
+"""Frequency responses against transfer functions, and seen to fail on injected changes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_models import (
+    MASS,
+    MOTOR,
+    failed,
+    golden_of,
+    load_text,
+    measures_on,
+    observe,
+    recorded,
+    servo,
+    slider,
+)
+
+from pytest_twin.checks.frequency_response import FrequencyResponse
+from pytest_twin.errors import SimulationError, SpecError
+
+CHECK = FrequencyResponse()
+STIFFNESS, DAMPING, STEP = 800.0, 20.0, 0.002
+SPEC = {
+    "target": {"joint": "x"},
+    "stimulus": {
+        "amplitude": "10 mm",
+        "band": ["0.5 Hz", "20 Hz"],
+        "period": "2 s",
+        "settle": "0 s",
+        "transient_periods": 2,
+    },
+    "tolerance": {
+        "magnitude": "0.05 dB",
+        "phase": "0.5 deg",
+        "coherence": "0.01",
+        "bandwidth": "0.05 Hz",
+        "resonance": "0.05 Hz",
+        "resonance_peak": "0.1 dB",
+    },
+}
+
+
+def spring(timestep: float = STEP, **more: object) -> str:
+    arguments = {"actuator": servo(STIFFNESS, DAMPING), "timestep": timestep} | more
+    return slider(**arguments)  # type: ignore[arg-type]
+
+
+def discrete(frequency: np.ndarray, timestep: float) -> np.ndarray:
+    """Position per command of MuJoCo's implicitfast steps of a servo on a mass.
+
+    v' = v + h (kp (u - x) - kv v) / (m + h kv), x' = x + h v', the command held over a step.
+    """
+    gain = timestep / (MASS + timestep * DAMPING)
+    velocity = np.array([-gain * STIFFNESS, 1.0 - gain * DAMPING])
+    a = np.array([[1.0, 0.0] + timestep * velocity, velocity])
+    b = np.array([timestep * gain * STIFFNESS, gain * STIFFNESS])
+    z = np.exp(2j * np.pi * frequency * timestep)
+    return np.array([np.linalg.solve(value * np.eye(2) - a, b)[0] for value in z])
+
+
+def continuous(frequency: np.ndarray) -> np.ndarray:
+    s = 2j * np.pi * frequency
+    return STIFFNESS / (MASS * s**2 + DAMPING * s + STIFFNESS)
+
+
+@pytest.mark.parametrize("signal", ["multisine", "chirp"])
+def test_a_servo_is_its_discrete_transfer_function(tmp_path: Path, signal: str) -> None:
+    robot = load_text(tmp_path, spring())
+    spec = {**SPEC, "stimulus": {**SPEC["stimulus"], "signal": signal}}
+    found = observe(CHECK, golden_of(CHECK, spec), robot)
+    assert found.values["lines_carried"] == found.values["lines_excited"]
+    assert found.trace is not None
+    columns = {name: series for name, (_, series) in found.trace.columns.items()}
+    exact = discrete(found.trace.x, STEP)
+    np.testing.assert_allclose(columns["magnitude"], np.abs(exact), rtol=1e-5)
+    np.testing.assert_allclose(columns["phase"], np.unwrap(np.angle(exact)), atol=1e-5)
+    np.testing.assert_allclose(columns["coherence"], 1.0, atol=1e-9)
+
+
+def test_the_timestep_costs_less_than_half_a_step_of_phase(tmp_path: Path) -> None:
+    for timestep in (0.002, 0.0005):
+        robot = load_text(tmp_path, spring(timestep), f"{timestep}.xml")
+        found = observe(CHECK, golden_of(CHECK, SPEC), robot)
+        assert found.trace is not None
+        frequency = found.trace.x
+        exact = continuous(frequency)
+        lag = np.unwrap(np.angle(exact)) - found.trace.columns["phase"][1]
+        held = np.pi * frequency * timestep
+        # The semi-implicit integrator gives back part of the half step that the hold takes.
+        assert lag.min() > 0.0
+        assert (lag / held).max() < 1.0
+        assert (lag / held).max() > 0.5
+        assert found.values["resonance"] == pytest.approx(
+            np.sqrt(STIFFNESS / MASS - 0.5 * (DAMPING / MASS) ** 2) / (2.0 * np.pi), rel=0.02
+        )
+        dense = np.linspace(0.5, 20.0, 100_001)
+        level = np.abs(continuous(dense)) / np.abs(continuous(np.array([0.5])))
+        half_power = dense[np.argmax(level < np.sqrt(0.5))]
+        assert found.values["bandwidth"] == pytest.approx(half_power, rel=0.02)
+
+
+def test_a_motor_on_a_damped_joint_answers_in_velocity(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, slider(damping=30.0, actuator=MOTOR, timestep=0.0005))
+    spec = {**SPEC, "stimulus": {**SPEC["stimulus"], "amplitude": "5 N"}}
+    found = observe(CHECK, golden_of(CHECK, spec), robot)
+    assert found.trace is not None
+    unit, magnitude = found.trace.columns["magnitude"]
+    assert unit == "(m/s)/(N)"
+    exact = 1.0 / (30.0 + 2j * np.pi * found.trace.x * MASS)
+    np.testing.assert_allclose(magnitude, np.abs(exact), rtol=5e-3)
+    assert found.values["bandwidth"] == pytest.approx(
+        30.0 / MASS / (2.0 * np.pi) * np.sqrt(1.0 + 2.0 * (0.5 * 2.0 * np.pi * MASS / 30.0) ** 2),
+        rel=0.03,
+    )
+    assert found.values["resonance"] is None
+
+
+def test_an_effort_on_a_loose_joint(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, slider(timestep=STEP))
+    spec = {**SPEC, "stimulus": {**SPEC["stimulus"], "amplitude": "5 N"}}
+    found = observe(CHECK, golden_of(CHECK, spec), robot)
+    assert found.trace is not None
+    exact = 1.0 / (2.0 * np.pi * found.trace.x * MASS)
+    np.testing.assert_allclose(found.trace.columns["magnitude"][1], exact, rtol=5e-3)
+    assert found.values["bandwidth"] is None
+
+
+def test_dry_friction_lowers_the_coherence_and_its_lines_are_not_reported(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, spring(friction=1.0))
+    small = {**SPEC["stimulus"], "amplitude": "3 mm"}
+    every = observe(
+        CHECK, golden_of(CHECK, {**SPEC, "stimulus": {**small, "coherence": 1e-6}}), robot
+    )
+    assert every.trace is not None
+    coherence = every.trace.columns["coherence"][1]
+    assert coherence.min() < 0.95
+    kept = observe(
+        CHECK, golden_of(CHECK, {**SPEC, "stimulus": {**small, "coherence": 0.95}}), robot
+    )
+    assert kept.trace is not None
+    np.testing.assert_array_equal(kept.trace.x, every.trace.x[coherence >= 0.95])
+    assert kept.values["lines_carried"] == kept.trace.x.size < kept.values["lines_excited"]
+
+
+def test_nothing_carried_is_an_error_in_words(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, spring(friction=2.0))
+    strict = {**SPEC, "stimulus": {**SPEC["stimulus"], "coherence": 1}}
+    with pytest.raises(SpecError, match=r"no line of \d+ carries a response: highest coherence"):
+        observe(CHECK, golden_of(CHECK, strict), robot)
+
+
+@pytest.mark.parametrize(
+    ("change", "caught"),
+    [
+        ({}, set()),
+        ({"actuator": servo(STIFFNESS, 1.2 * DAMPING)}, {"magnitude", "resonance_peak"}),
+        ({"actuator": servo(0.8 * STIFFNESS, DAMPING)}, {"bandwidth", "resonance", "magnitude"}),
+        ({"timestep": 2.5 * STEP}, {"phase"}),
+        ({"friction": 0.5}, {"magnitude"}),
+        ({"actuator": servo(STIFFNESS, DAMPING, 'delay="0.01" nsample="6"')}, {"phase"}),
+    ],
+)
+def test_changes_are_caught(tmp_path: Path, change: dict, caught: set[str]) -> None:
+    golden, trace = recorded(CHECK, SPEC, load_text(tmp_path, spring()))
+    changed = load_text(tmp_path, spring(**change), "changed.xml")
+    found = failed(measures_on(CHECK, golden, trace, changed))
+    assert caught <= found
+    assert bool(found) == bool(change)
+
+
+def test_lines_that_are_lost_fail_in_words(tmp_path: Path) -> None:
+    golden, trace = recorded(CHECK, SPEC, load_text(tmp_path, spring()))
+    rough = load_text(tmp_path, spring(friction=2.0), "rough.xml")
+    measure = measures_on(CHECK, golden, trace, rough)["magnitude"]
+    assert not measure.passed
+    assert "not carried now" in measure.subject
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("band", ["0.5 Hz", "400 Hz"], "no band that one period and the timestep can carry"),
+        ("band", ["20 Hz", "0.5 Hz"], "no band that one period and the timestep can carry"),
+        ("band", ["0.1 Hz", "0.4 Hz"], "no band that one period and the timestep can carry"),
+        ("amplitude", "0 m", "excites nothing"),
+        ("amplitude", "2 m", "the stimulus leaves the control's range"),
+        ("period", "1000 s", "out of bounds"),
+        ("period", "0 s", "out of bounds"),
+    ],
+)
+def test_mistakes_are_named_with_their_line(
+    tmp_path: Path, field: str, value: object, words: str
+) -> None:
+    actuator = servo(STIFFNESS, DAMPING, 'ctrlrange="-1 1"')
+    robot = load_text(tmp_path, spring(actuator=actuator))
+    golden = golden_of(CHECK, {**SPEC, "stimulus": {**SPEC["stimulus"], field: value}})
+    with pytest.raises(SpecError) as caught:
+        observe(CHECK, golden, robot)
+    assert words in str(caught.value)
+    assert caught.value.line == golden.lines[f"stimulus.{field}"]
+
+
+def test_a_diverging_model_names_time_and_joint(tmp_path: Path) -> None:
+    text = slider(actuator=servo(1e7, 0.0), integrator="Euler", timestep=0.005)
+    with pytest.raises(SimulationError, match=r"joint 'x': the simulation diverged at [0-9.]+ s"):
+        observe(CHECK, golden_of(CHECK, SPEC), load_text(tmp_path, text))
+
+
+def test_the_same_twice(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, spring(friction=0.5))
+    first, second = (observe(CHECK, golden_of(CHECK, SPEC), robot) for _ in range(2))
+    assert first.values == second.values
+    assert first.trace is not None
+    assert second.trace is not None
+    for name, (_, series) in first.trace.columns.items():
+        np.testing.assert_array_equal(series, second.trace.columns[name][1])
+
+
+@pytest.mark.parametrize("actuator", [servo(STIFFNESS, DAMPING), MOTOR, ""])
+def test_first_specs_pass_on_the_robot_they_were_made_for(tmp_path: Path, actuator: str) -> None:
+    robot = load_text(tmp_path, slider(actuator=actuator, timestep=STEP))
+    specs = CHECK.first(robot)
+    assert [spec["name"] for spec in specs] == ["x"]
+    golden, trace = recorded(CHECK, specs[0], robot)
+    measures = measures_on(CHECK, golden, trace, robot)
+    assert {"magnitude", "phase"} <= set(measures)
+    assert failed(measures) == set()
