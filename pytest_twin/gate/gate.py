@@ -104,7 +104,9 @@ class Gate:
                 golden,
                 realization,
                 tuple(sorted(today.stock.rests_on[key])),
-                reasons[key],
+                (Reason(f"{realization}/model", "cannot be read"),)
+                if realization in today.unread
+                else reasons[key],
                 proofs.get(key),
             )
             for golden in goldens

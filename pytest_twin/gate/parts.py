@@ -29,11 +29,13 @@ class Today:
         stock: parts, and what each golden rests on.
         files: file -> SHA-256.
         problems: what could not be found out, one line each.
+        unread: realizations whose model could not be read.
     """
 
     stock: Stock
     files: Mapping[Path, str]
     problems: tuple[str, ...]
+    unread: frozenset[str]
 
 
 def look_around(
@@ -84,7 +86,8 @@ def look_around(
             digest(path)
         except TwinError as error:
             problems.append(str(error))
-    return Today(stock, digests, tuple(problems))
+    wanted = {name for golden in goldens for name in golden.realizations}
+    return Today(stock, digests, tuple(problems), frozenset(wanted - models.keys()))
 
 
 def changed_since(parts: Mapping[str, Part], files: Mapping[Path, str]) -> Iterator[str]:

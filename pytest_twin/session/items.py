@@ -95,14 +95,16 @@ class GoldenItem(pytest.Item):
     @classmethod
     def of(cls, parent: GoldenFile, *, gate: Gate, golden: Golden, realization: str) -> GoldenItem:
         """The item of ``golden`` on ``realization``."""
-        item: GoldenItem = cls.from_parent(parent, name=f"{parent.path.stem}[{realization}]")
+        name = f"{parent.path.stem}[{realization}]"
+        # Stated, so that the brackets are read as those of a parametrized test; --lf finds it.
+        item: GoldenItem = cls.from_parent(parent, name=name, nodeid=f"{parent.nodeid}::{name}")
         item.gate = gate
         item.golden = golden
         item.realization = realization
         item.key = f"{golden.id}@{realization}"
         item.run = parent.run
-        for name in (golden.kind, golden.criticality):
-            item.add_marker(name)
+        for marker in (golden.kind, golden.criticality):
+            item.add_marker(marker)
         return item
 
     def runtest(self) -> None:

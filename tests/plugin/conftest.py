@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from securesystemslib.signer import CryptoSigner
 
 # Loaded once out here: pytester forgets what an inner run imported, and extension modules such as
 # libyaml's cannot be imported twice.
@@ -15,6 +16,7 @@ from pytest_twin.checks import check_of, kinds
 
 for _kind in kinds():
     check_of(_kind)
+assert CryptoSigner.generate_ed25519().private_bytes
 
 MODEL = """\
 <mujoco model="arm">

@@ -1,0 +1,59 @@
+"""pytest-xdist: the controller plans and judges, workers run; same verdict, same release."""
+
+from __future__ import annotations
+
+import json
+
+
+def _proofs(twin, number: str) -> list[object]:
+    results = json.loads((twin.root / "releases" / number / "results.json").read_text())
+    for proof in results["goldens"]:
+        del proof["at"], proof["outcome"]["seconds"]
+    return results["goldens"]
+
+
+def test_the_same_release(recorded, released) -> None:
+    """``recorded`` and ``released`` share one folder here: the second is the first, released."""
+    result = recorded.run_apart("-n", "2", "--twin-release", "--twin-all")
+    result.stdout.fnmatch_lines(["release 0002 signed: *"])
+    result.assert_outcomes(passed=2)
+    one, two = _proofs(released, "0001"), _proofs(released, "0002")
+    for proof in (*one, *two):
+        proof["release"] = 0
+        proof["outcome"]["reasons"] = []
+    assert one == two
+    result = released.run_apart("-n", "2", "--twin-release")
+    result.stdout.fnmatch_lines(["2 still proven by release 0002", "release 0002 still holds"])
+    assert result.ret == 0
+
+
+def test_the_same_refusal_and_the_same_words(released) -> None:
+    released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    released.write("test_a.py", "def test_b(): assert False")
+    alone = released.run_apart("--twin-release", "--junitxml=alone.xml")
+    spread = released.run_apart("-n", "2", "--twin-release", "--junitxml=spread.xml")
+
+    def told(result) -> list[str]:
+        lines = result.outlines
+        start = next(i for i, line in enumerate(lines) if line == "no release:")
+        return [line for line in lines[start:] if line.startswith("  ")]
+
+    assert told(alone) == told(spread)
+    assert alone.ret == spread.ret == 1
+    for result in (alone, spread):
+        result.stdout.fnmatch_lines(["  ran because * mujoco/inertia:fore: mass 0.6 -> 0.7 kg"])
+        result.stdout.fnmatch_lines(["FAILED golden/mass/arm.yaml::* - golden/mass/arm@*"])
+    message = (released.root / "spread.xml").read_text()
+    assert 'message="golden/mass/arm@mujoco: gravity_torque of shoulder' in message
+
+
+def test_a_selected_subset_never_signs(released) -> None:
+    result = released.run_apart("-n", "2", "--twin-release", "-k", "home")
+    result.stdout.fnmatch_lines(["  a selected subset never signs: -k 'home', 1 deselected"])
+    assert result.ret == 1
+
+
+def test_updates_return_to_the_controller(twin) -> None:
+    result = twin.run_apart("-n", "2", "--twin-update")
+    result.stdout.fnmatch_lines(["2 recorded, 0 unchanged"])
+    assert twin.run().ret == 0

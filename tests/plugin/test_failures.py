@@ -1,0 +1,107 @@
+"""What a person and a CI server read of a golden that does not pass."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import pytest
+
+
+def _junit(twin) -> dict[str, ElementTree.Element]:
+    tree = ElementTree.parse(twin.root / "junit.xml")
+    return {case.get("name"): case for case in tree.iter("testcase")}
+
+
+def test_a_failure_says_what_to_do(released) -> None:
+    released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    result = released.run("--junitxml=junit.xml")
+    result.stdout.fnmatch_lines(
+        [
+            "*golden/mass/arm@mujoco: gravity_torque of shoulder at reference left its tolerance*",
+            "  worst * gravity_torque of shoulder at reference",
+            "  measured * -4.513 N[*]m",
+            "  golden * -4.12 N[*]m",
+            "  tolerance * 0.001 N[*]m",
+            "  margin * -0.391* N[*]m (used *",
+            "  ran because * mujoco/inertia:fore: mass 0.6 -> 0.7 kg",
+            "  spec * golden/mass/arm.yaml:10",
+            "  plot * .twin/plots/golden/mass/arm@mujoco.svg",
+            "  FAIL  gravity_torque  elbow at reference *",
+        ]
+    )
+    assert (released.root / ".twin/plots/golden/mass/arm@mujoco.svg").is_file()
+    text = result.stdout.str()
+    assert ".py:" not in text.partition("FAILURES")[2]
+    case = _junit(released)["arm[mujoco]"]
+    failure = case.find("failure")
+    assert failure is not None
+    assert failure.get("message").startswith("golden/mass/arm@mujoco: gravity_torque of shoulder")
+    assert len(failure.get("message")) < 200
+    assert "\n" not in failure.get("message")
+    assert "site-packages" not in ElementTree.tostring(case, "unicode")
+    properties = {p.get("name"): p.get("value") for p in case.iter("property")}
+    assert properties["kind"] == "mass_properties"
+    assert properties["stale_because"] == "mujoco/inertia:fore: mass 0.6 -> 0.7 kg"
+    assert properties["margin"].startswith("-0.391")
+    assert all(len(value) < 120 for value in properties.values())
+
+
+def test_junit_points_at_the_spec(released) -> None:
+    released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    released.run("--junitxml=junit.xml", "-o", "junit_family=xunit1")
+    case = _junit(released)["arm[mujoco]"]
+    assert case.get("file") == "golden/mass/arm.yaml"
+    # Where the tolerance stands that was left, counted from 0 as pytest does.
+    assert case.get("line") == "9"
+
+
+def test_an_advisory_failure_is_reported_and_blocks_nothing(recorded) -> None:
+    recorded.edit("golden/mass/arm.yaml", "criticality: critical", "criticality: advisory")
+    recorded.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    result = recorded.run("--twin-release", "--junitxml=junit.xml")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(
+        [
+            "golden/mass/arm.yaml a *",
+            "*advisory, blocks nothing*",
+            "golden/mass/arm@mujoco: gravity_torque of shoulder at reference left its tolerance *",
+            "release 0001 signed: *",
+            "*1 passed, 1 advisory*",
+        ]
+    )
+    skipped = _junit(recorded)["arm[mujoco]"].find("skipped")
+    assert skipped is not None
+    assert skipped.get("message").startswith("advisory: golden/mass/arm@mujoco: gravity_torque")
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("import os; os.abort()", "*golden/task/wild@mujoco: the simulator crashed (SIGABRT)*"),
+        ("import os; os._exit(3)", "*the child process ended with exit status 3*"),
+        ("raise ValueError('no such gripper')", "*ValueError: no such gripper*"),
+    ],
+)
+def test_a_crash_fails_that_golden_alone(recorded, code, words) -> None:
+    recorded.task("wild", "return {'reach': 1.0}")
+    recorded.write("golden/zz.yaml", (recorded.root / "golden/fk/home.yaml").read_text())
+    assert recorded.run("--twin-update", "-k", "wild or zz").ret == 0
+    recorded.write("wild.py", f"def run(realization):\n    {code}\n")
+    result = recorded.run()
+    result.assert_outcomes(passed=3, failed=1)
+    result.stdout.fnmatch_lines([words])
+
+
+def test_a_model_that_does_not_load_fails_its_goldens_with_its_own_words(released) -> None:
+    released.edit("arm.xml", 'mass="0.6"', 'mass="-0.6"')
+    result = released.run()
+    result.assert_outcomes(failed=2)
+    assert result.stdout.str().count("arm.xml:10: inertial.mass: negative") >= 2
+    result.stdout.fnmatch_lines(["  ran because  mujoco/model: cannot be read"])
+
+
+def test_last_failed_runs_what_failed(released) -> None:
+    released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    released.edit("golden/fk/home.yaml", "position: 0.1 mm", "position: 0.2 mm")
+    released.run().assert_outcomes(passed=1, failed=1)
+    released.run("--lf").assert_outcomes(failed=1)
