@@ -151,11 +151,17 @@ def _bar_width(used: float, full: float = 100.0) -> str:
     return f"{full * min(max(share, 0.01), 1.0):.1f}"
 
 
+def _printable(value: object) -> object:
+    """Every text that the template shows; what it made itself has its line breaks."""
+    return printable(value) if type(value) is str else value
+
+
 @cache
 def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,
+        finalize=_printable,
         trim_blocks=True,
         lstrip_blocks=True,
         loader=jinja2.PackageLoader("pytest_twin.report", "."),
@@ -163,7 +169,6 @@ def _template() -> jinja2.Template:
     environment.filters.update(
         number=number,
         quantity=quantity,
-        printable=printable,
         use=use,
         used=use_of_tolerance,
         bar=_bar_width,

@@ -17,6 +17,7 @@ FloatArray = NDArray[np.float64]
 MAX_PANELS = 3
 BUCKETS = 250
 _COMMAND = "command:"
+_LARGEST = 1e100
 _ORDER = ("magnitude", "phase", "coherence")
 
 
@@ -38,10 +39,15 @@ class Series(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """(n,) values over (n,) places on the axis."""
+    """(n,) values over (n,) places on the axis; what cannot be drawn is NaN."""
 
     x: FloatArray
     y: FloatArray
+
+    def __post_init__(self) -> None:
+        with np.errstate(invalid="ignore"):
+            drawable = np.where(np.abs(self.y) < _LARGEST, self.y, np.nan)
+        object.__setattr__(self, "y", drawable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,9 +182,9 @@ def _telling(panel: Panel) -> tuple[float, float]:
         used = worst.error / worst.tolerance if worst.tolerance > 0 else float(not worst.passed)
         used = np.inf if np.isnan(used) else used
     if left is None or panel.then is None:
-        return (used, float(np.ptp(panel.now.y)) * 1e-12)
-    scale = float(np.ptp(panel.then.y)) or 1.0
-    return (used, float(np.max(np.abs(left.y))) / scale)
+        return (used, _range(panel.now) * 1e-12)
+    scale = _range(panel.then) or 1.0
+    return (used, float(np.max(np.abs(np.nan_to_num(left.y)))) / scale)
 
 
 def _bound_of(subject: str, unit: str, line: Line, measures: Sequence[Measure]) -> Measure | None:
@@ -187,7 +193,7 @@ def _bound_of(subject: str, unit: str, line: Line, measures: Sequence[Measure]) 
     It has the series' unit, subject and a time, and its value is the one of the series at that
     time; a mean over the series (RMS) has not, and draws no band.
     """
-    scale = float(np.ptp(line.y)) + 1e-12
+    scale = _range(line) + 1e-12
     fitting = [
         measure
         for measure in measures
@@ -213,6 +219,12 @@ def _worst_line(measure: Measure, now: Line, then: Line) -> Worst | None:
     return Worst(
         float(then.x[at]), float(found[at]), measure.error, measure.tolerance, measure.passed
     )
+
+
+def _range(line: Line) -> float:
+    """Highest minus lowest of what can be drawn."""
+    finite = line.y[np.isfinite(line.y)]
+    return float(np.ptp(finite)) if finite.size else 0.0
 
 
 def _then(stored: Series | None, name: str) -> Line | None:
