@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -113,12 +112,10 @@ def load(
     if twin is not None and base is not None:
         patch.place_base(spec, base, refuse=twin.error, where="calibration.base")
     try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            model = spec.compile()
+        model, warned = mjcf.compiled(spec)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise mjcf.translate(error, path, places) from None
-    said = tuple(f"{path}: MuJoCo warns: {' '.join(str(w.message).split())}" for w in caught)
+    said = tuple(f"{path}: MuJoCo warns: {words}" for words in warned)
     source = replace(source, notes=source.notes + said)
     return Realization(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
 

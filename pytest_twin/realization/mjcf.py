@@ -10,6 +10,7 @@ import hashlib
 import math
 import re
 import struct
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from xml.sax.saxutils import quoteattr
 
 import mujoco
 
-from pytest_twin.errors import LimitError, ModelError
+from pytest_twin.errors import LimitError, ModelError, TwinError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization.limits import LIMITS, ModelLimits
@@ -86,9 +87,15 @@ def build(document: Document) -> mujoco.MjSpec:
         raise translate(error, document.root.path, document.places) from None
 
 
-def translate(
-    error: Exception, path: Path, places: Sequence[tuple[Path, int]] | None
-) -> ModelError:
+def compiled(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """The compiled model, and the compiler's warnings in its own words."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        model = spec.compile()
+    return model, tuple(" ".join(str(warning.message).split()) for warning in caught)
+
+
+def translate(error: Exception, path: Path, places: Sequence[tuple[Path, int]] | None) -> TwinError:
     """MuJoCo's words, with the place that the line number in them means.
 
     Args:
@@ -104,7 +111,8 @@ def translate(
             path, line = places[line - 1]
         words = words.replace(match[0], "")
     words = re.sub(r"^(XML )?Error: ", "", words)
-    return ModelError(f"MuJoCo refuses the model: {words}", path=path, line=line)
+    kind = LimitError if "could not allocate" in words.lower() else ModelError
+    return kind(f"MuJoCo refuses the model: {words}", path=path, line=line)
 
 
 # Where a file attribute is looked up: the compiler's directory that goes in front.

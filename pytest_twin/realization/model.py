@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SpecError
-from pytest_twin.realization import patch
+from pytest_twin.realization import mjcf, patch
 from pytest_twin.twin import Twin
 
 if TYPE_CHECKING:
@@ -206,7 +206,7 @@ class Realization:
             bodies = _declared(twin, "payloads", payload)
             patch.apply_payload(spec, bodies, where=f"payloads.{payload}", refuse=twin.error)
         try:
-            model = spec.compile()
+            model, _ = mjcf.compiled(spec)
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             raise ModelError(
                 f"MuJoCo refuses the variant: {' '.join(str(error).split())}",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import TwinError
-from pytest_twin.realization import inertia
+from pytest_twin.realization import inertia, mjcf
 from pytest_twin.twin import Patch, Payload, Pose
 
 Refuse = Callable[..., TwinError]
@@ -127,7 +127,7 @@ class _BodyInertia:
     def of(self, body: mujoco.MjsBody) -> tuple[float, Vector, Vector]:
         """(mass [kg], (3,) com in the body's frame [m], (3, 3) inertia about it, body axes)."""
         if self._model is None:
-            self._model = self._spec.compile()
+            self._model, _ = mjcf.compiled(self._spec)
             self._make_explicit(self._model)
         return _compiled_inertia(self._model, body.name)
 

@@ -48,13 +48,11 @@ def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
     except TwinError as error:
         return {"error": _described(error)}
     except MemoryError:
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        return {
-            "error": _described(
-                LimitError("ran out of memory", expected=f"at most {limit / 2**20:.0f} MiB")
-            )
-        }
+        return {"error": _described(_out_of_memory())}
     except (Exception, SystemExit) as error:
+        if "could not allocate memory" in str(error).lower():
+            # MuJoCo's words for the same.
+            return {"error": _described(_out_of_memory())}
         traceback.print_exc()
         # The innermost frame: where a user's own function went wrong.
         frames = traceback.extract_tb(error.__traceback__)
@@ -69,6 +67,11 @@ def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
                 )
             )
         }
+
+
+def _out_of_memory() -> LimitError:
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return LimitError("ran out of memory", expected=f"at most {limit / 2**20:.0f} MiB")
 
 
 def _bound_cpu(seconds: float) -> None:

@@ -1,0 +1,82 @@
+"""What the tests call in the child."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+def echo(value: Any) -> Any:
+    return value
+
+
+def process() -> int:
+    return os.getpid()
+
+
+def count(steps: int, progress: Callable[[float], None]) -> str:
+    for step in range(steps):
+        print("step", step)
+        progress((step + 1) / steps)
+    return "done"
+
+
+def spin() -> None:
+    while True:
+        time.sleep(0.01)
+
+
+def compile_without_end(path: str) -> int:
+    from pytest_twin.realization import load
+
+    return int(load(Path(path)).model.nv)
+
+
+def crash(name: str) -> None:
+    print("about to crash", flush=True)
+    os.kill(os.getpid(), getattr(signal, name))
+
+
+def swallow(size: int) -> int:
+    return len(bytearray(size))
+
+
+def swallow_in_mujoco(size: int) -> int:
+    import mujoco
+
+    return int(mujoco.MjModel.from_xml_string(f"<mujoco><size memory='{size}'/></mujoco>").narena)
+
+
+def leave(status: int) -> None:
+    os._exit(status)
+
+
+def raise_value_error() -> None:
+    raise ValueError("a user's own mistake\nin two lines")
+
+
+def raise_model_error() -> None:
+    from pytest_twin.errors import ModelError
+
+    raise ModelError(
+        "bad", path="/a/b.xml", line=3, column=2, where="x", value=1.5, unit="kg", expected="more"
+    )
+
+
+def give_an_object() -> object:
+    return object()
+
+
+def simulators() -> list[str]:
+    return [name for name in ("mujoco", "pinocchio") if name in sys.modules]
+
+
+def load_model(path: str) -> list[str]:
+    from pytest_twin.realization import load
+
+    return list(load(Path(path)).joints)

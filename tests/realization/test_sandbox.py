@@ -1,0 +1,147 @@
+"""The child process: its answers, its bounds, and how its death is told."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from model_texts import PENDULUM, written
+
+from pytest_twin.errors import LimitError, ModelError, SimulationError
+from pytest_twin.realization import Sandbox
+
+
+@pytest.fixture(scope="module")
+def sandbox() -> Iterator[Sandbox]:
+    with Sandbox(seconds=30) as found:
+        yield found
+
+
+def test_answers_come_back_as_they_are(sandbox: Sandbox) -> None:
+    value = {"a": [1, 2.5, None, True, "ü\n"], "big": "x" * 300_000}
+    assert sandbox.call("sandboxed:echo", {"value": value}) == value
+
+
+def test_one_child_answers_many_calls(sandbox: Sandbox) -> None:
+    first = sandbox.call("sandboxed:process")
+    assert first != os.getpid()
+    assert sandbox.call("sandboxed:process") == first
+
+
+def test_progress_and_output_come_through(sandbox: Sandbox) -> None:
+    seen: list[float] = []
+    assert sandbox.call("sandboxed:count", {"steps": 4}, progress=seen.append) == "done"
+    assert seen == [0.25, 0.5, 0.75, 1.0]
+    assert sandbox.output == "step 0\nstep 1\nstep 2\nstep 3\n"
+
+
+def test_a_typed_error_keeps_all_that_it_said(sandbox: Sandbox) -> None:
+    with pytest.raises(ModelError) as caught:
+        sandbox.call("sandboxed:raise_model_error")
+    assert str(caught.value) == "/a/b.xml:3:2: x: bad (got 1.5 kg; expected more)"
+
+
+def test_another_error_is_told_with_its_place(sandbox: Sandbox) -> None:
+    with pytest.raises(SimulationError) as caught:
+        sandbox.call("sandboxed:raise_value_error")
+    error = caught.value
+    assert error.path == Path(__file__).parent / "sandboxed.py"
+    assert "\n" not in str(error)
+    assert "ValueError: a user's own mistake" in str(error)
+    assert "Traceback" in sandbox.output
+
+
+def test_what_is_no_json_is_an_error_and_the_child_lives(sandbox: Sandbox) -> None:
+    before = sandbox.call("sandboxed:process")
+    with pytest.raises(SimulationError, match="not JSON serializable"):
+        sandbox.call("sandboxed:give_an_object")
+    assert sandbox.call("sandboxed:process") == before
+
+
+@pytest.mark.parametrize("name", ["SIGSEGV", "SIGABRT", "SIGFPE", "SIGKILL"])
+def test_a_crash_is_named_and_the_next_call_has_a_new_child(sandbox: Sandbox, name: str) -> None:
+    before = sandbox.call("sandboxed:process")
+    with pytest.raises(SimulationError, match=rf"crashed \({name}\); .*about to crash"):
+        sandbox.call("sandboxed:crash", {"name": name})
+    assert sandbox.call("sandboxed:process") != before
+
+
+def test_an_exit_is_told_with_its_status(sandbox: Sandbox) -> None:
+    with pytest.raises(SimulationError, match="ended with exit status 3"):
+        sandbox.call("sandboxed:leave", {"status": 3})
+
+
+def test_a_call_without_end_is_killed_at_its_bound(sandbox: Sandbox) -> None:
+    child = sandbox.call("sandboxed:process")
+    start = time.monotonic()
+    with pytest.raises(LimitError, match=r"time and was killed \(expected at most 0\.3 s\)"):
+        sandbox.call("sandboxed:spin", seconds=0.3)
+    assert time.monotonic() - start < 3
+    with pytest.raises(ProcessLookupError):
+        os.kill(child, 0)
+
+
+def test_a_compile_without_end_is_killed_at_its_bound(sandbox: Sandbox, tmp_path: Path) -> None:
+    """MuJoCo simulates a muscle's range while it compiles, for as long as the model asks."""
+    text = PENDULUM.replace(
+        '<compiler angle="radian"/>',
+        "<compiler><lengthrange mode='all' inttotal='1e9' timestep='1e-5'/></compiler>",
+    )
+    path = written(tmp_path, text)
+    sandbox.call("sandboxed:load_model", {"path": str(written(tmp_path, PENDULUM, "ok.xml"))})
+    with pytest.raises(LimitError, match="time and was killed"):
+        sandbox.call("sandboxed:compile_without_end", {"path": str(path)}, seconds=1.0)
+
+
+def test_memory_is_bounded() -> None:
+    with Sandbox(memory_bytes=2 * 2**30, seconds=30) as small:
+        for function in ("swallow", "swallow_in_mujoco"):
+            with pytest.raises(LimitError, match="out of memory"):
+                small.call(f"sandboxed:{function}", {"size": 3 * 2**30})
+        assert small.call("sandboxed:swallow", {"size": 2**20}) == 2**20
+
+
+def test_an_unknown_function_is_an_error(sandbox: Sandbox) -> None:
+    with pytest.raises(SimulationError, match="has no attribute 'nothing'"):
+        sandbox.call("sandboxed:nothing")
+    with pytest.raises(SimulationError, match="No module named 'nowhere'"):
+        sandbox.call("nowhere:nothing")
+
+
+def test_the_parent_imports_no_simulator() -> None:
+    script = (
+        "import sys; from pytest_twin.realization import Sandbox\n"
+        "with Sandbox() as s: s.call('math:sqrt', {}) if 0 else None\n"
+        "print([m for m in ('mujoco', 'pinocchio', 'numpy') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_child_ends_with_its_parent() -> None:
+    folder = str(Path(__file__).parent)
+    script = (
+        f"import os, sys; sys.path.insert(0, {folder!r})\n"
+        "from pytest_twin.realization import Sandbox\n"
+        "s = Sandbox(); print(s.call('sandboxed:process'), flush=True); os._exit(0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    child = int(done.stdout)
+    for _ in range(100):
+        try:
+            os.kill(child, 0)
+        except ProcessLookupError:
+            return
+        if Path(f"/proc/{child}/stat").read_text().split()[2] == "Z":
+            return
+        time.sleep(0.05)
+    pytest.fail("the child outlived its parent")
