@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import NOW, MakeRelease, html, make_draft, make_twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from release_twins import NOW, MakeRelease, html, make_draft, make_twin
 from securesystemslib.dsse import Envelope
 from securesystemslib.signer import CryptoSigner, Key
 

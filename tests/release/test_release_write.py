@@ -13,7 +13,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from conftest import NOW, MakeRelease, html, make_draft, make_twin, outcome, sha256
+from release_twins import NOW, MakeRelease, html, make_draft, make_twin, outcome, sha256
 from securesystemslib.signer import CryptoSigner
 
 from pytest_twin import release
@@ -155,7 +155,7 @@ def test_a_killed_write_leaves_no_release(root: Path, user: Path) -> None:
 import os, signal, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
-from conftest import make_draft
+from release_twins import make_draft
 from pytest_twin import release
 root = Path({str(root)!r})
 signer, _ = release.signer(root)
@@ -223,7 +223,7 @@ def test_writers_in_parallel_never_clobber(root: Path, user: Path) -> None:
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
-from conftest import html, make_draft
+from release_twins import html, make_draft
 from pytest_twin import release
 from pytest_twin.errors import ReleaseError
 root = Path({str(root)!r})

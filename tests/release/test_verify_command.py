@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from conftest import MakeRelease
+from release_twins import MakeRelease
 
 from pytest_twin import cli
 
