@@ -76,6 +76,8 @@ class Structure:
         body_tree: moving body -> its tree; bodies that stand still are left out.
         actuator_bodies: actuator -> bodies that it pulls on.
         equalities: those of ``couplings`` that constrain poses.
+        loops: those of ``equalities`` that are no mimic of one joint by another: a pose of any
+            joint is looked for with all of them closed.
         contact_masks: collision body -> (contype, conaffinity), over all its geoms.
         contact_pairs: bodies of explicit contact pairs.
         body_meshes: collision body -> part ids of the meshes and height fields of its geoms.
@@ -95,6 +97,7 @@ class Structure:
     body_tree: Mapping[str, str] = field(default_factory=dict)
     actuator_bodies: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     equalities: frozenset[str] = frozenset()
+    loops: frozenset[str] = frozenset()
     contact_masks: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     contact_pairs: tuple[tuple[str, str], ...] = ()
     body_meshes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -108,8 +111,8 @@ class Structure:
     def chain(self, frames: Iterable[str]) -> frozenset[str]:
         """Where ``frames`` (sites or bodies) are at a pose: kinematics from the world to them.
 
-        Equality constraints of the bodies on the way count, with the bodies at their other end:
-        a mimic joint or a closed loop moves the frame too.
+        Equality constraints of the bodies on the way count, with the bodies at their other end,
+        and every closed loop: they move the frame too, or leave no such pose.
         """
         wanted = frozenset(frames)
         return self._remember(("chain", wanted), lambda: self._chain(wanted))
@@ -193,7 +196,10 @@ class Structure:
     def _placed(self, bodies: set[str]) -> set[str]:
         """Kinematics of ``bodies`` and of what equalities tie to them."""
         bodies = set(bodies)
-        tied: set[str] = set()
+        tied: set[str] = set(self.loops)
+        for loop in tied:
+            for body in self.couplings[loop]:
+                bodies.update(self.ancestors(body))
         moving = set(self.body_tree)
         grown = True
         while grown:
@@ -366,6 +372,7 @@ class Structure:
             body_tree=_strings(table["body_tree"], str),
             actuator_bodies=_lists(table["actuator_bodies"]),
             equalities=frozenset(_texts(table["equalities"])),
+            loops=frozenset(_texts(table["loops"])),
             contact_masks={
                 body: _pair(pair, int)
                 for body, pair in _strings(table["contact_masks"], object).items()

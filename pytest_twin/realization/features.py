@@ -812,12 +812,14 @@ def _structure(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> St
         return tuple(sorted({body[i] for i in indices}))
 
     couplings: dict[str, tuple[str, ...]] = {}
-    equalities = set()
+    equalities, loops = set(), set()
     for eq in range(model.neq):
         obj, ends = names.equality_ends(eq)
         part = f"{name}/coupling:{names.equality[eq]}"
         couplings[part] = bodies(b for i in ends for b in names.body_of(obj, i))
         equalities.add(part)
+        if int(model.eq_type[eq]) != int(mujoco.mjtEq.mjEQ_JOINT):
+            loops.add(part)
     for tendon in range(model.ntendon):
         part = f"{name}/coupling:{names.tendon[tendon]}"
         found = bodies(names.tendon_bodies(tendon))
@@ -871,6 +873,7 @@ def _structure(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> St
         },
         actuator_bodies={names.actuator[a]: bodies(pulled) for a, (_, pulled) in enumerate(reach)},
         equalities=frozenset(equalities),
+        loops=frozenset(loops),
         contact_masks=masks,
         contact_pairs=tuple(
             (body[int(model.geom_bodyid[a])], body[int(model.geom_bodyid[b])])
