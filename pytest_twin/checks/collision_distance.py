@@ -13,6 +13,7 @@ from pytest_twin.checks.fields import known_name, spec_error, tolerance
 from pytest_twin.checks.poses import (
     POSES_SCHEMA,
     REFERENCE,
+    joints_above,
     keyframes_of,
     recorded_poses,
     resolve_poses,
@@ -128,7 +129,9 @@ class CollisionDistance(Check):
         for i, entry in enumerate(golden.target["disabled"]):
             for name in entry.get("pair", entry.get("among", ())):
                 known_name(golden, f"target.disabled.{i}", name, shapes.bodies, "body")
-        poses = resolve_poses(golden, realization)
+        structure = realization.structure
+        bodies = _bodies(golden, structure)
+        poses = resolve_poses(golden, realization, moved=joints_above(structure, bodies))
         data = mujoco.MjData(realization.model)
         found: dict[str, dict[str, float]] = {name: {} for name, _, _ in pairs}
         reference: dict[str, dict[str, float]] = {name: {} for name, _, _ in pairs}
@@ -223,6 +226,11 @@ class CollisionDistance(Check):
             unit="m",
             against=against,
         )
+
+
+def _bodies(golden: Golden, structure: Structure) -> set[str]:
+    """Bodies of the declared pairs."""
+    return {structure.geom_body.get(name, name) for pair in golden.target["pairs"] for name in pair}
 
 
 def _use(measure: Measure) -> float:

@@ -12,6 +12,7 @@ from pytest_twin.checks.fields import known_name, tolerance
 from pytest_twin.checks.poses import (
     POSES_SCHEMA,
     REFERENCE,
+    joints_above,
     keyframes_of,
     recorded_poses,
     resolve_poses,
@@ -81,11 +82,7 @@ class ForwardKinematics(Check):
             known_name(golden, f"target.frames.{i}", name, structure.frame_body, "frame")
             for i, name in enumerate(golden.target["frames"])
         ]
-        moved = frozenset(
-            joint
-            for joint, body in structure.joint_body.items()
-            if any(body in structure.ancestors(structure.frame_body[frame]) for frame in frames)
-        )
+        moved = joints_above(structure, [structure.frame_body[frame] for frame in frames])
         poses = resolve_poses(golden, realization, moved=moved)
         data = mujoco.MjData(realization.model)
         found: dict[str, dict[str, list[float]]] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from pytest_twin.checks.fields import (
     quantity,
     spec_error,
 )
+from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def resolve_poses(
                     drawn = {joint: float(value) for joint, value in known.items()}
                 else:
                     drawn = solver.draw(golden, place, seed, index, moved)
-                poses.append(solver.pose(golden, place, name, drawn, drawn))
+                poses.append(solver.pose(golden, place, name, drawn, held=frozenset(), drawn=True))
         else:
             poses.append(_given(golden, place, entry, number, solver))
     seen: set[str] = set()
@@ -160,6 +161,12 @@ def recorded_poses(poses: list[Pose]) -> dict[str, dict[str, float]]:
     return {pose.name: dict(pose.drawn) for pose in poses if pose.drawn is not None}
 
 
+def joints_above(structure: Structure, bodies: Iterable[str]) -> frozenset[str]:
+    """Joints on the chains from the world to ``bodies``."""
+    above = {link for body in bodies for link in structure.ancestors(body)}
+    return frozenset(joint for joint, body in structure.joint_body.items() if body in above)
+
+
 def keyframes_of(golden: Golden) -> list[str]:
     """Keyframes that the poses of a golden name."""
     entries = [*golden.stimulus.get("poses", []), golden.stimulus.get("pose")]
@@ -169,7 +176,7 @@ def keyframes_of(golden: Golden) -> list[str]:
 def _given(golden: Golden, place: str, entry: object, number: int, solver: _Coupled) -> Pose:
     if isinstance(entry, str):
         values = {} if entry == REFERENCE else solver.keyframe(golden, place, entry)
-        return solver.pose(golden, place, entry, values, None)
+        return solver.pose(golden, place, entry, values, held=None)
     if not isinstance(entry, Mapping):
         raise spec_error(golden, place, "not a pose", value=entry, expected="a name or joints")
     values = {}
@@ -177,7 +184,8 @@ def _given(golden: Golden, place: str, entry: object, number: int, solver: _Coup
         at = f"{place}.joints.{joint}"
         known_name(golden, at, joint, solver.joint_type, "hinge or slide joint")
         values[joint] = quantity(golden, at, value, POSITION_UNIT[solver.joint_type[joint]])
-    return solver.pose(golden, place, str(entry.get("name", f"pose {number + 1}")), values, None)
+    name = str(entry.get("name", f"pose {number + 1}"))
+    return solver.pose(golden, place, name, values, held=frozenset(values))
 
 
 class _Coupled:
@@ -228,11 +236,17 @@ class _Coupled:
         place: str,
         name: str,
         values: Mapping[str, float],
-        drawn: Mapping[str, float] | None,
+        *,
+        held: frozenset[str] | None,
+        drawn: bool = False,
     ) -> Pose:
+        """Values with what follows from them; ``held``: joints that closing a loop may not move.
+
+        None closes no loop: the model's own poses are taken as they stand.
+        """
         qpos = self.configuration(values)
-        if self._loops and values:
-            open_joints = self._close(qpos, frozenset(values))
+        if self._loops and held is not None:
+            open_joints = self._close(qpos, held)
             if open_joints:
                 raise spec_error(
                     golden,
@@ -242,7 +256,7 @@ class _Coupled:
                     expected="joint values that the model's equality constraints allow",
                 )
         joints = {joint: float(qpos[self._address(joint)]) for joint in self._joint}
-        return Pose(name, joints, drawn, qpos)
+        return Pose(name, joints, dict(values) if drawn else None, qpos)
 
     def draw(
         self, golden: Golden, place: str, seed: int, index: int, moved: frozenset[str] | None

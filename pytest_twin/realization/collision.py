@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from pytest_twin.errors import ModelError
+from pytest_twin.realization import simulate
 from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
@@ -48,7 +49,8 @@ class Shapes:
     @cached_property
     def bodies(self) -> tuple[str, ...]:
         """Bodies with a geom that can collide, the world too."""
-        return tuple(_body_name(self._model, body) for body in sorted(_bodies(self._model)))
+        names = _body_names(self._realization)
+        return tuple(names[body] for body in sorted(_bodies(self._model)))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -60,10 +62,9 @@ class Shapes:
         geom = int(mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, name))
         if geom >= 0:
             return frozenset({geom})
-        for body, geoms in _bodies(self._model).items():
-            if _body_name(self._model, body) == name:
-                return frozenset(geoms)
-        return frozenset()
+        names = _body_names(self._realization)
+        body = names.index(name) if name in names else -1
+        return frozenset(_bodies(self._model).get(body, ()))
 
     def distance(self, data: mujoco.MjData, first: frozenset[int], second: frozenset[int]) -> float:
         """Least signed distance of two sets of geoms, m, by MuJoCo, after ``mj_kinematics``.
@@ -114,7 +115,7 @@ class Shapes:
                 raise ModelError(
                     "no distance to this shape can be checked",
                     path=self._realization.path,
-                    where=f"geom {_geom_name(self._model, geom)!r}",
+                    where=simulate.geom_name(self._model, geom),
                     value=kind.name.removeprefix("mjGEOM_").lower(),
                     expected="plane, sphere, capsule, ellipsoid, cylinder, box or mesh",
                 )
@@ -196,7 +197,7 @@ def hull_points(model: mujoco.MjModel, spec: mujoco.MjSpec, mesh: int) -> Vector
 
 def enabled_pairs(realization: Realization) -> list[tuple[str, str]]:
     """Pairs of bodies of which some geoms can collide, sorted by name."""
-    return sorted(pair for pair, why in _verdicts(realization.model) if why in ("", _IN_PART))
+    return sorted(pair for pair, why in _verdicts(realization) if why in ("", _IN_PART))
 
 
 def disabled_pairs(realization: Realization) -> list[tuple[tuple[str, str], str]]:
@@ -206,11 +207,13 @@ def disabled_pairs(realization: Realization) -> list[tuple[tuple[str, str], str]
     move against each other, a body and its parent (where the model keeps MuJoCo's filter), and
     geoms that an explicit ``pair`` brings together.
     """
-    return sorted((pair, why) for pair, why in _verdicts(realization.model) if why)
+    return sorted((pair, why) for pair, why in _verdicts(realization) if why)
 
 
-def _verdicts(model: mujoco.MjModel) -> Iterator[tuple[tuple[str, str], str]]:
+def _verdicts(realization: Realization) -> Iterator[tuple[tuple[str, str], str]]:
     """Every pair of bodies that could meet, by sorted names, and what disables it, or ''."""
+    model = realization.model
+    names = _body_names(realization)
     excluded = _excluded(model)
     bodies = _bodies(model)
     explicit = {
@@ -226,7 +229,7 @@ def _verdicts(model: mujoco.MjModel) -> Iterator[tuple[tuple[str, str], str]]:
             for g in bodies[a]
             for h in bodies[b]
         ]
-        first, second = sorted((_body_name(model, a), _body_name(model, b)))
+        first, second = sorted((names[a], names[b]))
         if off:
             why = "the option contact='disable' keeps them apart"
         elif (a, b) in excluded and not all(paired):
@@ -272,9 +275,6 @@ def _excluded(model: mujoco.MjModel) -> set[tuple[int, int]]:
     return pairs
 
 
-def _body_name(model: mujoco.MjModel, body: int) -> str:
-    return str(model.body(body).name) or f"body {body}"
-
-
-def _geom_name(model: mujoco.MjModel, geom: int) -> str:
-    return str(model.geom(geom).name) or f"of {_body_name(model, int(model.geom_bodyid[geom]))}"
+def _body_names(realization: Realization) -> tuple[str, ...]:
+    """Names of all bodies by index, as the parts of the realization have them."""
+    return ("world", *realization.structure.body_parent)

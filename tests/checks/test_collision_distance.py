@@ -196,7 +196,9 @@ def test_a_height_field_is_refused_by_name(tmp_path: Path) -> None:
         stimulus={"poses": ["reference"]},
         tolerance={"distance": "1 mm"},
     )
-    with pytest.raises(ModelError, match=r"geom 'ground'.*got 'hfield'; expected plane, sphere"):
+    with pytest.raises(
+        ModelError, match=r"ground: no distance.*got 'hfield'; expected plane, sphere"
+    ):
         measure(CHECK, spec, realization)
 
 
@@ -351,6 +353,17 @@ def test_explicit_pairs_and_partial_masks(tmp_path: Path) -> None:
         ("a", "b"): "contype and conaffinity keep some of their geoms apart",
         ("a", "c"): "contype and conaffinity keep them apart",
     }
+
+
+def test_bodies_without_a_name_are_known_by_their_place(tmp_path: Path) -> None:
+    text = """<mujoco><worldbody><body name="a"><joint/><geom size="0.1"/></body>
+      <body><joint/><geom size="0.1" contype="2" conaffinity="2"/></body></worldbody></mujoco>"""
+    nameless = robot(tmp_path, text)
+    [(pair, _)] = collision.disabled_pairs(nameless)
+    assert set(pair) == {"a", next(b for b in nameless.structure.body_parent if b != "a")}
+    spec = from_first(CHECK, nameless)
+    assert failed(measure(CHECK, spec, nameless)) == []
+    assert set(CHECK.depends(spec, nameless.structure)) <= set(nameless.parts)
 
 
 def test_the_filter_agrees_with_mujocos_own_contacts(tmp_path: Path) -> None:

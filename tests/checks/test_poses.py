@@ -158,6 +158,25 @@ def test_a_named_pose_of_a_loop_keeps_the_given_joints(tmp_path: Path) -> None:
     assert pose.joints["coupler"] == pytest.approx(-0.4)
 
 
+def test_recorded_poses_of_a_loop_follow_a_changed_link(tmp_path: Path) -> None:
+    [drawn] = poses(robot(tmp_path, FOUR_BAR), {"seed": 1, "count": 1})
+    expected = {"poses": recorded_poses([drawn])}
+    longer = robot(tmp_path, FOUR_BAR.replace('anchor="0.5 0 0"', 'anchor="0.5 0 0.01"'))
+    [again] = poses(longer, {"seed": 1, "count": 1}, expected=expected)
+    [same] = poses(robot(tmp_path, FOUR_BAR), {"seed": 1, "count": 1}, expected=expected)
+    assert same.joints == drawn.joints
+    for joint, value in drawn.joints.items():
+        assert again.joints[joint] == pytest.approx(value, abs=0.1)
+
+
+def test_a_rounded_keyframe_of_a_loop_stands(tmp_path: Path) -> None:
+    text = FOUR_BAR.replace(
+        "</mujoco>", '<keyframe><key name="k" qpos="0.3 -0.3001 0.3"/></keyframe></mujoco>'
+    )
+    [pose] = poses(robot(tmp_path, text), "k")
+    assert pose.joints == {"crank": 0.3, "coupler": -0.3001, "rocker": 0.3}
+
+
 def test_what_cannot_close_is_an_error(tmp_path: Path) -> None:
     loop = robot(tmp_path, FOUR_BAR)
     with pytest.raises(SpecError, match="closed loop of the model does not close there"):
