@@ -60,12 +60,24 @@ def failure_text(outcome: Outcome, *, location: str, plot: str | None = None) ->
 def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list[str]:
     """Every measure in a line, the worst first."""
     ordered = sorted(measures, key=use_of_tolerance, reverse=True)
-    head = ("", "measure", "of", "measured", "against", "error", "tolerance", "margin")
+    timed = any(measure.time is not None for measure in ordered[:max_rows])
+    head = (
+        "",
+        "measure",
+        "of",
+        *(["at"] if timed else []),
+        "measured",
+        "against",
+        "error",
+        "tolerance",
+        "margin",
+    )
     rows = [
         (
             "ok" if measure.passed else "FAIL",
             measure.name,
             measure.subject,
+            *([_when(measure)] if timed else []),
             quantity(measure.measured, measure.unit),
             f"{quantity(measure.golden, measure.unit)} ({measure.against})",
             number(measure.error),
@@ -85,6 +97,10 @@ def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list
         failed = sum(not measure.passed for measure in left_out)
         lines.append(f"  and {len(left_out)} more, {failed} of them failed")
     return lines
+
+
+def _when(measure: Measure) -> str:
+    return "" if measure.time is None else quantity(measure.time, "s")
 
 
 def _what(worst: Measure) -> str:

@@ -77,6 +77,7 @@ class Panel:
         then: what it is held against, None where nothing is; ``against`` its name.
         command: what was commanded, where that has the same unit.
         worst: the worst sample, None where no tolerance bounds the series.
+        bound: the measure of this quantity that used most of its tolerance, such as an RMS.
     """
 
     title: str
@@ -86,6 +87,7 @@ class Panel:
     against: str = "golden"
     command: Line | None = None
     worst: Worst | None = None
+    bound: Measure | None = None
 
     @property
     def residual(self) -> Line | None:
@@ -110,7 +112,8 @@ def time_panels(
         if shares_panel:
             continue
         line = Line(now.x, values)
-        bound = _bound_of(subject, unit, line, measures)
+        about = [m for m in measures if m.unit == unit and m.subject == subject]
+        bound = _bound_of(line, about)
         command = None
         if commanded is not None and commanded[0] == unit and not name.startswith(_COMMAND):
             command = Line(now.x, commanded[1])
@@ -123,6 +126,7 @@ def time_panels(
                 against=bound.against if bound else _against(measures),
                 command=command,
                 worst=None if bound is None or bound.time is None else _worst(bound, bound.time),
+                bound=max(about, key=use_of_tolerance, default=None),
             )
         )
     panels.sort(key=_telling, reverse=True)
@@ -176,30 +180,25 @@ def shifted(line: Line, offset: float) -> Line:
 
 def _telling(panel: Panel) -> tuple[float, float]:
     """Use of the tolerance, then the residual in parts of the golden's range."""
-    worst, left = panel.worst, panel.residual
-    used = -1.0
-    if worst is not None:
-        used = worst.error / worst.tolerance if worst.tolerance > 0 else float(not worst.passed)
-        used = np.inf if np.isnan(used) else used
+    left = panel.residual
+    used = -1.0 if panel.bound is None else use_of_tolerance(panel.bound)
     if left is None or panel.then is None:
         return (used, _range(panel.now) * 1e-12)
     scale = _range(panel.then) or 1.0
     return (used, float(np.max(np.abs(np.nan_to_num(left.y)))) / scale)
 
 
-def _bound_of(subject: str, unit: str, line: Line, measures: Sequence[Measure]) -> Measure | None:
+def _bound_of(line: Line, measures: Sequence[Measure]) -> Measure | None:
     """The worst measure that speaks of one sample of a series.
 
-    It has the series' unit, subject and a time, and its value is the one of the series at that
-    time; a mean over the series (RMS) has not, and draws no band.
+    It has a time, and its value is the one of the series at that time; a mean over the series
+    (RMS) has not, and draws no band.
     """
     scale = _range(line) + 1e-12
     fitting = [
         measure
         for measure in measures
-        if measure.unit == unit
-        and measure.subject == subject
-        and measure.time is not None
+        if measure.time is not None
         and abs(float(np.interp(measure.time, line.x, line.y)) - measure.measured) <= 1e-3 * scale
     ]
     return max(fitting, key=use_of_tolerance, default=None)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_BARS = 14
-_LABEL_CHARS = 46
+_LABEL_CHARS = 58
 _WIDTH_INCHES = 8.6
 
 
@@ -169,18 +169,29 @@ def _residual(axes: Axes, panel: Panel) -> None:
     if worst is not None:
         axes.axvline(worst.x, color=DIM if worst.passed else FAIL, linewidth=0.8)
         _note_worst(axes, panel, "s")
+    elif panel.bound is not None:
+        bound = panel.bound
+        _note(
+            axes,
+            f"{bound.name} {number(bound.error)}, of {quantity(bound.tolerance, bound.unit)} "
+            "allowed",
+            passed=bound.passed,
+        )
 
 
 def _note_worst(axes: Axes, panel: Panel, unit: str) -> None:
     worst = panel.worst
     if worst is not None:
-        axes.set_title(
+        _note(
+            axes,
             f"{number(worst.error)} at {number(worst.x)} {unit}, of "
             f"{quantity(worst.tolerance, panel.unit.split(' ')[0] or '1')} allowed",
-            loc="right",
-            color=DIM if worst.passed else FAIL,
-            fontsize=8,
+            passed=worst.passed,
         )
+
+
+def _note(axes: Axes, text: str, *, passed: bool) -> None:
+    axes.set_title(_label(text, 90), loc="right", color=DIM if passed else FAIL, fontsize=8)
 
 
 def _axis_label(axes: Axes, series: Series, left_out: int) -> None:

@@ -44,10 +44,20 @@ def test_a_failure_says_what_to_do() -> None:
             "  spec         golden/step/elbow.yaml:12",
             "  plot         .twin/plots/x.svg",
             "",
-            "        measure  of     measured    against              error  tolerance  margin",
-            "  FAIL  angle    elbow  0.5213 rad  0.4893 rad (golden)  0.032  0.0107     -0.0213",
-            "  ok    angle    wrist  0.1 rad     0.101 rad (golden)   0.001  0.0107     0.0097",
+            "        measure  of     at       measured    against"
+            "              error  tolerance  margin",
+            "  FAIL  angle    elbow  1.234 s  0.5213 rad  0.4893 rad (golden)"
+            "  0.032  0.0107     -0.0213",
+            "  ok    angle    wrist  0.5 s    0.1 rad     0.101 rad (golden)"
+            "   0.001  0.0107     0.0097",
         ]
+    )
+
+
+def test_the_table_says_when_only_where_there_is_a_time() -> None:
+    still = [replace(measure, time=None) for measure in (ELBOW, WRIST)]
+    assert measure_table(still)[0].split() == (
+        ["measure", "of", "measured", "against", "error", "tolerance", "margin"]
     )
 
 

@@ -82,6 +82,7 @@ def test_a_mean_over_the_series_draws_no_band() -> None:
     (panel,), _ = time_panels([rms], now, then)
     assert panel.worst is None
     assert panel.against == "recording"
+    assert "rms 0.058, of 0.02 rad allowed" in words(plot("replay", "R", [rms], now, then))
     peak = worst_of(now, then, "elbow", 0.5)
     (panel,), _ = time_panels([rms, peak], now, then)
     assert panel.worst is not None
