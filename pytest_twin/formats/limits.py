@@ -50,7 +50,7 @@ class McapLimits:
     file_bytes: int = 8 * 2**30
     chunk_bytes: int = 128 * 2**20
     uncompressed_bytes: int = 16 * 2**30
-    records_count: int = 50_000_000
+    records_count: int = 5_000_000
     messages_count: int = 20_000_000
     message_bytes: int = 16 * 2**20
     joints_count: int = 1024

@@ -201,10 +201,6 @@ def _by_channel(region: Region) -> Iterator[tuple[int, Integers]]:
         yield channel, np.flatnonzero(region.channel == channel)
 
 
-def _first_row(found: Batch | tuple[int, MessageError]) -> int:
-    return found[0] if isinstance(found, tuple) else int(found.rows[0])
-
-
 @dataclass
 class _TopicReader:
     """Gathers one topic's messages."""
@@ -213,6 +209,7 @@ class _TopicReader:
     path: Path
     contents: Contents
     names: tuple[str, ...] | None = None
+    named_at: int = 0
     order: list[Integers] = field(default_factory=list)
     log_times: list[Integers] = field(default_factory=list)
     batches: list[Batch] = field(default_factory=list)
@@ -227,9 +224,8 @@ class _TopicReader:
         self.check(channel)
         starts, sizes = region.start[rows], region.size[rows]
         if channel.encoding == "cdr":
-            found = list(decode_cdr(region.data, starts, sizes))
-            for batch in sorted(found, key=_first_row):
-                self.keep(batch, region, rows)
+            for found in decode_cdr(region.data, starts, sizes):
+                self.keep(found, region, rows)
         else:
             for row, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
                 try:
@@ -254,16 +250,7 @@ class _TopicReader:
                     expected=f"at most {limits.MCAP.undecodable_count}",
                 )
             return
-        if self.names is None:
-            self.names = found.names
-        if set(found.names) != set(self.names):
-            raise RecordingError(
-                "joints change within the topic",
-                path=self.path,
-                where=f"{self.topic} message {self.seen + int(found.rows[0])}",
-                value=", ".join(found.names),
-                expected=", ".join(self.names),
-            )
+        self.take_names(found.names, self.seen + int(found.rows[0]))
         self.samples += len(found.rows) * len(found.names)
         if self.samples > limits.MCAP.samples_count:
             raise LimitError(
@@ -276,6 +263,20 @@ class _TopicReader:
         self.log_times.append(region.log_time[rows[found.rows]])
         self.batches.append(found)
         self.bad_stamps += found.bad_stamp
+
+    def take_names(self, names: tuple[str, ...], message: int) -> None:
+        """Keep the names of the first message; batches of one region come in any order."""
+        if self.names is not None and set(names) != set(self.names):
+            (_, first), (later, other) = sorted([(self.named_at, self.names), (message, names)])
+            raise RecordingError(
+                "joints change within the topic",
+                path=self.path,
+                where=f"{self.topic} message {later}",
+                value=", ".join(other),
+                expected=", ".join(first),
+            )
+        if self.names is None or message < self.named_at:
+            self.names, self.named_at = names, message
 
     def check(self, channel: Channel) -> None:
         if channel in self.checked:

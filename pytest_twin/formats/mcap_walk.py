@@ -149,6 +149,7 @@ class _Walker:
         self.messages = 0
         self.uncompressed = 0
         self.chunks: set[int] = set()
+        self.declared: set[tuple[int, bytes]] = set()
         self.indexed: list[int] = []
         self.expected: dict[int, int] | None = None
         self.in_summary = False
@@ -369,16 +370,23 @@ class _Walker:
                 append(at)
             elif opcode in (SCHEMA, CHANNEL):
                 self.count_record()
+                content = data[at + 9 : after]
                 try:
-                    self.declare(opcode, data[at + 9 : after])
+                    # Some writers repeat all of them in each chunk.
+                    if (opcode, content) not in self.declared:
+                        self.declare(opcode, content)
                 except ValueError as error:
                     problem = str(error)
                     break
             elif top:
                 break
+            elif opcode == 0:
+                problem = "a record of type 0, which does not exist"
+                break
             elif opcode == CHUNK:
                 raise FormatError("a chunk inside a chunk", path=self.path, where=place)
             else:
+                self.count_record()
                 self.notes.add(
                     f"{place}, byte {at} of its content",
                     f"a record of type {opcode}, which no chunk holds, is not read",
@@ -445,6 +453,7 @@ class _Walker:
                 expected=f"at most {limits.MCAP.channels_count}",
             )
         table[number] = found  # type: ignore[assignment]
+        self.declared.add((opcode, content))
 
     def record(self, opcode: int, start: int, length: int) -> None:
         """Every record that holds no messages."""
