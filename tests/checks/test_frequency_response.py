@@ -95,8 +95,8 @@ def test_the_timestep_costs_less_than_half_a_step_of_phase(tmp_path: Path) -> No
         assert (lag / held).max() < 1.0
         assert (lag / held).max() > 0.5
         assert found.values["resonance"] == pytest.approx(
-            np.sqrt(STIFFNESS / MASS - 0.5 * (DAMPING / MASS) ** 2) / (2.0 * np.pi), rel=0.02
-        )
+            np.sqrt(STIFFNESS / MASS - 0.5 * (DAMPING / MASS) ** 2) / (2.0 * np.pi), rel=0.04
+        )  # lines stand 0.5 Hz apart
         dense = np.linspace(0.5, 20.0, 100_001)
         level = np.abs(continuous(dense)) / np.abs(continuous(np.array([0.5])))
         half_power = dense[np.argmax(level < np.sqrt(0.5))]

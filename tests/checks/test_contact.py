@@ -1,0 +1,363 @@
+"""Contact primitives against closed forms, and seen to fail on injected changes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bench_models import failed, golden_of, load_text, measures_on, observe, recorded
+from scipy.integrate import solve_ivp
+
+from pytest_twin.checks.contact import Contact
+from pytest_twin.checks.contact_scene import SIZES
+from pytest_twin.errors import SpecError
+from pytest_twin.realization import scene
+
+CHECK = Contact()
+GRAVITY, MASS = 9.81, 0.2
+BOX = {"shape": "box", "size": [0.02, 0.02, 0.02], "mass": "0.2 kg"}
+BALL = {"shape": "sphere", "size": ["20 mm"], "mass": "0.2 kg"}
+STIFF, DAMPED = 20_000.0, 40.0  # 1/s^2 and 1/s, of the table's contact
+HARD = f'solref="-{STIFF:g} -{DAMPED:g}" solimp="0.9999 0.9999 0.001 0.5 2"'
+
+
+def workcell(
+    *,
+    table: str = 'friction="0.6 0.005 0.0001"',
+    pads: str = 'friction="0.8 0.005 0.0001"',
+    timestep: float = 0.001,
+    force: float = 10.0,
+) -> str:
+    """A table, a slide with a round tip above it, and a gripper of two fingers."""
+    return f"""
+    <mujoco>
+      <compiler angle="radian"/>
+      <option timestep="{timestep}" integrator="implicitfast" cone="elliptic"/>
+      <worldbody>
+        <geom name="table" type="box" size="1 1 .05" pos="0 0 -.05" {table}/>
+        <body name="probe" pos="-.5 0 .12">
+          <joint name="along" type="slide" axis="1 0 0" damping="2"/>
+          <geom type="box" size=".01 .01 .01" mass=".1" contype="0" conaffinity="0"/>
+          <body name="stem">
+            <joint name="down" type="slide" axis="0 0 -1" range="-.2 .2" damping="20"/>
+            <geom name="tip" type="sphere" size=".02" mass=".3" friction=".1 .005 .0001"/>
+          </body>
+        </body>
+        <body name="left" pos="0 0 .5">
+          <joint name="l" type="slide" axis="0 1 0" range="-.05 .05" damping="5"/>
+          <geom name="left_pad" type="box" size=".01 .005 .02" pos="0 -.05 0" mass=".05" {pads}/>
+        </body>
+        <body name="right" pos="0 0 .5">
+          <joint name="r" type="slide" axis="0 -1 0" range="-.05 .05" damping="5"/>
+          <geom name="right_pad" type="box" size=".01 .005 .02" pos="0 .05 0" mass=".05" {pads}/>
+        </body>
+        <site name="grasp" pos="0 0 .5"/>
+      </worldbody>
+      <actuator>
+        <position name="down" joint="down" kp="500" kv="20"/>
+        <position name="l" joint="l" kp="2000" kv="20" forcerange="-{force} {force}"/>
+        <position name="r" joint="r" kp="2000" kv="20" forcerange="-{force} {force}"/>
+      </actuator>
+    </mujoco>"""
+
+
+def spec(
+    primitive: str, pair: list[str], stimulus: dict[str, Any], **target: Any
+) -> dict[str, Any]:
+    tolerance = {
+        "approach": {
+            "onset_time": "1 ms",
+            "position": "10 um",
+            "orientation": "1 mrad",
+            "penetration": "1 um",
+            "normal_force": "10 mN",
+        },
+        "slide": {"friction": "0.5 %", "slip_force": "20 mN", "declared_friction": "0.5 %"},
+        "release": {"rebound": "0.1 mm", "restitution": "0.5 %", "onset_time": "1 ms"},
+        "grip": {"slip": "0.1 mm", "normal_force": "50 mN", "opening": "0.1 mm"},
+    }[primitive]
+    tolerance = {name: text.replace(" mN", "e-3 N") for name, text in tolerance.items()}
+    return {
+        "target": {"primitive": primitive, "pair": pair, **target},
+        "stimulus": stimulus,
+        "tolerance": tolerance,
+    }
+
+
+APPROACH = spec(
+    "approach", ["object", "table"], {"duration": "1 s", "gap": "1 mm", "press": "3 N"}, object=BOX
+)
+PUSH = {"direction": [1, 0.5, 0], "force": "6 N", "duration": "0.5 s"}
+SLIDE = spec(
+    "slide", ["object", "table"], {"duration": "0.5 s", "gap": "1 mm", "slide": PUSH}, object=BOX
+)
+RELEASE = spec("release", ["object", "table"], {"duration": "0.6 s", "gap": "50 mm"}, object=BALL)
+GRIP = spec(
+    "grip",
+    ["left", "right"],
+    {"duration": "0.5 s", "hold": "0.5 s", "command": {"l": 0.05, "r": 0.05}},
+    object={"shape": "box", "size": [0.01, 0.02, 0.01], "mass": "0.1 kg", "frame": "grasp"},
+)
+
+
+def test_at_rest_the_floor_carries_weight_and_press(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell())
+    found = observe(CHECK, golden_of(CHECK, APPROACH), robot).values
+    assert found["normal_force"] == pytest.approx(MASS * GRAVITY + 3.0, rel=1e-4)
+    assert found["onset"][2] == pytest.approx(0.02, abs=2e-4)
+    assert found["onset"][3:] == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_onset_of_a_fall(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell(timestep=0.0005))
+    found = observe(CHECK, golden_of(CHECK, RELEASE), robot).values
+    assert found["onset_time"] == pytest.approx(np.sqrt(2.0 * 0.05 / GRAVITY), abs=0.001)
+
+
+@pytest.mark.parametrize("damping", [10.0, 40.0, 100.0])
+def test_rebound_of_a_damped_contact(tmp_path: Path, damping: float) -> None:
+    """A hard contact with direct solref replaces all acceleration by that of a damped spring."""
+    table = HARD.replace(f"{DAMPED:g}", f"{damping:g}")
+    robot = load_text(tmp_path, workcell(table=table, timestep=0.0002))
+    found = observe(CHECK, golden_of(CHECK, RELEASE), robot).values
+
+    def rate(_: float, state: np.ndarray) -> list[float]:
+        depth, speed = state
+        return [speed, min(GRAVITY, -STIFF * depth - damping * speed)]  # it cannot pull
+
+    def leaves(_: float, state: np.ndarray) -> float:
+        return float(state[0])
+
+    leaves.direction, leaves.terminal = -1.0, True  # type: ignore[attr-defined]
+    impact = np.sqrt(2.0 * GRAVITY * 0.05)
+    bounce = solve_ivp(rate, (0.0, 0.2), [1e-12, impact], events=leaves, rtol=1e-9, atol=1e-12)
+    restitution = -bounce.y[1, -1] / impact
+    assert found["restitution"] == pytest.approx(restitution, abs=0.01)
+    assert found["rebound"] == pytest.approx(restitution**2 * 0.05, abs=1e-3)
+
+
+def test_penetration_of_a_known_stiffness(tmp_path: Path) -> None:
+    impedance = 0.9
+    table = f'solref="-{STIFF:g} -200" solimp="{impedance} {impedance} 0.001 0.5 2"'
+    robot = load_text(tmp_path, workcell(table=table))
+    one_point = {**APPROACH, "target": {**APPROACH["target"], "object": BALL}}
+    found = observe(CHECK, golden_of(CHECK, one_point), robot).values
+    # The constraint takes the share d of the acceleration, and stiffness acts as k / d.
+    load = GRAVITY + 3.0 / MASS
+    assert found["penetration"] == pytest.approx((1.0 - impedance) * load / STIFF, rel=1e-3)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6])
+def test_slip_at_coulomb_friction(tmp_path: Path, friction: float) -> None:
+    robot = load_text(tmp_path, workcell(table=f'friction="{friction} 0.005 0.0001"'))
+    observation = observe(CHECK, golden_of(CHECK, SLIDE), robot)
+    found = observation.values
+    assert found["declared_friction"] == pytest.approx(friction)
+    assert found["friction"] == pytest.approx(friction, rel=2e-3)
+    assert found["slip_force"] == pytest.approx(friction * MASS * GRAVITY, rel=0.02)
+    assert observation.trace is not None
+    travel = observation.trace.columns["travel"][1][-1]
+    # From slip on, the growing force less dry friction accelerates the box.
+    onset = friction * MASS * GRAVITY / 6.0 * 0.5
+    exact = 6.0 / 0.5 / (6.0 * MASS) * (0.5 - onset) ** 3
+    assert travel == pytest.approx(exact, rel=0.05)
+
+
+def test_friction_of_the_object_is_what_counts_where_it_is_declared(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell())
+    rough = {**SLIDE, "target": {**SLIDE["target"], "object": {**BOX, "friction": 0.9}}}
+    found = observe(CHECK, golden_of(CHECK, rough), robot).values
+    assert found["friction"] == pytest.approx(0.9, rel=2e-3)  # MuJoCo takes the greater
+
+
+def test_a_force_within_friction_does_not_slip(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell())
+    golden, trace = recorded(CHECK, SLIDE, robot)
+    held = load_text(tmp_path, workcell(table='friction="4 0.005 0.0001"'), "held.xml")
+    measures = measures_on(CHECK, golden, trace, held)
+    assert measures["friction"].subject == ("object on table: undefined now (the pair never slips)")
+    assert {"friction", "slip_force", "declared_friction"} <= failed(measures)
+
+
+def test_the_robots_own_tip_meets_the_table(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell())
+    touch = spec(
+        "approach",
+        ["tip", "table"],
+        {"duration": "2 s", "ramp": "1 s", "command": {"down": 0.11}},
+    )
+    found = observe(CHECK, golden_of(CHECK, touch), robot).values
+    # The servo pulls by its error, the weight helps, the table carries both.
+    expected = 500.0 * (0.11 - 0.1 - found["penetration"]) + 0.3 * GRAVITY
+    assert found["normal_force"] == pytest.approx(expected, rel=1e-3)
+    assert found["onset"][2] == pytest.approx(0.02, abs=1e-3)
+    assert found["onset"][0] == pytest.approx(-0.5, abs=1e-6)
+
+
+def test_the_robots_own_tip_slides_under_load(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell())
+    slide = spec(
+        "slide",
+        ["tip", "table"],
+        {
+            "duration": "1.5 s",
+            "ramp": "1 s",
+            "command": {"down": 0.11},
+            "slide": {"direction": [1, 0, 0], "force": "10 N", "duration": "0.5 s"},
+        },
+    )
+    found = observe(CHECK, golden_of(CHECK, slide), robot).values
+    assert found["friction"] == pytest.approx(0.6, rel=0.01)
+    assert found["slip_force"] == pytest.approx(0.6 * found["normal_force"], rel=0.02)
+
+
+def test_an_effort_brings_a_joint_without_servo_to_the_table(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell().replace('<position name="down"', '<motor name="down"')
+                      .replace('joint="down" kp="500" kv="20"', 'joint="down"'))  # fmt: skip
+    touch = spec("approach", ["stem", "table"], {"duration": "2 s", "effort": {"down": "2 N"}})
+    found = observe(CHECK, golden_of(CHECK, touch), robot).values
+    assert found["normal_force"] == pytest.approx(2.0 + 0.3 * GRAVITY, rel=1e-3)
+
+
+def test_a_gripper_holds_what_its_pads_can(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell())
+    found = observe(CHECK, golden_of(CHECK, GRIP), robot).values
+    assert found["normal_force"] == pytest.approx(10.0, rel=0.02)  # the servos' force range
+    assert found["opening"] == pytest.approx(0.04, abs=2e-3)
+    assert found["slip"] < 2e-3
+    weak = load_text(tmp_path, workcell(force=0.3), "weak.xml")
+    dropped = observe(CHECK, golden_of(CHECK, GRIP), weak).values
+    assert dropped["slip"] is None  # 2 * 0.8 * 0.3 N is less than its weight of 0.98 N
+
+
+@pytest.mark.parametrize(
+    ("golden_spec", "change", "caught"),
+    [
+        (APPROACH, {}, set()),
+        (APPROACH, {"table": 'solref="0.03 1"'}, {"penetration"}),
+        (APPROACH, {"timestep": 0.004}, {"onset_time", "position"}),
+        (SLIDE, {}, set()),
+        (SLIDE, {"table": 'friction="0.5 0.005 0.0001"'}, {"friction", "slip_force"}),
+        (RELEASE, {}, set()),
+        (RELEASE, {"table": HARD.replace("40", "48")}, {"rebound", "restitution"}),
+        (GRIP, {}, set()),
+        (GRIP, {"force": 8.0}, {"normal_force"}),
+        (GRIP, {"pads": 'friction="0.04 0.005 0.0001"'}, {"slip"}),
+    ],
+)
+def test_changes_are_caught(
+    tmp_path: Path, golden_spec: dict[str, Any], change: dict[str, Any], caught: set[str]
+) -> None:
+    plain: dict[str, Any] = {"table": HARD} if golden_spec is RELEASE else {}
+    golden, trace = recorded(CHECK, golden_spec, load_text(tmp_path, workcell(**plain)))
+    changed = load_text(tmp_path, workcell(**plain | change), "changed.xml")
+    found = failed(measures_on(CHECK, golden, trace, changed))
+    assert caught <= found
+    assert bool(found) == bool(change)
+
+
+def test_a_declared_friction_that_the_contact_does_not_show_fails(tmp_path: Path) -> None:
+    # A pyramid is no cone: pushed along a diagonal it gives way late.
+    robot = load_text(tmp_path, workcell().replace('cone="elliptic"', 'cone="pyramidal"'))
+    diagonal = {**PUSH, "direction": [1, 1, 0]}
+    golden, trace = recorded(
+        CHECK, {**SLIDE, "stimulus": {**SLIDE["stimulus"], "slide": diagonal}}, robot
+    )
+    measure = measures_on(CHECK, golden, trace, robot)["declared_friction"]
+    assert measure.against == "declared"
+    assert not measure.passed
+
+
+def test_a_free_robot_lands_on_a_floor(tmp_path: Path) -> None:
+    text = """
+    <mujoco><option timestep="0.001"/><worldbody>
+      <body name="base" pos="0 0 3"><freejoint name="root"/><geom size=".1" mass="4"/>
+        <body name="leg" pos="0 0 -.1"><geom name="foot" type="box" pos="0 0 -.2" size=".1 .1 .02"
+          mass="1"/></body></body></worldbody></mujoco>"""
+    robot = load_text(tmp_path, text)
+    landing = spec("release", ["foot", "floor"], {"duration": "1 s", "gap": "20 mm"}, floor="-1 m")
+    found = observe(CHECK, golden_of(CHECK, landing), robot).values
+    assert found["onset_time"] == pytest.approx(np.sqrt(2.0 * 0.02 / GRAVITY), abs=0.002)
+    assert found["normal_force"] == pytest.approx(5.0 * GRAVITY, rel=1e-3)
+    assert [spec["name"] for spec in CHECK.first(robot)] == ["release_leg"]
+
+
+@pytest.mark.parametrize(
+    ("golden_spec", "words"),
+    [
+        (spec("approach", ["tipp", "table"], {"duration": "1 s"}), "did you mean 'tip'?"),
+        (
+            spec("approach", ["object", "table"], {"duration": "1 s"}),
+            "no geom or body that collides",
+        ),
+        (spec("slide", ["tip", "table"], {"duration": "1 s"}), "stimulus.slide: a slide needs it"),
+        (spec("grip", ["left", "right"], {"duration": "1 s", "hold": "1 s"}), "a grip needs one"),
+        (spec("release", ["tip", "table"], {"duration": "1 s"}), "cannot be let go"),
+        (spec("approach", ["tip", "table"], {"duration": "1 s"}), "the pair never touched"),
+        (
+            spec("approach", ["tip", "table"], {"duration": "1 s", "command": {"downn": 1.0}}),
+            "did you mean 'down'?",
+        ),
+        (
+            spec("approach", ["tip", "table"], {"duration": "1 s", "effort": {"down": "1 N*m"}}),
+            "unit 'N*m' does not fit",
+        ),
+        (
+            spec("approach", ["object", "table"], {"duration": "1 s"}, object={**BOX, "size": [1]}),
+            "no size of a box",
+        ),
+        (
+            spec("approach", ["object", "table"], {"duration": "1 s"}, object={**BOX, "mass": 0}),
+            "no mass",
+        ),
+        (
+            {**SLIDE, "stimulus": {**SLIDE["stimulus"], "slide": {**PUSH, "direction": [0, 0, 1]}}},
+            "has no part along the surface",
+        ),
+        (spec("approach", ["tip", "table"], {"duration": "0 s"}), "out of bounds"),
+    ],
+)
+def test_mistakes_are_named_with_their_line(
+    tmp_path: Path, golden_spec: dict[str, Any], words: str
+) -> None:
+    robot = load_text(tmp_path, workcell())
+    with pytest.raises(SpecError) as caught:
+        observe(CHECK, golden_of(CHECK, golden_spec), robot)
+    assert words in str(caught.value)
+    assert caught.value.line is not None
+
+
+def test_the_asset_stays_as_it_is(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell())
+    before = robot.spec.to_xml()
+    observe(CHECK, golden_of(CHECK, APPROACH), robot)
+    assert robot.spec.to_xml() == before
+    assert robot.model.nbody == load_text(tmp_path, workcell()).model.nbody
+
+
+@pytest.mark.parametrize("golden_spec", [APPROACH, SLIDE, RELEASE, GRIP])
+def test_the_same_twice(tmp_path: Path, golden_spec: dict[str, Any]) -> None:
+    robot = load_text(tmp_path, workcell())
+    first, second = (observe(CHECK, golden_of(CHECK, golden_spec), robot) for _ in range(2))
+    assert first.values == second.values
+    assert first.trace is not None
+    assert second.trace is not None
+    for name, (_, series) in first.trace.columns.items():
+        np.testing.assert_array_equal(series, second.trace.columns[name][1])
+
+
+def test_first_specs_rest_on_what_stands_still(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, workcell())
+    specs = CHECK.first(robot)
+    assert [spec["name"] for spec in specs] == ["release_table", "slide_table"]
+    for first in specs:
+        golden, trace = recorded(CHECK, first, robot)
+        measures = measures_on(CHECK, golden, trace, robot)
+        assert "normal_force" in measures
+        assert failed(measures) == set()
+
+
+def test_shapes_of_the_schema_are_those_of_the_scene() -> None:
+    assert dict(SIZES) == scene.SIZES
