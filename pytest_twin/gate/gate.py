@@ -23,6 +23,9 @@ from pytest_twin.twin import load_twin
 if TYPE_CHECKING:
     from pytest_twin.release import Release
 
+MAX_PLOTTED = 300
+"""Goldens of a twin up to which each has its plot; above, those that fail have."""
+
 Progress = Callable[[float], None]
 
 
@@ -161,7 +164,14 @@ class Gate:
                 error=NEVER_PROVEN,
                 reasons=reasons,
             )
-        return self.runner.prove(self.twin, golden, realization, reasons=reasons, progress=progress)
+        return self.runner.prove(
+            self.twin,
+            golden,
+            realization,
+            reasons=reasons,
+            plots="all" if len(self._goldens) <= MAX_PLOTTED else "failed",
+            progress=progress,
+        )
 
     def record(self, golden: Golden, progress: Progress | None) -> tuple[Outcome, Update | None]:
         """Record one golden on its first realization; the outcome says whether it now passes."""

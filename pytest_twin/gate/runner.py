@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
@@ -19,6 +19,7 @@ SECONDS = 600.0
 """Default bound on the wall time of one golden."""
 
 Progress = Callable[[float], None]
+Plots = Literal["all", "failed"]
 _WORKER = "pytest_twin.gate.worker"
 
 
@@ -46,6 +47,7 @@ class Runner:
         realization: str,
         *,
         reasons: tuple[Reason, ...] = (),
+        plots: Plots = "all",
         progress: Progress | None = None,
     ) -> Outcome:
         """Run one golden on one realization. Raises nothing: what went wrong is the outcome."""
@@ -53,7 +55,7 @@ class Runner:
         result: dict[str, Any] = {}
         error: str | None = None
         try:
-            result = self._call("prove", twin, golden, realization, progress, plotted=True)
+            result = self._call("prove", twin, golden, realization, progress, plots=plots)
         except TwinError as problem:
             error = str(problem)
         measures = tuple(Measure.from_json(fields) for fields in result.get("measures", ()))

@@ -15,21 +15,21 @@ from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.feature_cache import Features
-from pytest_twin.report import plots
+from pytest_twin.report.plots import plot
 from pytest_twin.twin import Twin, load_twin
 
 Progress = Callable[[float], None]
 
 
 def prove(
-    twin: str, spec: str, realization: str, plotted: bool, progress: Progress
+    twin: str, spec: str, realization: str, plots: str, progress: Progress
 ) -> dict[str, Any]:
     """Run one golden.
 
     Args:
         twin, spec: paths of ``twin.yaml`` and of the golden.
         realization: its name in ``twin.yaml``.
-        plotted: whether to draw.
+        plots: ``all``, or ``failed`` to draw what did not pass alone.
         progress: called with the fraction done.
 
     Returns:
@@ -41,7 +41,7 @@ def prove(
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
     observation = check.observe(golden, loaded, progress)
     stored = _stored(golden)
-    return _compared(golden, check, observation, stored, plotted=plotted)
+    return _compared(golden, check, observation, stored, plots=plots)
 
 
 def record(twin: str, spec: str, realization: str, progress: Progress) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def record(twin: str, spec: str, realization: str, progress: Progress) -> dict[s
         "expected": dict(expected),
         "trace": None if trace is None else trace_text(trace),
         "moved": [measure.to_json() for measure in moved],
-        **_compared(recorded, check, observation, trace, plotted=False),
+        **_compared(recorded, check, observation, trace, plots="none"),
     }
 
 
@@ -77,12 +77,14 @@ def _compared(
     observation: Observation,
     stored: Trace | None,
     *,
-    plotted: bool,
+    plots: str,
 ) -> dict[str, Any]:
     measures = check.compare(golden, observation, stored)
+    failed = not all(measure.passed for measure in measures)
+    drawn = plots == "all" or (plots == "failed" and failed)
     return {
         "measures": [measure.to_json() for measure in measures],
-        "plot": _plot(golden, measures, observation, stored) if plotted else None,
+        "plot": _plot(golden, measures, observation, stored) if drawn else None,
     }
 
 
@@ -103,7 +105,7 @@ def _plot(
 ) -> str | None:
     against = observation.against or stored
     title = golden.title or golden.id
-    drawn = plots.plot(golden.kind, title, measures, observation.trace, against)
+    drawn = plot(golden.kind, title, measures, observation.trace, against)
     return None if drawn is None else drawn.decode()
 
 
