@@ -61,7 +61,7 @@ def write(body: mujoco.MjsBody, mass: float, com: NDArray[np.float64], inertia: 
     moments, axes = np.diag(inertia), np.eye(3)
     if np.any(inertia - np.diag(moments)):
         moments, axes = np.linalg.eigh(inertia)
-        axes[:, 2] *= np.linalg.det(axes)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, axes.ravel())
     body.explicitinertial = True

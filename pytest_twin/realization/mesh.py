@@ -41,11 +41,17 @@ class Triangles:
         return Triangles(self.vertices * scale, faces, self.up_axis)
 
     @property
+    def principal_axes(self) -> Vertices:
+        """(3, 3) right-handed columns, from the thinnest direction to the longest."""
+        centred = self.vertices - self.vertices.mean(axis=0)
+        _, axes = np.linalg.eigh(centred.T @ centred)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        return np.asarray(axes)
+
+    @property
     def thickness(self) -> float:
         """Extent along the thinnest principal direction, in m."""
-        centred = self.vertices - self.vertices.mean(axis=0)
-        _, _, axes = np.linalg.svd(centred, full_matrices=False)
-        return float(np.ptp(centred @ axes.T, axis=0).min())
+        return float(np.ptp(self.vertices @ self.principal_axes[:, 0]))
 
 
 def read(path: Path, limits: ModelLimits) -> Triangles:
@@ -73,6 +79,8 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
         raise FormatError(f"broken {suffix[1:].upper()} mesh: {words}", path=path) from None
     if not len(triangles.faces):
         raise FormatError("a mesh without triangles", path=path)
+    if triangles.faces.shape[1:] != (3,) or triangles.vertices.shape[1:] != (3,):
+        raise FormatError("a mesh that is not made of triangles", path=path)
     if len(triangles.faces) > limits.mesh_faces:
         raise LimitError(
             "too many triangles",

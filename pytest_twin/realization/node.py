@@ -73,11 +73,16 @@ class Node:
         *,
         size: int | None = None,
         unit: str | None = None,
+        most: float = 1e10,
     ) -> NDArray[np.float64]:
         """The finite numbers of an attribute, ``default`` where it is absent.
 
+        Args:
+            most: bound on their magnitude; by default the largest that MuJoCo steps with.
+
         Raises:
-            ModelError: absent without a default, not numbers, not finite, or another count.
+            ModelError: absent without a default, not numbers, not finite, another count, or
+                beyond ``most``.
         """
         text = self.attributes.get(attribute)
         size = len(default) if size is None and default is not None else size
@@ -95,9 +100,24 @@ class Node:
             raise self.error("not a finite number", attribute, value=text, expected=expected)
         if size is not None and len(values) != size:
             raise self.error("another count of numbers", attribute, value=text, expected=expected)
+        if any(abs(value) > most for value in values):
+            raise self.error(
+                "out of all proportion",
+                attribute,
+                value=text,
+                unit=unit,
+                expected=f"at most {most:g}",
+            )
         return np.array(values, dtype=np.float64)
 
-    def number(self, attribute: str, default: float | None, *, unit: str | None = None) -> float:
+    def number(
+        self,
+        attribute: str,
+        default: float | None,
+        *,
+        unit: str | None = None,
+        most: float = 1e10,
+    ) -> float:
         """One finite number, as :meth:`numbers`."""
         fallback = None if default is None else (default,)
-        return float(self.numbers(attribute, fallback, size=1, unit=unit)[0])
+        return float(self.numbers(attribute, fallback, size=1, unit=unit, most=most)[0])

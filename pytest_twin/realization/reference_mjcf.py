@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pytest_twin.errors import ModelError
+from pytest_twin.errors import FormatError, ModelError
 from pytest_twin.realization import inertia, mesh, shapes
 from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.rigid import RigidModel, add_inertia, moments
@@ -223,14 +223,24 @@ class _Builder:
             path = self.realization.source.assets.get(found.file)
             if path is None or path.suffix.lower() not in mesh.SUFFIXES:
                 return None
-            triangles = mesh.read(path, LIMITS)
+            try:
+                triangles = mesh.read(path, LIMITS)
+            except FormatError:
+                # MuJoCo has read it: another dialect than ours.
+                return None
             vertices, faces = triangles.vertices, triangles.faces
         vertices = vertices * np.array(found.scale)
         turn = pin.Quaternion(*np.array(found.refquat)).normalized().matrix()
         vertices = (vertices - np.array(found.refpos)) @ turn
         if found.inertia == modes.mjMESH_INERTIA_CONVEX or not len(faces):
-            faces = shapes.hull(vertices)
-        volume, centroid, per_mass = shapes.polyhedron(vertices, faces)
+            hull = shapes.hull(vertices)
+            if hull is None:
+                return None
+            faces = hull
+        whole = shapes.polyhedron(vertices, faces)
+        if whole is None:
+            return None
+        volume, centroid, per_mass = whole
         mass = volume * geom.density if math.isnan(geom.mass) else float(geom.mass)
         return mass, centroid, mass * per_mass
 

@@ -42,8 +42,10 @@ def solid(geom: mujoco.MjsGeom, size: Vector) -> tuple[float, Vector] | None:
     return None
 
 
-def polyhedron(vertices: Vector, faces: NDArray[np.int32]) -> tuple[float, Vector, Vector]:
+def polyhedron(vertices: Vector, faces: NDArray[np.int32]) -> tuple[float, Vector, Vector] | None:
     """Volume, (3,) centroid, and (3, 3) inertia about it per unit mass, of a closed mesh.
+
+    None where there is no volume.
 
     Sums signed tetrahedra from the origin; the second moments of a tetrahedron with corners
     0, a, b, c and volume V are V/20 (aa + bb + cc + ss), s = a + b + c.
@@ -51,6 +53,8 @@ def polyhedron(vertices: Vector, faces: NDArray[np.int32]) -> tuple[float, Vecto
     corners = vertices[faces]
     volumes = np.linalg.det(corners) / 6
     total = float(volumes.sum())
+    if abs(total) < 1e-15:
+        return None
     sums = corners.sum(axis=1)
     centroid = np.einsum("i,ij->j", volumes, sums) / (4 * total)
     second = np.einsum("i,inj,ink->jk", volumes, corners, corners)
@@ -59,11 +63,14 @@ def polyhedron(vertices: Vector, faces: NDArray[np.int32]) -> tuple[float, Vecto
     return abs(total), centroid, np.trace(second) * np.eye(3) - second
 
 
-def hull(vertices: Vector) -> NDArray[np.int32]:
-    """(m, 3) faces of the convex hull, all looking out."""
-    from scipy.spatial import ConvexHull
+def hull(vertices: Vector) -> NDArray[np.int32] | None:
+    """(m, 3) faces of the convex hull, all looking out; None where it has no volume."""
+    from scipy.spatial import ConvexHull, QhullError
 
-    found = ConvexHull(vertices)
+    try:
+        found = ConvexHull(vertices)
+    except (QhullError, ValueError):
+        return None
     corners = vertices[found.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = np.einsum("ij,ij->i", normals, found.equations[:, :3]) < 0

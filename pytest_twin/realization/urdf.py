@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -250,8 +251,8 @@ def _joint(node: Node) -> Joint:
     if limit is not None and kind != "fixed":
         unit = "m" if linear else "rad"
         if kind in ("revolute", "prismatic") and {"lower", "upper"} & set(limit.attributes):
-            lower = limit.number("lower", 0.0, unit=unit)
-            upper = limit.number("upper", 0.0, unit=unit)
+            lower = limit.number("lower", 0.0, unit=unit, most=math.inf)
+            upper = limit.number("upper", 0.0, unit=unit, most=math.inf)
             if lower > upper:
                 raise limit.error(
                     f"joint '{name}' has its lower limit above its upper",
@@ -289,7 +290,8 @@ def _joint(node: Node) -> Joint:
 def _not_negative(node: Node, attribute: str, unit: str, joint: str) -> float | None:
     if attribute not in node.attributes:
         return None
-    value = node.number(attribute, None, unit=unit)
+    # Limits of 1e30 say that there is none.
+    value = node.number(attribute, None, unit=unit, most=math.inf)
     if value < 0:
         raise node.error(
             f"joint '{joint}' has a negative {attribute}",

@@ -40,6 +40,7 @@ _MIMIC_SOLIMP = (0.99, 0.9999, 0.001, 0.5, 2.0)
 # Thinner meshes have no convex hull that MuJoCo could build.
 _THINNEST = 1e-6
 _PLATE = 1e-3
+_WIDEST = 1e6
 
 
 @dataclass(slots=True)
@@ -396,6 +397,10 @@ class _Converter:
         if (scale == 0).any():
             raise node.error("a mesh without size", "scale", value=node.attributes["scale"])
         triangles = self._triangles(node, path).scaled(scale)
+        if not np.abs(triangles.vertices).max() < _WIDEST:
+            raise node.error(
+                "a mesh out of all proportion", "scale", expected=f"less than {_WIDEST:g} m"
+            )
         if triangles.thickness < _THINNEST:
             return self._plate(link, node, triangles, position, axes)
         key = (path, tuple(scale.tolist()))
@@ -424,10 +429,7 @@ class _Converter:
     ) -> dict[str, Any]:
         """The thin box around a mesh without volume."""
         centre = triangles.vertices.mean(axis=0)
-        _, _, rows = np.linalg.svd(triangles.vertices - centre, full_matrices=False)
-        frame = rows.T
-        if np.linalg.det(frame) < 0:
-            frame[:, 2] *= -1
+        frame = triangles.principal_axes
         local = (triangles.vertices - centre) @ frame
         half = np.maximum(np.ptp(local, axis=0) / 2, _PLATE / 2)
         middle = centre + frame @ ((local.max(axis=0) + local.min(axis=0)) / 2)

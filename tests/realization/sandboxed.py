@@ -80,3 +80,18 @@ def load_model(path: str) -> list[str]:
     from pytest_twin.realization import load
 
     return list(load(Path(path)).joints)
+
+
+def load_text(text: str, folder: str, suffix: str) -> tuple[str, str | None] | None:
+    """None, or words and file of the typed error; anything else is a defect and comes out so."""
+    from pytest_twin.errors import TwinError
+    from pytest_twin.realization import load
+
+    path = Path(folder) / f"model{suffix}"
+    path.write_text(text, encoding="utf-8", errors="surrogatepass")
+    try:
+        realization = load(path, accept_invalid_inertia=True)
+        realization.reference.mass()
+    except TwinError as error:
+        return str(error), None if error.path is None else str(error.path)
+    return None
