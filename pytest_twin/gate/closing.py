@@ -157,7 +157,6 @@ def _report(
         key_id=header.key_id if header else None,
         ids=gate.ids(),
         parts={ident: part.digest for ident, part in plan.parts.items()},
-        changed=frozenset(reason.part for task in plan.tasks.values() for reason in task.reasons),
         environment=environment(),
     )
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import jinja2
 
-from pytest_twin.outcome import Measure, use_of_tolerance
+from pytest_twin.outcome import Measure, Reason, use_of_tolerance
 from pytest_twin.report.failure import headline
 from pytest_twin.report.model import Entry, Report, Verdict
 from pytest_twin.report.text import number, printable, quantity, use
@@ -27,6 +27,8 @@ MAX_MEASURES = 400
 """Rows for one golden; the worst are shown."""
 MAX_ALL_MEASURES = 12_000
 """Rows for all goldens together; once they are used up each shows its worst."""
+MAX_CHANGES = 200
+"""Reasons why goldens ran; those that concern most are shown."""
 MAX_PARTS = 60
 """Ids that one golden lists of what it rests on."""
 MAX_ALL_PARTS = 30_000
@@ -76,7 +78,7 @@ def render(report: Report) -> str:
         proven=proven,
         counts=_counts(ran, proven),
         ids=list(_flat(report.ids)),
-        changed=sorted(report.changed),
+        changes=_changes(ran),
     )
 
 
@@ -132,6 +134,15 @@ def _counts(ran: Sequence[_Row], proven: Sequence[_Row]) -> list[tuple[str, int,
         )
         if count or name in ("passed now", "still proven")
     ]
+
+
+def _changes(ran: Sequence[_Row]) -> list[tuple[Reason, int]]:
+    """Every reason why goldens ran, and how many it concerns, the widest first."""
+    found: dict[Reason, int] = {}
+    for row in ran:
+        for reason in dict.fromkeys(row.entry.outcome.reasons):
+            found[reason] = found.get(reason, 0) + 1
+    return sorted(found.items(), key=lambda item: (-item[1], str(item[0])))[:MAX_CHANGES]
 
 
 def _flat(ids: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:

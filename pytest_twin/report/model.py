@@ -51,7 +51,6 @@ class Report:
         expires, key_id: of the release written now.
         ids: the tuple of IDs.
         parts: part id -> digest today.
-        changed: ids of the parts that differ from the baseline.
         environment: what it ran on.
     """
 
@@ -68,5 +67,4 @@ class Report:
     key_id: str | None = None
     ids: Mapping[str, Any] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)
-    changed: frozenset[str] = frozenset()
     environment: Mapping[str, str] = field(default_factory=dict)

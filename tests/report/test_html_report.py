@@ -69,7 +69,6 @@ FULL = report(
     previous=2,
     ids={"asset": "00ff", "realizations": {"mujoco": "11ee"}, "payloads": [], "fit": None},
     parts={"mujoco/mesh:link1": "ab" * 32},
-    changed=frozenset({"mujoco/mesh:link1"}),
     environment={"python": "CPython 3.11.2"},
 )
 
@@ -84,6 +83,7 @@ def test_the_verdict_comes_first_then_what_refused_then_the_failures() -> None:
             "What stands against it",
             "golden/fk/failed@mujoco: critical, and it failed",
             "release 1 has expired",
+            "What has changed since release 2",
             "Title of fk/failed",
             "Title of fk/error",
             "Title of fk/passed",
@@ -102,6 +102,14 @@ def test_each_golden_says_margins_reasons_and_where_its_spec_is() -> None:
     assert "golden/fk/failed.yaml:3" in text
     assert "mujoco/mesh:link1sha25600ff → 11ee" in text
     assert "it diverged at 0.3 s" in text
+
+
+def test_what_changed_says_old_and_new_and_how_many_goldens_it_concerns() -> None:
+    tree = lxml_html.fromstring(html.render(FULL).encode())
+    (row,) = tree.xpath("//h2[starts-with(., 'What has changed')]/following-sibling::div[1]//tr")
+    assert [cell.text_content() for cell in row] == [
+        "mujoco/mesh:link1", "sha256", "00ff → 11ee", "3",
+    ]  # fmt: skip
 
 
 def test_what_was_skipped_says_why_and_by_which_release() -> None:
@@ -183,7 +191,6 @@ def test_hostile_names_stay_names() -> None:
             key_id=HOSTILE,
             ids={HOSTILE: HOSTILE},
             parts={HOSTILE: HOSTILE},
-            changed=frozenset({HOSTILE}),
             environment={HOSTILE: HOSTILE},
         )
     )
