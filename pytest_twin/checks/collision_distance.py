@@ -22,7 +22,10 @@ from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
+    import mujoco
+
     from pytest_twin.realization import Realization
+    from pytest_twin.realization.collision import Shapes
 
 _NAN = float("nan")
 _FIRST_PAIRS = 12  # pairs of a first spec
@@ -178,18 +181,19 @@ class CollisionDistance(Check):
         data = mujoco.MjData(realization.model)
         mujoco.mj_kinematics(realization.model, data)
         disabled = collision.disabled_pairs(realization)
-        pairs = sorted(
-            (shapes.distance(data, shapes.geoms(a), shapes.geoms(b)), a, b)
-            for a, b in collision.enabled_pairs(realization)
-        )
-        apart = [[a, b] for distance, a, b in pairs if distance > 0.0][:_FIRST_PAIRS]
+        pairs = []
+        for a, b in collision.enabled_pairs(realization):
+            distance = shapes.measurable_distance(data, a, b)
+            if distance is not None:
+                pairs.append((distance, a, b))
+        apart = [[a, b] for distance, a, b in sorted(pairs) if distance > 0.0][:_FIRST_PAIRS]
         if not apart and not disabled:
             return []
         entries: list[dict[str, Any]] = [
             {"pair": list(pair), "reason": _first_reason(shapes, data, pair, why)}
             for pair, why in disabled
         ]
-        if not pairs and len(disabled) > 1:
+        if not collision.enabled_pairs(realization) and len(disabled) > 1:
             whole = sorted({name for pair, _ in disabled for name in pair})
             entries = [{"among": whole, "reason": f"{disabled[0][1]} in the supplier's model"}]
         return [
@@ -276,8 +280,10 @@ def _reasons(golden: Golden, disabled: Mapping[str, str]) -> list[Measure]:
     ]
 
 
-def _first_reason(shapes: Any, data: Any, pair: tuple[str, str], why: str) -> str:
-    distance = shapes.distance(data, shapes.geoms(pair[0]), shapes.geoms(pair[1]))
+def _first_reason(shapes: Shapes, data: mujoco.MjData, pair: tuple[str, str], why: str) -> str:
+    distance = shapes.measurable_distance(data, *pair)
+    if distance is None:
+        return f"{why} in the supplier's model"
     if distance < 0.0:
         return f"{why}; they overlap by {-1e3 * distance:.2g} mm at the reference pose"
     return f"{why} in the supplier's model; {1e3 * distance:.3g} mm apart at the reference pose"

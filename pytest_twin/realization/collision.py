@@ -108,6 +108,15 @@ class Shapes:
             least = min(least, distance)
         return float(least)
 
+    def measurable_distance(self, data: mujoco.MjData, first: str, second: str) -> float | None:
+        """Least distance of two bodies, m; None where MuJoCo or coal cannot tell it."""
+        sides = self.geoms(first), self.geoms(second)
+        try:
+            by_coal = self.distance_by_coal(data, *sides)
+            return self.distance(data, *sides) if np.isfinite(by_coal) else None
+        except ModelError:
+            return None
+
     def _ordered(self, first: frozenset[int], second: frozenset[int]) -> Iterator[tuple[int, int]]:
         for geom in sorted(first | second):
             kind = Geom(self._model.geom_type[geom])

@@ -355,6 +355,22 @@ def test_explicit_pairs_and_partial_masks(tmp_path: Path) -> None:
     }
 
 
+def test_a_flat_mesh_is_refused_by_name(tmp_path: Path) -> None:
+    text = """<mujoco><asset>
+      <mesh name="sheet" inertia="shell" vertex="0 0 0 1 0 0 0 1 0 1 1 0" face="0 1 2 1 3 2"/>
+      </asset><worldbody><body name="a"><joint/><geom type="mesh" mesh="sheet" mass="1"/></body>
+      <body name="b" pos="0 0 1"><geom size="0.1"/></body></worldbody></mujoco>"""
+    spec = golden(
+        CHECK,
+        target={"pairs": [["a", "b"]], "disabled": []},
+        stimulus={"poses": ["reference"]},
+        tolerance={"distance": "1 mm"},
+    )
+    with pytest.raises(ModelError) as caught:
+        measure(CHECK, spec, robot(tmp_path, text))
+    assert "sheet" in str(caught.value)
+
+
 def test_bodies_without_a_name_are_known_by_their_place(tmp_path: Path) -> None:
     text = """<mujoco><worldbody><body name="a"><joint/><geom size="0.1"/></body>
       <body><joint/><geom size="0.1" contype="2" conaffinity="2"/></body></worldbody></mujoco>"""
