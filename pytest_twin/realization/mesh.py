@@ -102,9 +102,27 @@ def _trimesh(data: bytes, kind: str) -> Triangles:
         io.BytesIO(data), file_type=kind, force="mesh", process=False, skip_materials=True
     )
     every: Vertices = np.asarray(loaded.vertices, dtype=np.float64)
-    vertices, inverse = np.unique(every, axis=0, return_inverse=True)
-    faces = inverse.reshape(-1)[np.asarray(loaded.faces)]
-    return Triangles(vertices, faces.astype(np.int32))
+    vertices, inverse = _merged(every)
+    return Triangles(vertices, inverse[np.asarray(loaded.faces)].astype(np.int32))
+
+
+def _merged(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
+    """Each place once, and where each vertex went: STL states a corner in every triangle."""
+    if vertices.ndim != 2:
+        return vertices, np.arange(len(vertices))
+    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
+    # Sorting one number a row is ten times faster than sorting rows.
+    keys = (
+        bits
+        * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)[
+            : bits.shape[1]
+        ]
+    ).sum(axis=1, dtype=np.uint64)
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    if not np.array_equal(vertices[first][inverse], vertices, equal_nan=True):
+        unique, inverse = np.unique(vertices, axis=0, return_inverse=True)
+        return unique, inverse.reshape(-1)
+    return vertices[first], inverse
 
 
 def _collada(data: bytes, path: Path) -> Triangles:
