@@ -178,15 +178,15 @@ class Shapes:
             ) from error
         corner = np.full(len(points), -1)
         corner[hull.vertices] = np.arange(len(hull.vertices))
+        faces = corner[hull.simplices]
+        first, second, third = (points[hull.simplices[:, i]] for i in range(3))
+        normals = np.cross(second - first, third - first)
+        inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+        faces[inward] = faces[inward][:, ::-1]
         vertices = coal.StdVec_Vec3s()
-        for vertex in hull.vertices:
-            vertices.append(points[vertex])
+        vertices.extend(list(points[hull.vertices]))
         triangles = coal.StdVec_Triangle()
-        for simplex, equation in zip(hull.simplices, hull.equations, strict=True):
-            a, b, c = points[simplex]
-            outward = float(np.cross(b - a, c - a) @ equation[:3]) > 0.0
-            i, j, k = (int(index) for index in corner[simplex])
-            triangles.append(coal.Triangle(i, j, k) if outward else coal.Triangle(i, k, j))
+        triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
         return coal.Convex(vertices, triangles)
 
 
