@@ -166,6 +166,15 @@ def test_depth_is_the_least_way_out(
     assert by_coal == pytest.approx(-depth, abs=2e-4)
 
 
+def test_mujoco_underrates_a_capsule_deep_in_a_box_and_coal_does_not(tmp_path: Path) -> None:
+    """Known of MuJoCo's capsule-box routine; what the tolerance ``penetration`` is for."""
+    realization, shapes = two(tmp_path, SHAPES["capsule"], SHAPES["box"])
+    by_mujoco, by_coal = both(realization, shapes, [0, 0, 0, half, 0, half, 0])
+    # The box lies along x: the least way out is its thin side and the capsule's radius.
+    assert by_coal == pytest.approx(-(0.05 + 0.05), abs=1e-6)
+    assert by_coal + 1e-3 < by_mujoco < 0.0
+
+
 def test_the_hull_is_built_from_the_vertices_anew(tmp_path: Path) -> None:
     cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * 0.1
     inner = np.random.default_rng(0).uniform(-0.09, 0.09, (50, 3))
