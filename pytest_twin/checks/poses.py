@@ -382,7 +382,9 @@ class _Coupled:
             mujoco.mj_makeConstraint(model, data)
             rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
             residual = data.efc_pos[rows]
-            jacobian = data.efc_J.reshape(data.nefc, model.nv)[rows]
+            # Rows that turn out empty are counted, but not filled: the array is longer.
+            filled = data.efc_J[: data.nefc * model.nv]
+            jacobian = filled.reshape(data.nefc, model.nv)[rows]
             if np.all(np.abs(residual) <= _CLOSED):
                 return frozenset()
             step = np.zeros(model.nv)

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.errors import SimulationError
+from pytest_twin.errors import ModelError, SimulationError
+from pytest_twin.realization.features import felt_geoms
 
 Vector = NDArray[np.float64]
 
@@ -84,18 +85,28 @@ def setting(free: FreeObject | None, floor: float | None) -> Callable[[mujoco.Mj
             )
             _collides_with_all(plane)
         if free is not None:
+            if spec.compiler.settotalmass > 0.0:
+                raise ModelError(
+                    "compiler settotalmass would scale the scene's object too",
+                    expected="masses as they are",
+                )
             # gravcomp has to be there when the model is compiled to be switched later.
-            body = spec.worldbody.add_body(name=_PREFIX + OBJECT, gravcomp=1.0)
+            body = spec.worldbody.add_body(
+                name=_PREFIX + OBJECT,
+                gravcomp=1.0,
+                mass=free.mass,
+                inertia=moments(free),
+                explicitinertial=True,
+            )
             body.add_freejoint(name=_PREFIX + OBJECT)
-            size = [*free.size, 0.0, 0.0][:3]
             geom = body.add_geom(
-                name=_PREFIX + OBJECT, type=_SHAPES[free.shape], size=size, mass=free.mass
+                name=_PREFIX + OBJECT, type=_SHAPES[free.shape], size=[*free.size, 0.0, 0.0][:3]
             )
             _collides_with_all(geom)
             if free.friction is None:
                 geom.priority = -1
             else:
-                geom.friction[0] = free.friction
+                geom.friction = [free.friction, 0.005, 0.0001]
 
     return edit
 
@@ -103,7 +114,31 @@ def setting(free: FreeObject | None, floor: float | None) -> Callable[[mujoco.Mj
 def _collides_with_all(geom: mujoco.MjsGeom) -> None:
     geom.contype = _ALL_GROUPS
     geom.conaffinity = _ALL_GROUPS
-    geom.group = 3
+    # The asset's default classes hold for the asset; stiffness is that of what is touched.
+    geom.margin = geom.gap = geom.solmix = 0.0
+    geom.priority = 0
+    geom.friction = [1.0, 0.005, 0.0001]
+    geom.condim = 3
+
+
+def moments(free: FreeObject) -> Vector:
+    """Principal moments (3,) in kg m^2 of a solid of even density, about x, y, z."""
+    a, b, c = (*free.size, 0.0, 0.0)[:3]
+    mass = free.mass
+    if free.shape == "box":
+        return mass / 3.0 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
+    if free.shape == "sphere":
+        return np.full(3, 0.4 * mass * a * a)
+    if free.shape == "cylinder":
+        across = mass * (a * a / 4.0 + b * b / 3.0)
+        return np.array([across, across, 0.5 * mass * a * a])
+    # A capsule: a cylinder of radius a and half length b with two half balls on its ends.
+    ends = mass * (4.0 / 3.0 * a) / (2.0 * b + 4.0 / 3.0 * a)
+    middle = mass - ends
+    across = middle * (a * a / 4.0 + b * b / 3.0)
+    across += ends * (0.4 * a * a + b * b + 0.75 * a * b)
+    along = 0.5 * middle * a * a + 0.4 * ends * a * a
+    return np.array([across, across, along])
 
 
 def geoms_of(model: mujoco.MjModel, name: str, in_scene: bool) -> frozenset[int]:
@@ -113,11 +148,8 @@ def geoms_of(model: mujoco.MjModel, name: str, in_scene: bool) -> frozenset[int]
     if geom >= 0:
         return frozenset({geom})
     body = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
-    return frozenset(
-        i
-        for i in range(model.ngeom)
-        if model.geom_bodyid[i] == body and (model.geom_contype[i] or model.geom_conaffinity[i])
-    )
+    felt = felt_geoms(model)
+    return frozenset(i for i in range(model.ngeom) if model.geom_bodyid[i] == body and felt[i])
 
 
 def body_of(model: mujoco.MjModel, geoms: frozenset[int]) -> int:
