@@ -152,8 +152,8 @@ class Outcome:
 
 
 def use_of_tolerance(measure: Measure) -> float:
-    """Error over tolerance, 1 at the limit; infinite where it is NaN or nothing is allowed."""
-    if math.isnan(measure.error):
+    """Error over tolerance, 1 at the limit; infinite where it is no number or nothing is allowed."""
+    if not math.isfinite(measure.error):
         return math.inf
     if measure.tolerance > 0:
         return measure.error / measure.tolerance

@@ -9,6 +9,8 @@ from pytest_twin.outcome import Measure, use_of_tolerance
 
 def printable(text: str) -> str:
     """``text`` on one line and without terminal escapes: names come from files."""
+    if text.isprintable():
+        return text
     return "".join(char if char.isprintable() else "�" for char in text)
 
 
@@ -28,7 +30,7 @@ def use(measure: Measure) -> str:
     """How much of the tolerance was used, ``47 %``, ``3.2 times``."""
     used = use_of_tolerance(measure)
     if not math.isfinite(used):
-        return "no number" if math.isnan(measure.error) else "all of none"
+        return "all of none" if math.isfinite(measure.error) else "no number"
     if used < 0.001:
         return "< 0.1 %"
     return f"{used:.3g} times" if used >= 10 else f"{100 * used:.3g} %"

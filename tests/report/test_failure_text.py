@@ -116,7 +116,8 @@ def test_names_bring_no_escapes_and_no_lines() -> None:
         (0.0, 0.0, "< 0.1 %"),
         (1.0, 0.0, "all of none"),
         (math.nan, 1.0, "no number"),
-        (math.inf, 1.0, "all of none"),
+        (math.inf, 1.0, "no number"),
+        (math.inf, math.inf, "no number"),
     ],
 )
 def test_use_of_a_tolerance(error: float, tolerance: float, expected: str) -> None:
