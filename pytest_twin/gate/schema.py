@@ -13,11 +13,6 @@ from pytest_twin.formats import atomic
 
 SCHEMA_VERSION = 1
 SHIPPED = "schemas/golden.schema.json"
-MODELINE = (
-    "# yaml-language-server: $schema="
-    "https://raw.githubusercontent.com/pytest-twin/pytest-twin/main/pytest_twin/" + SHIPPED
-)
-
 _SHA256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
 _TEXT = {"type": "string", "minLength": 1, "maxLength": 1000}
 
@@ -75,6 +70,11 @@ _COMMON: Mapping[str, Any] = {
     },
 }
 _REQUIRED = ("schema", "kind")
+
+
+def modeline(schema: str) -> str:
+    """The comment by which editors find ``schema``, a path relative to the file it stands in."""
+    return f"# yaml-language-server: $schema={schema}"
 
 
 @cache

@@ -1,0 +1,1 @@
+"""From a robot's file to a working twin."""

@@ -1,0 +1,93 @@
+"""What a robot is and which goldens it can have; runs in the child process."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.checks import check_of, kinds
+from pytest_twin.errors import TwinError
+from pytest_twin.realization import Realization, load
+from pytest_twin.twin import load_twin
+
+_TOOL = re.compile(r"(^|_)(tcp|tool0?|ee|ee_link|end_effector|gripper_?frame)$", re.IGNORECASE)
+
+
+def look(model: str) -> dict[str, Any]:
+    """The files that a model is made of, what had to be repaired, and its tool frame.
+
+    Raises:
+        TwinError: no model that could be loaded.
+    """
+    realization = load(Path(model), accept_invalid_inertia=True)
+    source = realization.source
+    return {
+        "files": [str(path) for path in source.files],
+        "notes": list(realization.notes),
+        "inertia_repairs": {
+            link: [float(value) for value in values]
+            for link, values in source.inertia_repairs.items()
+        },
+        "tcp": _last_frame(realization),
+    }
+
+
+def first_specs(twin: str, progress: Any) -> dict[str, Any]:
+    """First specs of every installed kind, and why a kind has none where it could not say."""
+    loaded = load_twin(Path(twin))
+    name, reference = next(iter(loaded.realizations.items()))
+    realization = load(reference.file, twin=loaded, name=name)
+    specs: list[dict[str, Any]] = []
+    silent: dict[str, str] = {}
+    for done, kind in enumerate(kinds()):
+        try:
+            found = check_of(kind).first(realization)
+        except TwinError as error:
+            silent[kind] = str(error)
+            continue
+        specs += [{"kind": kind, **_plain(spec)} for spec in found]
+        progress((done + 1) / len(kinds()))
+    return {"specs": specs, "silent": silent}
+
+
+def _last_frame(realization: Realization) -> str | None:
+    """The frame that is called a tool, else the one furthest along the longest chain of joints."""
+    structure = realization.structure
+    moved = set(structure.joint_body.values())
+    depth: dict[str, int] = {}
+
+    def joints_above(body: str) -> int:
+        chain = []
+        while body in structure.body_parent and body not in depth:
+            chain.append(body)
+            body = structure.body_parent[body]
+        count = depth.get(body, 0)
+        for link in reversed(chain):
+            count += link in moved
+            depth[link] = count
+        return count
+
+    order = list(structure.frame_body)
+    return max(
+        order,
+        key=lambda frame: (
+            bool(_TOOL.search(frame)),
+            joints_above(structure.frame_body[frame]),
+            order.index(frame),
+        ),
+        default=None,
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Mappings and numbers that YAML writes as people would."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, float) and math.isfinite(value):
+        return float(f"{value:.9g}")
+    return value

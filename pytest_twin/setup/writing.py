@@ -1,0 +1,146 @@
+"""Write a twin around a robot: the asset, ``twin.yaml``, first goldens and the editors' schemas."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pytest_twin.checks import kinds
+from pytest_twin.errors import SpecError
+from pytest_twin.formats import atomic
+from pytest_twin.gate.schema import golden_schema, modeline
+from pytest_twin.twin import FILE_NAME
+
+_ASSET = "asset"
+_SCHEMAS = "schemas"
+_RULES = """\
+# What no file shows. Change an id when the thing changes, and the goldens that it affects are stale:
+# parts:
+#   firmware: {id: "3.10", affects: {kinds: [replay, step, frequency_response]}}
+#   table: {id: steel-2024, affects: {kinds: [contact]}}
+# controllers, payloads, calibration and fit: see docs/twin.md
+"""
+
+
+def bring_in(robot: Path, files: Sequence[Path], folder: Path) -> tuple[Path, list[Path]]:
+    """The robot's place in the twin's folder, and its files'; copies what lies outside.
+
+    The copy keeps the folders between the files, so that every reference holds.
+
+    Raises:
+        SpecError: a file would leave the folder, or its place is taken.
+    """
+    if all(path.is_relative_to(folder) for path in files):
+        return robot, list(files)
+    base = _package_root(robot, files)
+    target = folder / _ASSET / base.name
+    if target.exists():
+        raise SpecError("the asset's place is taken", path=target, expected="a new folder")
+    staging = folder / f".{_ASSET}-{os.getpid()}"
+    try:
+        for path in files:
+            copy = staging / base.name / path.relative_to(base)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, copy)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        (staging / base.name).rename(target)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return target / robot.relative_to(base), [target / path.relative_to(base) for path in files]
+
+
+def _package_root(robot: Path, files: Sequence[Path]) -> Path:
+    """The deepest folder that holds all files; the package above it where there is one."""
+    common = Path(os.path.commonpath([path.parent for path in files]))
+    for folder in (common, *common.parents):
+        if (folder / "package.xml").is_file():
+            return folder
+    text = robot.read_text(errors="replace")
+    for folder in common.parents:
+        if folder.name and f"package://{folder.name}/" in text:
+            return folder
+    return common
+
+
+def write_twin_file(
+    folder: Path,
+    *,
+    name: str,
+    model: Path,
+    source: Iterable[Path],
+    tcp: str | None,
+    inertia_repairs: Mapping[str, Sequence[float]],
+) -> Path:
+    """``twin.yaml``, readable; returns its path."""
+    content: dict[str, Any] = {
+        "schema": 1,
+        "name": name,
+        "model": model.relative_to(folder).as_posix(),
+        "source": sorted(path.relative_to(folder).as_posix() for path in source),
+    }
+    if tcp is not None:
+        content["tcp"] = tcp
+    if inertia_repairs:
+        # Named and visible: the supplier states inertias that no body can have.
+        content["fit"] = {
+            "id": "inertia-repair",
+            "body": {
+                link: {"fullinertia": [float(f"{v:.9g}") for v in values]}
+                for link, values in inertia_repairs.items()
+            },
+        }
+    content["release"] = {"valid_days": 90}
+    head = modeline(f"{_SCHEMAS}/twin.schema.json")
+    path = folder / FILE_NAME
+    atomic.write_text(path, f"{head}\n{_dump(content)}{_RULES}")
+    return path
+
+
+def write_spec(folder: Path, spec: Mapping[str, Any]) -> Path:
+    """One first golden, ``golden/<kind>/<name>.yaml``; returns its path."""
+    body = {"schema": 1, **spec}
+    name = str(body.pop("name"))
+    path = folder / "golden" / str(spec["kind"]) / f"{name}.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    head = modeline(f"../../{_SCHEMAS}/golden.schema.json")
+    atomic.write_text(path, f"{head}\n{_dump(body)}")
+    return path
+
+
+def write_schemas(folder: Path) -> None:
+    """The schemas that editors check ``twin.yaml`` and goldens against, installed kinds and all."""
+    (folder / _SCHEMAS).mkdir(exist_ok=True)
+    shipped = resources.files("pytest_twin") / "schemas" / "twin.schema.json"
+    atomic.write_text(folder / _SCHEMAS / "twin.schema.json", shipped.read_text("utf-8"))
+    schema = json.dumps(golden_schema(kinds()), indent=2) + "\n"
+    atomic.write_text(folder / _SCHEMAS / "golden.schema.json", schema)
+
+
+def ignore_scratch(folder: Path) -> None:
+    """Keep what the gate writes for itself out of version control."""
+    path = folder / ".gitignore"
+    if not path.exists():
+        atomic.write_text(path, ".twin/\n")
+
+
+class _Dumper(yaml.SafeDumper):
+    """Short lists of plain values on one line, everything else as blocks."""
+
+    def represent_sequence(
+        self, tag: str, sequence: Iterable[Any], flow_style: bool | None = None
+    ) -> yaml.SequenceNode:
+        items = list(sequence)
+        plain = all(not isinstance(item, dict | list) for item in items)
+        return super().represent_sequence(tag, items, flow_style=plain and len(items) <= 12)
+
+
+def _dump(content: object) -> str:
+    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=100, allow_unicode=True)
+    return text
