@@ -152,7 +152,7 @@ class Outcome:
 
 
 def use_of_tolerance(measure: Measure) -> float:
-    """Error over tolerance, 1 at the limit; infinite where it is no number or nothing is allowed."""
+    """Error over tolerance, 1 at the limit; infinite where no number or nothing is allowed."""
     if not math.isfinite(measure.error):
         return math.inf
     if measure.tolerance > 0:
