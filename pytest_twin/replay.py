@@ -40,14 +40,16 @@ from pytest_twin.twin import JointCalibration
 
 FloatArray = NDArray[np.float64]
 
-# Long enough that stepping outweighs the calls, short enough that records stay in cache.
-_BLOCK_STEPS = 512
+# Long enough that stepping outweighs the calls, as far as the records of a block fit in memory.
+_BLOCK_STEPS = 4096
+_BLOCK_BYTES = 64 * 2**20
 # Rows that end early may overrun by this much, rather than cut the block for all.
 _SHORTEST_BLOCK = 64
 # Stamps closer to a step's end than this fraction of it lie on it: stamps are whole nanoseconds.
 _ON_STEP = 1e-5
 _STATE = mujoco.mjtState
 _TIME = int(_STATE.mjSTATE_TIME)
+_INITIAL = ("qpos", "qvel", "act", "history", "ctrl")
 _IDENTITY = JointCalibration()
 
 
@@ -153,7 +155,12 @@ def replay_rows(
     Raises:
         SpecError: a joint or an actuator that a model lacks.
     """
-    runs = [_Run(row) for row in rows]
+    scratch: dict[int, mujoco.MjData] = {}
+    runs = []
+    for row in rows:
+        if id(row.model) not in scratch:
+            scratch[id(row.model)] = mujoco.MjData(row.model)
+        runs.append(_Run(row, scratch[id(row.model)]))
     total = max(1, sum(run.steps for run in runs))
     done = 0
 
@@ -214,9 +221,14 @@ def measured_qpos(realization: Realization, replayed: Replayed) -> FloatArray:
 
 
 class _Run:
-    """One row on its way: its controls step by step, and what is kept of its states."""
+    """One row on its way: its controls step by step, and what is kept of its states.
 
-    def __init__(self, row: Row) -> None:
+    Args:
+        row: what to run.
+        data: of the row's model, to work out the initial state in.
+    """
+
+    def __init__(self, row: Row, data: mujoco.MjData) -> None:
         self.row = row
         self.model, self.trial = row.model, row.trial
         self.timestep = float(self.model.opt.timestep)
@@ -228,15 +240,15 @@ class _Run:
         self.offset = np.array([item.offset for item in calibration])
         self.applies_effort = False
         self._place_samples()
-        self.data = self._initial_state()
-        self._place_commands()
-        self._settle_actuators()
+        self._set_first_state(data)
+        self._place_commands(data)
+        self._settle_actuators(data)
+        self.initial = {name: getattr(data, name).copy() for name in _INITIAL}
         count = len(self.trial.time)
         self.qpos = np.full((count, self.model.nq), np.nan)
         self.velocity = np.full((count, len(self.joint_ids)), np.nan)
         self.effort = np.full((count, len(self.joint_ids)), np.nan)
-        self.last_qpos = self.data.qpos.copy()
-        self.last_qvel = self.data.qvel.copy()
+        self.last_qpos, self.last_qvel = self.initial["qpos"], self.initial["qvel"]
         scalar = np.isin(
             self.model.jnt_type, [mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE]
         )
@@ -266,21 +278,20 @@ class _Run:
         # One step past the last stamp: its end closes the interval that holds the stamp.
         self.steps = int(self.sample_step[-1]) + 1
 
-    def _initial_state(self) -> mujoco.MjData:
-        data = mujoco.MjData(self.model)
+    def _set_first_state(self, data: mujoco.MjData) -> None:
+        mujoco.mj_resetData(self.model, data)
         data.qpos[self.qpos_index] = self.sign * self.trial.position[0] + self.offset
         if self.trial.velocity is not None:
             velocity = self.sign * self.trial.velocity[0]
             data.qvel[self.dof_index] = np.where(np.isfinite(velocity), velocity, 0.0)
         _follow_joint_equalities(self.model, data, set(self.joint_ids))
-        return data
 
-    def _place_commands(self) -> None:
+    def _place_commands(self, data: mujoco.MjData) -> None:
         """Controls as steps: the values held, the step from which each holds, and corrections."""
         model, trial = self.model, self.trial
         width = model.nu
         base = np.zeros(width + model.nv)
-        self._hold_uncommanded(base)
+        self._hold_uncommanded(base, data)
         values = np.tile(base, (len(trial.command_time), 1))
         for column, joint in enumerate(trial.command_joints):
             joint_id = self._joint_id(joint)
@@ -307,18 +318,18 @@ class _Run:
         self.split_step = inside[late].astype(np.int64)
         self.split_values = (1.0 - fraction[late])[:, None] * (values[late] - values[late - 1])
 
-    def _hold_uncommanded(self, base: FloatArray) -> None:
+    def _hold_uncommanded(self, base: FloatArray, data: mujoco.MjData) -> None:
         commanded = set(self.trial.command_joints)
         for joint_id in range(self.model.njnt):
             name = mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint_id)
             if name and name not in commanded:
                 for target in joint_inputs(self.model, name):
                     if target.mode == "position":
-                        position = self.data.qpos[self.model.jnt_qposadr[joint_id]]
+                        position = data.qpos[self.model.jnt_qposadr[joint_id]]
                         base[target.control] = target.scale * position
 
-    def _settle_actuators(self) -> None:
-        model, data = self.model, self.data
+    def _settle_actuators(self, data: mujoco.MjData) -> None:
+        model = self.model
         data.ctrl[:] = self.values[0, : model.nu]
         mujoco.mj_fwdPosition(model, data)
         for actuator in range(model.nactuator):
@@ -471,10 +482,10 @@ def _step(runs: list[_Run], threads: int, advance: Callable[[int], None]) -> Non
     batch = mujoco_batch.Batch(model, nsim=len(runs), nthread=threads)
     if any(run.model is not model for run in runs):
         batch.set_models([run.model for run in runs])
-    for name in ("qpos", "qvel", "act", "history", "ctrl"):
+    for name in _INITIAL:
         rows = batch.bind(name)
         for i, run in enumerate(runs):
-            rows[i] = getattr(run.data, name)
+            rows[i] = run.initial[name]
     spec, width = _STATE.mjSTATE_CTRL, model.nu
     if runs[0].applies_effort:
         spec, width = spec | _STATE.mjSTATE_QFRC_APPLIED, model.nu + model.nv
@@ -482,7 +493,8 @@ def _step(runs: list[_Run], threads: int, advance: Callable[[int], None]) -> Non
     arrays: dict[str | int, NDArray[np.float64]] = {}
     while active := [i for i, run in enumerate(runs) if run.step < run.steps]:
         remaining = [runs[i].steps - runs[i].step for i in active]
-        steps = min(_BLOCK_STEPS, max(_SHORTEST_BLOCK, min(remaining)))
+        longest = _BLOCK_BYTES // (8 * len(active) * (model.nq + 2 * model.nv + width))
+        steps = max(_SHORTEST_BLOCK, min(_BLOCK_STEPS, longest, min(remaining)))
         shape = (len(active), steps)
         controls = np.empty((*shape, width))
         for at, i in enumerate(active):
