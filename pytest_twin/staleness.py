@@ -324,10 +324,13 @@ def staleness(today: Stock, baseline: Baseline | None) -> dict[str, tuple[Reason
 
     Linear in the number of goldens: every part is compared once.
     """
+    absent = frozenset().union(*today.rests_on.values()) - today.parts.keys()
+
+    def missing(ids: frozenset[str]) -> list[Reason]:
+        return [Reason(ident, "is not there") for ident in sorted(ids & absent)]
+
     if baseline is None:
-        return {
-            key: (NO_RELEASE, *_missing(ids, today.parts)) for key, ids in today.rests_on.items()
-        }
+        return {key: (NO_RELEASE, *missing(ids)) for key, ids in today.rests_on.items()}
     moved = _Moved(today.parts, baseline.parts)
     found = {}
     for key, ids in today.rests_on.items():
@@ -338,17 +341,17 @@ def staleness(today: Stock, baseline: Baseline | None) -> dict[str, tuple[Reason
         elif not baseline.passed.get(key, False):
             reasons.append(Reason(f"failed in release {baseline.number}"))
         if before is not None:
-            for ident in sorted(ids & moved.ids):
+            for ident in sorted(ids & moved.ids & before):
                 reasons += moved.reasons(ident)
-            reasons += [Reason(i, "dependency set changed: added") for i in sorted(ids - before)]
-            reasons += [Reason(i, "dependency set changed: gone") for i in sorted(before - ids)]
-        reasons += _missing(ids, today.parts)
-        found[key] = tuple(dict.fromkeys(reasons))
+            if ids != before:
+                reasons += [_set_change(ident, "added") for ident in sorted(ids - before)]
+                reasons += [_set_change(ident, "gone") for ident in sorted(before - ids)]
+        found[key] = (*reasons, *missing(ids))
     return found
 
 
-def _missing(ids: frozenset[str], parts: Mapping[str, Part]) -> list[Reason]:
-    return [Reason(ident, "is not there") for ident in sorted(ids - parts.keys())]
+def _set_change(ident: str, what: str) -> Reason:
+    return Reason(ident, f"dependency set changed: {what}")
 
 
 @dataclass
@@ -373,7 +376,7 @@ class _Moved:
             self._reasons[ident] = (
                 tuple(changes(self.before[ident], self.today[ident]))
                 if ident in self.before
-                else ()
+                else (Reason(ident, "is not in the release"),)
             )
         return self._reasons[ident]
 
@@ -402,6 +405,8 @@ def changes(before: Part, after: Part) -> list[Reason]:
                 _shown(now) + unit if name in new else "absent",
             )
         )
+    if not found and before.digest != after.digest:
+        found = [Reason(before.id, "content")]
     if len(found) > _FIELDS_PER_PART:
         rest = len(found) - _FIELDS_PER_PART
         found[_FIELDS_PER_PART:] = [Reason(before.id, f"and {rest} more fields")]

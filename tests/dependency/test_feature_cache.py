@@ -1,0 +1,132 @@
+"""What was read of a model holds while every byte behind it is the same, and no longer."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pytest_twin.errors import ModelError
+from pytest_twin.realization import load
+from pytest_twin.realization.feature_cache import FOLDER, Features, features_of
+from pytest_twin.twin import load_twin
+
+MODEL = """
+<mujoco>
+  <include file="part.xml"/>
+  <worldbody><body name="a"><joint name="j"/><geom type="mesh" mesh="m"/></body></worldbody>
+</mujoco>
+"""
+PART = """<mujocoinclude><asset><mesh name="m"
+  vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset></mujocoinclude>"""
+VERSIONS = {"mujoco": "4.0.0"}
+
+
+class Reader:
+    """Reads a twin's model, and counts how often it was asked."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.count = 0
+
+    def __call__(self) -> object:
+        self.count += 1
+        twin = load_twin(self.root / "twin.yaml")
+        found = load(twin.realizations["mujoco"].file, twin=twin)
+        features = Features(found.parts, found.structure, found.source.files)
+        return json.loads(json.dumps(features.to_json()))
+
+    def features(self, versions: dict[str, str] = VERSIONS, *, fresh: bool = False) -> Features:
+        twin = load_twin(self.root / "twin.yaml")
+        return features_of(twin, "mujoco", self, versions, fresh=fresh)
+
+
+@pytest.fixture
+def reader(tmp_path: Path) -> Reader:
+    (tmp_path / "model.xml").write_text(MODEL)
+    (tmp_path / "part.xml").write_text(PART)
+    (tmp_path / "twin.yaml").write_text("model: model.xml\nfit: {file: fit.yaml}\n")
+    (tmp_path / "fit.yaml").write_text("id: f\n")
+    return Reader(tmp_path)
+
+
+def test_the_second_time_nothing_is_read(reader: Reader) -> None:
+    first, second = reader.features(), reader.features()
+    assert reader.count == 1
+    assert first == second
+    assert {path.name for path in first.files} == {"model.xml", "part.xml"}
+
+
+@pytest.mark.parametrize("name", ["model.xml", "part.xml", "twin.yaml", "fit.yaml"])
+def test_any_byte_behind_it_counts(reader: Reader, name: str) -> None:
+    reader.features()
+    path = reader.root / name
+    path.write_text(path.read_text() + "\n")
+    reader.features()
+    assert reader.count == 2
+
+
+def test_versions_count_and_a_release_reads_afresh(reader: Reader) -> None:
+    reader.features()
+    reader.features({"mujoco": "4.0.1"})
+    reader.features({"mujoco": "4.0.1"}, fresh=True)
+    assert reader.count == 3
+
+
+def forged(text: str) -> str:
+    """An entry whose checksum holds and whose mass is another."""
+    envelope = json.loads(text)
+    return json.dumps({**envelope, "entry": envelope["entry"].replace("mass", "mess")})
+
+
+DAMAGE: dict[str, Callable[[str], str]] = {
+    "empty": lambda text: "",
+    "cut short": lambda text: text[: len(text) // 2],
+    "another byte": lambda text: text.replace("position", "pasition", 1),
+    "an entry of another checksum": forged,
+    "a list": lambda text: "[]",
+    "nested without end": lambda text: "[" * 100_000,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE.keys())
+def test_a_damaged_entry_is_no_entry(reader: Reader, damage: Callable[[str], str]) -> None:
+    first = reader.features()
+    path = reader.root / FOLDER / "mujoco.json"
+    path.write_text(damage(path.read_text()))
+    assert reader.features() == first
+    assert reader.count == 2
+
+
+def test_a_linked_folder_is_not_written_to(reader: Reader, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (reader.root / ".twin").symlink_to(elsewhere)
+    reader.features()
+    assert not list(elsewhere.rglob("*.json"))
+
+
+def test_what_cannot_be_read_is_not_kept(reader: Reader) -> None:
+    (reader.root / "part.xml").write_text(PART.replace("0 0 1", "0 0 nan"))
+    with pytest.raises(ModelError):
+        reader.features()
+    assert not (reader.root / FOLDER / "mujoco.json").exists()
+
+
+def test_reading_the_cache_imports_no_simulator(reader: Reader) -> None:
+    reader.features()
+    script = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from pytest_twin.realization.feature_cache import features_of\n"
+        "from pytest_twin.twin import load_twin\n"
+        "def read(): raise SystemExit('read')\n"
+        f"twin = load_twin(Path({str(reader.root / 'twin.yaml')!r}))\n"
+        "assert features_of(twin, 'mujoco', read, {'mujoco': '4.0.0'}).parts\n"
+        "assert not {'mujoco', 'pinocchio', 'coal', 'numpy'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)

@@ -1,0 +1,127 @@
+"""Stock and staleness by themselves: no model, no files."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_twin.dependency import Part, canonical
+from pytest_twin.outcome import Reason
+from pytest_twin.staleness import Baseline, Stock, changes, staleness
+
+KEY = "golden/a@mujoco"
+
+
+def stock(**parts: float) -> Stock:
+    found = {name: Part(name, {"value": value}) for name, value in parts.items()}
+    return Stock(found, {KEY: frozenset(found)})
+
+
+def baseline(of: Stock, *, passed: bool = True) -> Baseline:
+    return Baseline(3, of.parts, dict.fromkeys(of.rests_on, passed), of.rests_on)
+
+
+def why(today: Stock, before: Baseline | None) -> list[str]:
+    return [str(reason) for reason in staleness(today, before)[KEY]]
+
+
+def test_what_has_not_changed_is_fresh() -> None:
+    assert why(stock(a=1, b=2), baseline(stock(a=1, b=2))) == []
+    assert why(stock(a=0.1 + 0.2), baseline(stock(a=0.3))) == []
+
+
+def test_each_reason_has_its_words() -> None:
+    before = baseline(stock(a=1, b=2))
+    assert why(stock(a=1, b=2), None) == ["no release yet"]
+    assert why(stock(a=1, b=3), before) == ["b: value 2 -> 3"]
+    assert why(stock(a=1), before) == ["b: dependency set changed: gone"]
+    assert why(stock(a=1, b=2, c=0), before) == ["c: dependency set changed: added"]
+    assert why(stock(a=1, b=2), baseline(stock(a=1, b=2), passed=False)) == ["failed in release 3"]
+    other = Baseline(3, before.parts, {}, {})
+    assert why(stock(a=1), other) == ["not in release 3"]
+
+
+def test_a_part_that_is_not_there_is_stale_for_ever() -> None:
+    today = Stock({}, {KEY: frozenset({"mujoco/frame:gone"})})
+    assert why(today, baseline(today)) == ["mujoco/frame:gone: is not there"]
+
+
+def test_a_part_that_the_release_lost_is_stale() -> None:
+    before = baseline(stock(a=1, b=2))
+    torn = Baseline(3, {"a": before.parts["a"]}, before.passed, before.rested_on)
+    assert staleness(stock(a=1, b=2), torn)[KEY] != ()
+
+
+DIFFERENCES = [
+    ({"mass [kg]": 0.5}, {"mass [kg]": 0.6}, ["mass 0.5 -> 0.6 kg"]),
+    ({"com [m]": [0.0, 1.0]}, {"com [m]": [0.0, 2.0]}, ["com [0, 1] -> [0, 2] m"]),
+    ({"on": True}, {"on": False}, ["on yes -> no"]),
+    ({"range [rad]": None}, {"range [rad]": [-1.0, 1.0]}, ["range none -> [-1, 1] rad"]),
+    ({}, {"offset [m]": 1.0}, ["offset absent -> 1 m"]),
+    ({"offset [m]": 1.0}, {}, ["offset 1 -> absent"]),
+    ({"geoms": []}, {"geoms": [{"name": "tip", "condim": 3}]}, ["geoms.tip.condim absent -> 3"]),
+    (
+        {"geoms": [{"name": "tip", "size [m]": 0.1}]},
+        {"geoms": [{"name": "tip", "size [m]": 0.2}]},
+        ["geoms.tip.size 0.1 -> 0.2 m"],
+    ),
+    ({"sha256": "a" * 64}, {"sha256": "b" * 64}, [f"sha256 {'a' * 12} -> {'b' * 12}"]),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), DIFFERENCES)
+def test_differences_in_words(old: dict, new: dict, words: list[str]) -> None:  # type: ignore[type-arg]
+    found = [str(reason) for reason in changes(Part("p", old), Part("p", new))]
+    assert [text.removeprefix("p: ") for text in found][: len(words)] == words
+
+
+def test_many_differences_are_counted() -> None:
+    old = Part("p", {str(i): 0 for i in range(10)})
+    new = Part("p", {str(i): 1 for i in range(10)})
+    assert len(changes(old, new)) == 5
+    assert changes(old, new)[-1] == Reason("p", "and 6 more fields")
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 3) | st.floats(-10, 10) | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=10,
+)
+contents = st.dictionaries(st.text(max_size=3), values, max_size=4)
+
+
+@given(contents, contents)
+def test_stale_exactly_where_the_content_differs(old: dict, new: dict) -> None:  # type: ignore[type-arg]
+    today = Stock({"p": Part("p", new)}, {KEY: frozenset({"p"})})
+    before = Baseline(1, {"p": Part("p", old)}, {KEY: True}, today.rests_on)
+    assert bool(staleness(today, before)[KEY]) == (canonical(old) != canonical(new))
+
+
+def test_the_order_of_keys_means_nothing() -> None:
+    assert Part("p", {"a": 1, "b": 2}).digest == Part("p", {"b": 2, "a": 1}).digest
+
+
+def test_a_number_that_is_not_finite_has_no_digest() -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        _ = Part("p", {"a": float("nan")}).digest
+
+
+def test_ten_thousand_goldens_cost_ten_times_a_thousand(tmp_path: Path) -> None:
+    def seconds(count: int) -> float:
+        parts = {f"p{i}": Part(f"p{i}", {"v": i}) for i in range(200 + count)}
+        shared = {f"p{i}" for i in range(200)}
+        rests_on = {f"g{i}@m": frozenset(shared | {f"p{200 + i}"}) for i in range(count)}
+        before = Baseline(1, dict(parts), dict.fromkeys(rests_on, True), rests_on)
+        parts["p0"] = Part("p0", {"v": -1})
+        start = time.process_time()
+        found = staleness(Stock(parts, rests_on), before)
+        assert all(found.values())
+        return time.process_time() - start
+
+    small = min(seconds(1000) for _ in range(3))
+    # Quadratic would be 100.
+    assert seconds(10_000) < 30 * small

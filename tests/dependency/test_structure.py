@@ -1,0 +1,150 @@
+"""Which parts a chain, a load, a motion and a contact can feel."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import mujoco
+import pytest
+
+from pytest_twin.dependency import Structure
+from pytest_twin.realization.features import model_parts, model_structure
+
+TWO_ARMS = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" contype="1" conaffinity="1"/>
+    <body name="torso" pos="0 0 1">
+      <body name="left_upper"><joint name="left_a"/><geom name="lu" size="0.1"/>
+        <body name="left_lower" pos="0 0 1"><joint name="left_b"/><geom size="0.1"/>
+          <site name="left_tip"/></body></body>
+      <body name="right_upper" pos="1 0 0"><joint name="right_a"/><geom name="ru" size="0.1" %(right)s/>
+        <body name="right_lower" pos="0 0 1"><joint name="right_b"/>
+          <geom size="0.1" %(right)s/></body></body>
+    </body>
+    <body name="box" pos="3 0 0"><freejoint name="loose"/><geom size="0.1" %(box)s/></body>
+  </worldbody>
+  %(more)s
+  <actuator><motor name="m" joint="right_a"/></actuator>
+</mujoco>
+"""
+APART = {"right": 'contype="2" conaffinity="2"', "box": 'contype="4" conaffinity="4"', "more": ""}
+
+
+def structure(**changes: str) -> Structure:
+    model = mujoco.MjModel.from_xml_string(TWO_ARMS % {**APART, **changes})
+    return model_structure(model, "m", model_parts(model, "m"))
+
+
+def short(ids: frozenset[str], layer: str) -> set[str]:
+    prefix = f"m/{layer}:"
+    return {ident.removeprefix(prefix) for ident in ids if ident.startswith(prefix)}
+
+
+def test_arms_on_one_torso_that_cannot_touch_are_apart() -> None:
+    felt = structure().dynamics(["right_b"])
+    assert short(felt, "inertia") == {"right_upper", "right_lower"}
+    assert short(felt, "joint") == {"right_a", "right_b"}
+    assert short(felt, "kinematics") == {"torso", "right_upper", "right_lower"}
+    assert short(felt, "actuator") == {"m"}
+    assert short(felt, "option") == {"gravity", "integration"}
+    assert short(felt, "collision") == {"right_upper", "right_lower"}
+
+
+LINKS = {
+    "contact": {"right": 'contype="1" conaffinity="1"'},
+    "one-sided masks": {"right": 'contype="0" conaffinity="1"'},
+    "pair": {"more": '<contact><pair geom1="lu" geom2="ru"/></contact>'},
+    "joint equality": {
+        "more": '<equality><joint joint1="left_a" joint2="right_b"/></equality>',
+    },
+    "weld": {"more": '<equality><weld body1="left_lower" body2="right_upper"/></equality>'},
+    "tendon": {
+        "more": '<tendon><fixed><joint joint="left_b" coef="1"/><joint joint="right_b" coef="1"/>'
+        "</fixed></tendon>"
+    },
+}
+
+
+@pytest.mark.parametrize("change", LINKS.values(), ids=LINKS.keys())
+def test_whatever_ties_two_trees_makes_each_feel_the_other(change: dict[str, str]) -> None:
+    found = structure(**change)
+    felt = found.dynamics(["left_a"])
+    assert short(felt, "inertia") == {"left_upper", "left_lower", "right_upper", "right_lower"}
+    assert "box" not in short(felt, "inertia")
+
+
+def test_two_trees_on_one_floor_are_apart() -> None:
+    both = structure(right='contype="0" conaffinity="2"', box='contype="4" conaffinity="1"')
+    felt = both.dynamics(["left_a"])
+    # The box may touch the left arm, the right arm nobody.
+    assert short(felt, "inertia") == {"left_upper", "left_lower", "box"}
+    assert "world" in short(felt, "collision")
+    assert "world" not in short(both.dynamics(["right_a"]), "collision")
+
+
+def test_chain_is_the_way_to_the_world() -> None:
+    chain = structure().chain(["left_tip"])
+    assert chain == {
+        "m/frame:left_tip",
+        *(f"m/kinematics:{body}" for body in ("torso", "left_upper", "left_lower")),
+    }
+    assert structure().chain(["world"]) == frozenset()
+
+
+def test_a_mimic_brings_its_master_and_a_loop_is_in_every_chain() -> None:
+    mimic = structure(**LINKS["joint equality"]).chain(["left_tip"])
+    assert "right_lower" in short(mimic, "kinematics")
+    assert short(mimic, "coupling") == {"equality#0"}
+    tied = '<equality><weld body1="box" body2="right_upper"/></equality>'
+    loop = structure(more=tied).chain(["left_tip"])
+    assert {"box", "right_upper"} <= short(loop, "kinematics")
+    assert short(loop, "coupling") == {"equality#0"}
+
+
+def test_a_load_is_what_hangs_on_a_joint() -> None:
+    load = structure().carried(["left_a"])
+    assert short(load, "inertia") == {"left_upper", "left_lower"}
+    assert short(load, "kinematics") == {"torso", "left_upper", "left_lower"}
+    assert structure().gravity_load(["left_b"]) == structure().carried(["left_b"]) | {
+        "m/option:gravity"
+    }
+
+
+def test_names_that_are_not_there_become_ids_that_no_part_bears() -> None:
+    found = structure()
+    for ids in (
+        found.chain(["nowhere"]),
+        found.carried(["nothing"]),
+        found.dynamics(["nothing"]),
+        found.contact(["nobody"]),
+        found.limits(["nothing"]),
+        found.keyframe("never"),
+    ):
+        assert ids - found.part_ids
+
+
+def test_json_and_back() -> None:
+    found = structure(**LINKS["weld"])
+    assert Structure.from_json(json.loads(json.dumps(found.to_json()))) == found
+
+
+DAMAGE: list[tuple[str, Any]] = [
+    ("part_ids", "all"),
+    ("body_parent", ["torso"]),
+    ("body_parent", {"torso": 1}),
+    ("contact_masks", {"torso": [1]}),
+    ("contact_masks", {"torso": [1, "2"]}),
+    ("couplings", {"m/coupling:x": "torso"}),
+    ("joint_range", {"left_a": [0, True]}),
+    ("extra", 1),
+    ("realization", None),
+]
+
+
+@pytest.mark.parametrize(("key", "value"), DAMAGE)
+def test_damaged_json_is_refused(key: str, value: object) -> None:
+    data = {**json.loads(json.dumps(structure().to_json())), key: value}
+    with pytest.raises(ValueError, match="not "):
+        Structure.from_json(data)
