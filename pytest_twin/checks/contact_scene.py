@@ -178,6 +178,13 @@ class Scene:
             )
         if lifted is not None:
             scene.lift_above(model, data, lifted, self.geoms[0], self.geoms[1], gap)
+        mujoco.mj_fwdPosition(model, data)
+        if self.object_body is not None:
+            inside = scene.overlapped(model, data, self.object_body)
+            if inside is not None:
+                raise spec_error(
+                    golden, "target.object", f"starts inside {inside!r}", expected="a free place"
+                )
 
     # -- acting
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SimulationError
 from pytest_twin.realization.features import felt_geoms
+from pytest_twin.realization.simulate import geom_name
 
 Vector = NDArray[np.float64]
 
@@ -230,6 +231,15 @@ def lift_above(
         if not abs(data.qpos[at]) < 2.0 * _FAR:
             break
     raise SimulationError("nothing lies below the body that is let go")
+
+
+def overlapped(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> str | None:
+    """Name of a geom that ``body`` overlaps by more than 1 um, None where it is free."""
+    for i in np.flatnonzero(data.contact.dist < -1e-6):
+        one, two = (int(geom) for geom in data.contact.geom[i])
+        if body in model.geom_bodyid[[one, two]]:
+            return geom_name(model, one if model.geom_bodyid[two] == body else two)
+    return None
 
 
 def touch(

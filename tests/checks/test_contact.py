@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from bench_models import failed, golden_of, load_text, measures_on, observe, recorded
@@ -317,6 +318,16 @@ def test_a_free_robot_lands_on_a_floor(tmp_path: Path) -> None:
             "has no part along the surface",
         ),
         (spec("approach", ["tip", "table"], {"duration": "0 s"}), "out of bounds"),
+        (
+            {
+                **GRIP,
+                "target": {
+                    **GRIP["target"],
+                    "object": {**GRIP["target"]["object"], "size": [0.01, 0.2, 0.01]},
+                },
+            },
+            "starts inside 'left_pad'",
+        ),
     ],
 )
 def test_mistakes_are_named_with_their_line(
@@ -361,3 +372,70 @@ def test_first_specs_rest_on_what_stands_still(tmp_path: Path) -> None:
 
 def test_shapes_of_the_schema_are_those_of_the_scene() -> None:
     assert dict(SIZES) == scene.SIZES
+
+
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        ("box", (0.01, 0.02, 0.03)),
+        ("sphere", (0.02,)),
+        ("cylinder", (0.01, 0.03)),
+        ("capsule", (0.01, 0.03)),
+    ],
+)
+def test_moments_of_inertia_are_those_of_the_shape(shape: str, size: tuple[float, ...]) -> None:
+    numbers = " ".join(map(str, size))
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body><freejoint/>
+        <geom type="{shape}" size="{numbers}" mass="0.3"/></body></worldbody></mujoco>"""
+    )
+    found = scene.moments(scene.FreeObject(shape, size, 0.3))
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[1])
+    axes = rotation.reshape(3, 3)
+    expected = axes @ np.diag(model.body_inertia[1]) @ axes.T
+    np.testing.assert_allclose(np.diag(found), expected, atol=1e-12)
+
+
+def test_the_scene_does_not_depend_on_the_assets_defaults(tmp_path: Path) -> None:
+    plain = observe(CHECK, golden_of(CHECK, SLIDE), load_text(tmp_path, workcell())).values
+    text = workcell().replace(
+        "<worldbody>",
+        """<default><geom margin="0.01" solref="0.1 2" contype="0" friction="3 1 1"
+        priority="2" condim="1"/></default><worldbody>""",
+        1,
+    ).replace('name="table"', 'name="table" contype="1" priority="0" margin="0" condim="3" '
+              'solref="0.02 1"')  # fmt: skip
+    text = text.replace(
+        '"/>\n        <body name="probe"', '" gap="0"/>\n        <body name="probe"'
+    )
+    changed = observe(
+        CHECK, golden_of(CHECK, SLIDE), load_text(tmp_path, text, "defaults.xml")
+    ).values
+    assert changed["friction"] == pytest.approx(plain["friction"], rel=1e-6)
+    assert changed["penetration"] == pytest.approx(plain["penetration"], rel=1e-6)
+
+
+def test_an_object_in_a_model_whose_inertia_is_never_from_geoms(tmp_path: Path) -> None:
+    text = workcell().replace(
+        '<compiler angle="radian"/>', '<compiler angle="radian" inertiafromgeom="false"/>'
+    )
+    inertial = '<inertial pos="0 0 0" mass="0.1" diaginertia="1e-3 1e-3 1e-3"/>'
+    for joint in ("along", "down", "l", "r"):
+        text = text.replace(f'<joint name="{joint}"', f'{inertial}<joint name="{joint}"')
+    found = observe(CHECK, golden_of(CHECK, APPROACH), load_text(tmp_path, text)).values
+    assert found["normal_force"] == pytest.approx(MASS * GRAVITY + 3.0, rel=1e-4)
+
+
+def test_a_bare_arm_has_a_ball_pressed_on_it(tmp_path: Path) -> None:
+    text = """
+    <mujoco><worldbody>
+      <body name="link"><joint axis="0 1 0" damping="1"/>
+      <geom type="capsule" size=".03" fromto="0 0 0 .4 0 0"/></body></worldbody></mujoco>"""
+    robot = load_text(tmp_path, text)
+    (first,) = CHECK.first(robot)
+    assert first["name"] == "approach_link"
+    golden, trace = recorded(CHECK, first, robot)
+    measures = measures_on(CHECK, golden, trace, robot)
+    assert set(measures) == {"onset_time", "position"}
+    assert failed(measures) == set()
