@@ -44,7 +44,8 @@ def environment(folder: Path) -> dict[str, str]:
     """An environment with nobody's keys."""
     home = str(folder.parent / "home")
     names = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME")
-    kept = {name: value for name, value in os.environ.items() if name != "CI"}
+    dropped = ("CI", "PYTHONDONTWRITEBYTECODE")
+    kept = {name: value for name, value in os.environ.items() if name not in dropped}
     return {**kept, **dict.fromkeys(names, home)}
 
 

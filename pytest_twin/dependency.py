@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 WORLD = "world"
@@ -33,7 +34,7 @@ def _rounded(content: object) -> object:
     return content
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Part:
     """One thing that checks can feel.
 
@@ -47,7 +48,7 @@ class Part:
     id: str
     content: Mapping[str, Any]
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical content, hex."""
         return hashlib.sha256(canonical(self.content)).hexdigest()

@@ -16,6 +16,7 @@ _TWIN_FILE = "twin.yaml"
 _GOLDEN_FOLDER = "golden"
 _OWN_OUTPUT = ("releases", "keys", ".twin")
 _OPTIONS: pytest.StashKey[Options] = pytest.StashKey()
+_FOLDERS: pytest.StashKey[dict[Path, Path | None]] = pytest.StashKey()
 _SESSION: pytest.StashKey[TwinSession] = pytest.StashKey()
 
 
@@ -60,11 +61,19 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Col
         return None
     if _GOLDEN_FOLDER not in file_path.parts:
         return None
-    twin_file = next(
-        (folder / _TWIN_FILE for folder in file_path.parents if (folder / _TWIN_FILE).is_file()),
-        None,
-    )
+    twin_file = _twin_file(file_path.parent, parent.config.stash.setdefault(_FOLDERS, {}))
     return None if twin_file is None else _session(parent.config).spec(file_path, twin_file, parent)
+
+
+def _twin_file(folder: Path, known: dict[Path, Path | None]) -> Path | None:
+    """The nearest ``twin.yaml`` at or above a folder."""
+    if folder not in known:
+        candidate = folder / _TWIN_FILE
+        if candidate.is_file():
+            known[folder] = candidate
+        else:
+            known[folder] = None if folder.parent == folder else _twin_file(folder.parent, known)
+    return known[folder]
 
 
 @pytest.hookimpl(optionalhook=True)

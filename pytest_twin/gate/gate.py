@@ -49,6 +49,7 @@ class Gate:
         self.outcomes: dict[str, Outcome] = {}
         self.updates: list[Update] = []
         self._goldens: dict[Path, Golden | TwinError] = {}
+        self._folders: dict[Path, bool] = {}
         self._plan: Plan | None = None
 
     # -- specs
@@ -59,7 +60,10 @@ class Gate:
 
     def is_spec(self, path: Path) -> bool:
         """Whether the file at ``path`` is one of the twin's golden specs."""
-        return path not in self._named and specs.is_spec(path, self.twin)
+        folder = path.parent
+        if folder not in self._folders:
+            self._folders[folder] = specs.holds_specs(folder, self.twin)
+        return self._folders[folder] and path.suffix == ".yaml" and path not in self._named
 
     def golden(self, path: Path) -> Golden:
         """The golden in a file, read once.

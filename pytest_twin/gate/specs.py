@@ -37,13 +37,8 @@ def trace_paths(twin: Twin) -> tuple[Path, ...]:
     return tuple(path for path in _files(twin) if path.suffix == ".csv")
 
 
-def is_spec(path: Path, twin: Twin) -> bool:
-    """Whether the file at ``path``, below the root of ``twin``, is one of its golden specs."""
-    return path.suffix == ".yaml" and _below_golden(path.parent, twin) and path not in _named(twin)
-
-
 def _files(twin: Twin) -> Iterator[Path]:
-    named = _named(twin)
+    named = frozenset(twin.files)
     for here, folders, files in os.walk(twin.root):
         folder = Path(here)
         # A folder with a twin.yaml of its own is another twin.
@@ -55,21 +50,18 @@ def _files(twin: Twin) -> Iterator[Path]:
             and not is_reserved(folder / name)
             and not (folder / name / FILE_NAME).exists()
         )
-        if _below_golden(folder, twin):
+        if holds_specs(folder, twin):
             yield from (path for name in sorted(files) if (path := folder / name) not in named)
 
 
-def _below_golden(folder: Path, twin: Twin) -> bool:
+def holds_specs(folder: Path, twin: Twin) -> bool:
+    """Whether YAML in ``folder``, at or below the root of ``twin``, is golden specs of it."""
     return twin.root.name == GOLDEN_FOLDER or GOLDEN_FOLDER in folder.relative_to(twin.root).parts
-
-
-def _named(twin: Twin) -> frozenset[Path]:
-    return frozenset(twin.files)
 
 
 def golden_id(path: Path, twin: Twin) -> str:
     """The id of the golden at ``path``: relative to the twin's root, without suffix."""
-    return path.relative_to(twin.root).with_suffix("").as_posix()
+    return os.path.relpath(path, twin.root).removesuffix(path.suffix).replace(os.sep, "/")
 
 
 def load_golden(path: Path, twin: Twin) -> Golden:

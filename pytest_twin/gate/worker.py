@@ -21,9 +21,7 @@ from pytest_twin.twin import Twin, load_twin
 Progress = Callable[[float], None]
 
 
-def prove(
-    twin: str, spec: str, realization: str, plots: str, progress: Progress
-) -> dict[str, Any]:
+def prove(twin: str, spec: str, realization: str, plots: str, progress: Progress) -> dict[str, Any]:
     """Run one golden.
 
     Args:

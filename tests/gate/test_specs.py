@@ -10,8 +10,10 @@ import pytest
 from pytest_twin.checks import kinds
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.schema import load_schema
+from pytest_twin.gate.gate import Gate
+from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.schema import golden_schema
-from pytest_twin.gate.specs import is_spec, load_golden, spec_paths, trace_paths
+from pytest_twin.gate.specs import load_golden, spec_paths, trace_paths
 from pytest_twin.twin import Twin, load_twin
 from pytest_twin.units import Quantity
 
@@ -72,9 +74,11 @@ def test_what_is_a_spec_and_what_is_not(twin: Twin) -> None:
     write(twin, "golden/inner/golden/theirs.yaml")
     assert spec_paths(twin) == (spec,)
     assert trace_paths(twin) == (trace,)
-    assert is_spec(spec, twin)
-    assert not is_spec(twin.root / "golden" / "fit.yaml", twin)
-    assert not is_spec(twin.root / "elsewhere" / "other.yaml", twin)
+    gate = Gate(twin.path, Runner())
+    assert gate.is_spec(spec)
+    assert not gate.is_spec(trace)
+    assert not gate.is_spec(twin.root / "golden" / "fit.yaml")
+    assert not gate.is_spec(twin.root / "elsewhere" / "other.yaml")
 
 
 @pytest.mark.parametrize(
