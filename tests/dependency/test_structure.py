@@ -19,7 +19,8 @@ TWO_ARMS = """
       <body name="left_upper"><joint name="left_a"/><geom name="lu" size="0.1"/>
         <body name="left_lower" pos="0 0 1"><joint name="left_b"/><geom size="0.1"/>
           <site name="left_tip"/></body></body>
-      <body name="right_upper" pos="1 0 0"><joint name="right_a"/><geom name="ru" size="0.1" %(right)s/>
+      <body name="right_upper" pos="1 0 0"><joint name="right_a"/>
+        <geom name="ru" size="0.1" %(right)s/>
         <body name="right_lower" pos="0 0 1"><joint name="right_b"/>
           <geom size="0.1" %(right)s/></body></body>
     </body>
