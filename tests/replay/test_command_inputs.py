@@ -41,6 +41,8 @@ VELOCITY_SERVOS = {
     "velocity": '<velocity joint="x" kv="60"/>',
     "geared": '<velocity joint="x" kv="60" gear="3"/>',
     "integrated": '<intvelocity joint="x" kp="4000" kv="60"/>',
+    "scaled integrator": '<general joint="x" dyntype="integrator" gainprm="8000" '
+    'biastype="affine" biasprm="0 -4000 -60"/>',
     "pid": '<pid joint="x" kp="0" kv="60" input="vel"/>',
 }
 

@@ -144,7 +144,9 @@ def test_a_simulation_that_diverges_is_one_line(
                  str(arm / "o.mcap"), "--topics", "state=/js,command=/jc"]  # fmt: skip
     assert cli.main(arguments) == 2
     error = capsys.readouterr().err
-    assert "wild.xml: joint 'shoulder': the acceleration diverged 0 s after the first state" in error
+    assert (
+        "wild.xml: joint 'shoulder': the acceleration diverged 0 s after the first state" in error
+    )
     assert not (arm / "o.mcap").exists()
 
 
