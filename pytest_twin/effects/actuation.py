@@ -43,7 +43,9 @@ class RateLimit(Effect):
     source = "slew-rate limit; Klein, Rundqwist, J. Guidance 1996"
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the rate.
-        Parameter("inverse_rate", "one", 0.0, 0.0, 20.0, (0.3, 1.0), "slowness"),
+        Parameter(
+            "inverse_rate", "one", 0.0, 0.0, 20.0, (0.3, 1.0), "slowness", ("rate", "velocity")
+        ),  # fmt: skip
     )
     modes = ("position", "velocity")
     confused_with: ClassVar = {
@@ -95,7 +97,16 @@ class TorqueSaturation(Effect):
     source = "peak current; Siciliano et al., Robotics (2009), sec. 5.2"
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the limit.
-        Parameter("inverse_limit", "one", 0.0, 0.0, 10.0, (0.6, 1.0), "inverse_effort"),
+        Parameter(
+            "inverse_limit",
+            "one",
+            0.0,
+            0.0,
+            10.0,
+            (0.6, 1.0),
+            "inverse_effort",
+            ("limit", "effort"),
+        ),
     )
     confused_with: ClassVar = {
         "torque_speed_limit": "a stall against a stop: only there the speed is zero",
@@ -117,7 +128,16 @@ class TorqueSpeedLimit(Effect):
     law = "drive sign(v) <= stall (1 - |v| / no_load_speed)"
     source = "DC motor curve; Hughes, Drury, Electric Motors and Drives (2019), ch. 3"
     parameters = (
-        Parameter("inverse_no_load_speed", "one", 0.0, 0.0, 5.0, (0.3, 0.6), "slowness"),
+        Parameter(
+            "inverse_no_load_speed",
+            "one",
+            0.0,
+            0.0,
+            5.0,
+            (0.3, 0.6),
+            "slowness",
+            ("no_load_speed", "velocity"),
+        ),
         Parameter("stall", "effort", None, 0.2, 20.0, (1.5, 4.0), "effort"),
     )
     confused_with: ClassVar = {
@@ -140,7 +160,7 @@ class DeadZone(Effect):
     family = "actuation"
     law = "error -> sign(error) max(|error| - width, 0); an effort drive: the same of its command"
     source = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities"
-    parameters = (Parameter("width", "one", 0.0, 0.0, 1.0, (0.01, 0.04), "command"),)
+    parameters = (Parameter("width", "command", 0.0, 0.0, 1.0, (0.01, 0.04), "command"),)
     confused_with: ClassVar = {
         "coulomb_friction": "release at rest: friction holds, a dead zone lets go",
         "backlash": "hold the link by hand: only backlash lets it move freely",

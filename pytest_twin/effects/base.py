@@ -22,6 +22,7 @@ Values = Mapping[str, FloatArray]
 Quantity = Literal[
     "one", "effort", "position", "velocity", "time", "damping", "stiffness", "inertia", "drag",
     "angle", "wavenumber", "effort_per_load", "mass", "length", "acceleration", "temperature",
+    "command",
 ]  # fmt: skip
 Scope = Literal["joint", "robot"]
 
@@ -62,6 +63,8 @@ class Parameter:
             ``effort`` (root mean square of the drive's effort), ``velocity``, ``position``,
             ``time`` (1 s), ``inertia`` (reflected), ``damping`` (effort / velocity), ``stiffness``
             (effort / position).
+        reciprocal_of: name and quantity of what is reported in its place: a law that is absent at
+            infinity is fitted by its reciprocal.
     """
 
     name: str
@@ -71,10 +74,29 @@ class Parameter:
     upper: float
     starts: tuple[float, ...]
     reference: str = "one"
+    reciprocal_of: tuple[str, Quantity] | None = None
 
-    def unit(self, joint_type: str) -> str:
-        """SI unit on a ``hinge`` or a ``slide``."""
-        return _UNITS[self.quantity][1 if joint_type == "slide" else 0]
+    @property
+    def reported_name(self) -> str:
+        """As findings name it."""
+        return self.name if self.reciprocal_of is None else self.reciprocal_of[0]
+
+    def reported(self, value: float) -> float:
+        """The value that goes with :attr:`reported_name`: of a reciprocal, infinite at zero."""
+        if self.reciprocal_of is None:
+            return value
+        return 1.0 / value if value else float("inf")
+
+    def unit(self, joint_type: str, servo: str = "position") -> str:
+        """SI unit of the reported value on a ``hinge`` or a ``slide``.
+
+        Args:
+            servo: what is commanded: a ``command`` quantity is in its unit.
+        """
+        quantity = self.quantity if self.reciprocal_of is None else self.reciprocal_of[1]
+        if quantity == "command":
+            quantity = servo if servo in ("velocity", "effort") else "position"  # type: ignore[assignment]
+        return _UNITS[quantity][1 if joint_type == "slide" else 0]
 
 
 @dataclass(slots=True)
