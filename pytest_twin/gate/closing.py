@@ -58,8 +58,9 @@ def close(gate: Gate, session: SessionFacts, policy: Policy) -> Closed:
     plan = gate.plan()
     facts = gate.facts(session)
     lines = [*plan.notes]
-    if plan.fresh and plan.baseline is not None:
-        lines.append(f"{len(plan.fresh)} still proven by release {plan.baseline.number:04d}")
+    proven = facts.proven.keys() - facts.outcomes.keys()
+    if proven and plan.baseline is not None:
+        lines.append(f"{len(proven)} still proven by release {plan.baseline.number:04d}")
     lines += [f"changed while it ran: {changed}" for changed in facts.changed]
     refusals: tuple[str, ...] = ()
     released: Release | None = None
@@ -72,13 +73,8 @@ def close(gate: Gate, session: SessionFacts, policy: Policy) -> Closed:
             verdict = Refused((str(error),))
     if isinstance(verdict, Refused):
         refusals = verdict.reasons
-    path = policy.report or gate.root / ".twin" / "report.html"
-    report = _report(gate, facts, verdict, refusals, released.header if released else None)
-    try:
-        _write_report(path, report)
-        lines.append(f"report: {path}")
-    except TwinError as error:
-        lines.append(f"no report: {error}")
+    header = released.header if released else None
+    lines.append(_reported(gate, facts, verdict, refusals, header, policy.report))
     if isinstance(verdict, Holds):
         lines.append(f"release {verdict.release:04d} still holds")
     elif released is not None:
@@ -88,6 +84,27 @@ def close(gate: Gate, session: SessionFacts, policy: Policy) -> Closed:
         lines.append("no release:")
         lines += [f"  {reason}" for reason in refusals]
     return Closed(bool(refusals), tuple(lines))
+
+
+def _reported(
+    gate: Gate,
+    facts: Facts,
+    verdict: Signed | Holds | Refused | None,
+    refusals: tuple[str, ...],
+    header: Header | None,
+    wanted: Path | None,
+) -> str:
+    """Write the report, and say where it is."""
+    quiet = not (refusals or facts.outcomes or facts.unproven or facts.problems)
+    if wanted is None and quiet and facts.baseline is not None and not gate.plan().stale:
+        # Nothing is new: the signed report is the report.
+        return f"report: {gate.root / 'releases' / f'{facts.baseline:04d}' / 'report.html'}"
+    path = wanted or gate.root / ".twin" / "report.html"
+    try:
+        _write_report(path, _report(gate, facts, verdict, refusals, header))
+    except (TwinError, OSError) as error:
+        return f"no report: {error}"
+    return f"report: {path}"
 
 
 def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]:

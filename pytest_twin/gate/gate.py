@@ -215,6 +215,7 @@ class Gate:
                 if task.proof is not None and not task.stale
             },
             outcomes=self.outcomes,
+            repeated=frozenset(filter(self._repeated, self.outcomes)),
             unproven=plan.unproven,
             orphans=plan.orphans,
             missing=plan.missing,
@@ -223,6 +224,15 @@ class Gate:
             problems=plan.problems,
             baseline=None if plan.baseline is None else plan.baseline.number,
             session=session,
+        )
+
+    def _repeated(self, key: str) -> bool:
+        task = self.plan().tasks.get(key)
+        return (
+            task is not None
+            and task.proof is not None
+            and task.proof.outcome.status == self.outcomes[key].status != "passed"
+            and all(reason.part.startswith("failed in release ") for reason in task.reasons)
         )
 
     def _changed(self, plan: Plan) -> tuple[str, ...]:

@@ -56,6 +56,7 @@ class Facts:
         criticality: every key that the specs on disk ask for -> critical or advisory, today.
         proven: outcomes that the baseline release carries over.
         outcomes: outcomes of this run.
+        repeated: keys of ``outcomes`` that ran because they had failed, and failed again.
         unproven: ids of goldens that were never recorded.
         orphans: traces that no spec refers to.
         missing: ids that the baseline knows and that are gone without being retired.
@@ -69,6 +70,7 @@ class Facts:
     criticality: Mapping[str, str]
     proven: Mapping[str, Outcome] = field(default_factory=dict)
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
+    repeated: frozenset[str] = frozenset()
     unproven: tuple[str, ...] = ()
     orphans: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
@@ -84,7 +86,8 @@ def judge(facts: Facts) -> Verdict:
     reasons = tuple(_reasons(facts))
     if reasons:
         return Refused(reasons)
-    if facts.baseline is not None and not facts.outcomes and not facts.dropped:
+    news = facts.outcomes.keys() - facts.repeated
+    if facts.baseline is not None and not news and not facts.dropped:
         return Holds(facts.baseline)
     return Signed()
 

@@ -38,6 +38,13 @@ def test_nothing_new_holds() -> None:
     assert judge(facts(outcomes={}, proven={KEY: outcome()}, baseline=3)) == Holds(3)
 
 
+def test_an_advisory_golden_that_fails_again_is_no_news() -> None:
+    failed = outcome("failed", replace(FINE, error=1.0), "advisory")
+    found = facts(criticality={KEY: "advisory"}, outcomes={KEY: failed}, baseline=3)
+    assert judge(found) == Signed()
+    assert judge(replace(found, repeated=frozenset({KEY}))) == Holds(3)
+
+
 def test_a_retired_golden_makes_a_new_release() -> None:
     found = facts(
         outcomes={}, proven={KEY: outcome()}, baseline=3, dropped=("golden/fk/old@mujoco",)

@@ -69,6 +69,9 @@ def test_an_advisory_failure_is_reported_and_blocks_nothing(recorded) -> None:
             "*1 passed, 1 advisory*",
         ]
     )
+    again = recorded.run("--twin-release")
+    again.stdout.fnmatch_lines(["*1 advisory*"])
+    again.stdout.fnmatch_lines(["release 0001 still holds"])
     skipped = _junit(recorded)["arm[mujoco]"].find("skipped")
     assert skipped is not None
     assert skipped.get("message").startswith("advisory: golden/mass/arm@mujoco: gravity_torque")

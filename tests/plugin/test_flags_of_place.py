@@ -8,9 +8,19 @@ import pytest
 
 
 def test_the_report_lies_in_the_twins_own_output(released) -> None:
-    released.run()
-    page = (released.root / ".twin" / "report.html").read_text()
+    released.edit("golden/fk/home.yaml", "position: 0.1 mm", "position: 0.2 mm")
+    path = released.root / ".twin" / "report.html"
+    path.unlink()
+    released.run().stdout.fnmatch_lines([f"report: {path}"])
+    page = path.read_text()
     assert "golden/fk/home" in page
+    assert "golden/mass/arm" in page
+
+
+def test_where_nothing_is_new_the_signed_report_is_the_report(released) -> None:
+    path = released.root / "releases" / "0001" / "report.html"
+    released.run().stdout.fnmatch_lines([f"report: {path}"])
+    assert path.is_file()
 
 
 def test_the_report_goes_where_it_is_sent(released) -> None:
