@@ -656,6 +656,7 @@ class Tally:
     stale: int = 0
     stale_but_still: int = 0
     misses: list[str] = field(default_factory=list)
+    crashes: Counter[str] = field(default_factory=Counter)
     still_by_kind: Counter[str] = field(default_factory=Counter)
     stale_by_kind: Counter[str] = field(default_factory=Counter)
     by_kind: Counter[str] = field(default_factory=Counter)
@@ -686,8 +687,8 @@ class Recorded:
         try:
             observation, _ = observe(self.golden, realization)
             after = judge(self.golden, observation, self.trace)
-        except TwinError as error:
-            return str(error)
+        except Exception as error:  # a crash of a check is an error of the golden, too
+            return f"{type(error).__name__}: {error}"
         for key, measure in after.items():
             if not measure.passed and (key in self.passed or measure.against == "golden"):
                 return f"{' '.join(key)}: error {measure.error:g} > {measure.tolerance:g}"
@@ -695,7 +696,7 @@ class Recorded:
         return f"gone: {sorted(lost)[0]}" if lost else None
 
 
-def record(golden: Golden, realization: Realization) -> Recorded | None:
+def record(golden: Golden, realization: Realization, tally: Tally) -> Recorded | None:
     """Record a golden; None where the model cannot have it, or it does not repeat itself."""
     try:
         check = check_of(golden.kind)
@@ -705,6 +706,9 @@ def record(golden: Golden, realization: Realization) -> Recorded | None:
         golden = replace(golden, expected=json.loads(json.dumps(expected)))
         measures = judge(golden, observe(golden, realization)[0], trace)
     except TwinError:
+        return None
+    except Exception as error:
+        tally.crashes[f"{golden.kind}: {type(error).__name__}: {error}"] += 1
         return None
     failed = [m for m in measures.values() if not m.passed and m.against == "golden"]
     if failed:
@@ -735,7 +739,7 @@ def one_model(folder: Path, rng: Rng, edits: int, tally: Tally, *, precision: bo
         spec_path = folder / "golden" / f"{spec['kind']}_{i}.yaml"
         spec_path.parent.mkdir(exist_ok=True)
         spec_path.write_text(json.dumps({"schema": 1, **spec}))
-        found = record(load_golden(spec_path, twin), before)
+        found = record(load_golden(spec_path, twin), before, tally)
         if found is not None:
             recorded.append(found)
     goldens = [item.golden for item in recorded]
@@ -804,6 +808,8 @@ def main() -> int:
         stale, still = tally.stale_by_kind[kind], tally.still_by_kind[kind]
         print(f"  {kind}: {count}, stale {stale}, of which moved {stale - still}")
     print(f"{time.perf_counter() - start:.0f} s")
+    for crash, count in tally.crashes.most_common():
+        print(f"{count} times a check crashed on a model as drawn: {crash}")
     for miss in tally.misses:
         print(miss.splitlines()[0])
     if arguments.misses is not None:

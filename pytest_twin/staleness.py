@@ -158,7 +158,14 @@ def _version_part(
 
 
 def _twin_parts(twin: Twin, surroundings: Surroundings) -> dict[str, Part]:
-    contents: dict[str, dict[str, Any]] = {"topics:recordings": dict(twin.topics)}
+    contents: dict[str, dict[str, Any]] = {
+        "topics:recordings": dict(twin.topics),
+        # With any declared, a recording has to name its own.
+        "variants:declared": {
+            "controllers": bool(twin.controllers),
+            "payloads": bool(twin.payloads),
+        },
+    }
     for name, actuators in twin.controllers.items():
         contents[f"controller:{name}"] = {a: dict(patch) for a, patch in actuators.items()}
     for name, bodies in twin.payloads.items():
@@ -251,7 +258,7 @@ def _resolved(
             if digest is not None:
                 parts[ident] = Part(ident, {"sha256": digest})
         if layer == "recording":
-            ids |= {"topics:recordings", "base:calibration"}
+            ids |= {"topics:recordings", "variants:declared", "base:calibration"}
     return ids
 
 

@@ -250,6 +250,11 @@ def twin(old: str, new: str) -> Edit:
     return replaced("twin.yaml", old, new)
 
 
+def without_payloads(root: Path) -> None:
+    path = root / "twin.yaml"
+    path.write_text(re.sub(r"payloads:\n.*\n", "", path.read_text()))
+
+
 def reformatted(root: Path) -> None:
     text = (root / "arm.xml").read_text()
     text = re.sub(r'(\w+)="([^"]*)" (\w+)="([^"]*)"', r"""\3='\4'\n   \1='\2'""", text)
@@ -382,6 +387,7 @@ FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
         twin("parts:", "parts:\n  cell: {id: 1, affects: {kinds: [fk]}}"),
         {"fk", "fk_shoulder"},
     ),
+    ("no payload is declared any more", without_payloads, REPLAYS | {"pick"}),
     ("topics", twin("tcp: tcp", "tcp: tcp\ntopics: {state: /other}"), REPLAYS),
     # the goldens themselves
     ("tolerance", replaced("golden/mass.yaml", "1 g", "2 g"), {"mass"}),
