@@ -21,6 +21,9 @@ Vector = NDArray[np.float64]
 # A locked dof's inertia, against the heaviest and the lightest dof that moves. More, and rounding
 # in the solver lets stops, contacts and couplings of the light one give way.
 _LOCKED_TO_HEAVIEST, _LOCKED_TO_LIGHTEST = 1e5, 1e6
+# Its damping times the timestep, against that inertia: what loads it for long makes it creep and
+# not fall. Where integration is not implicit in damping, more than this is unstable.
+_LOCKED_CREEP, _LOCKED_CREEP_EXPLICIT = 1e4, 0.5
 # Integers: an array's element is never equal to an enum that stands on the left.
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _STATE = (
@@ -80,12 +83,23 @@ def bench(
         for joint in locked:
             moves[_dofs(model, realization.joint_index(joint))] = False
         inertia = model.dof_M0[moves] if moves.any() else model.dof_M0
-        model.dof_armature[~moves] = min(
+        locked_inertia = min(
             _LOCKED_TO_HEAVIEST * float(inertia.max()), _LOCKED_TO_LIGHTEST * float(inertia.min())
         )
+        model.dof_armature[~moves] = locked_inertia
+        creep = _LOCKED_CREEP if _damps_implicitly(model) else _LOCKED_CREEP_EXPLICIT
+        model.dof_damping[~moves] = creep * locked_inertia / float(model.opt.timestep)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         model.stat.meaninertia = mean_inertia  # scales the solver's tolerance
     return model
+
+
+def _damps_implicitly(model: mujoco.MjModel) -> bool:
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        return not model.opt.disableflags & (
+            mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_DAMPER
+        )
+    return bool(model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4)
 
 
 def _dofs(model: mujoco.MjModel, joint: int) -> slice:

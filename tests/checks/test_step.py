@@ -21,6 +21,7 @@ from bench_models import (
 
 from pytest_twin.checks.step import SAMPLES, Step
 from pytest_twin.errors import SimulationError, SpecError
+from pytest_twin.realization import simulate
 
 CHECK = Step()
 STIFFNESS, DAMPING = 800.0, 30.0
@@ -127,6 +128,25 @@ def test_locked_joints_stay_and_do_not_lend_their_inertia(tmp_path: Path) -> Non
     for others, series in finals.items():
         exact = 3.0 / 5.0 * (1.0 - np.exp(-5.0 * time / mass[others]))
         np.testing.assert_allclose(series, exact, atol=2e-3)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
+def test_a_locked_arm_does_not_sag_under_its_own_weight(tmp_path: Path, integrator: str) -> None:
+    text = f"""
+    <mujoco><option timestep="0.002" integrator="{integrator}"/><worldbody>
+      <body><joint name="lift" axis="0 1 0"/><geom size=".05" pos=".5 0 0" mass="8"/>
+        <body pos=".8 0 0"><joint name="x" type="slide" axis="0 1 0" damping="0.5"/>
+          <geom size=".01" mass="0.02"/></body></body>
+    </worldbody></mujoco>"""
+    robot = load_text(tmp_path, text)
+    model = simulate.bench(robot, locked=["lift"])
+    data = simulate.start(model, robot, robot.model.qpos0)
+    data.qfrc_applied[1] = 0.05
+    run = simulate.simulate(model, data, simulate.steps_in(model, 2.0))
+    sagged = np.abs(run.qpos[:, 0]).max()
+    assert sagged < (2e-3 if integrator == "RK4" else 1e-6)
+    exact = 0.05 / 0.5 * (1.0 - np.exp(-0.5 / 0.02 * run.time))
+    np.testing.assert_allclose(run.qvel[:, 1], exact, atol=2e-3)
 
 
 @pytest.mark.parametrize(
