@@ -198,8 +198,9 @@ def main() -> None:
         ]
     )
     # Trapezoid-like moves: 0.8 s between targets, then rest.
-    phase = np.clip((t / 1.3) % 1.0 * 1.3 / 0.8, 0.0, 1.0)
-    leg = np.minimum((t / 1.3).astype(int), len(targets) - 2)[:, 0]
+    last = len(targets) - 1
+    leg = np.minimum((t / 1.3).astype(int), last - 1)[:, 0]
+    phase = np.clip((t - 1.3 * leg[:, None]) / 0.8, 0.0, 1.0)
     blend = phase**2 * (3 - 2 * phase)
     moves = targets[leg] + blend * (targets[leg + 1] - targets[leg])
     record("sines", 1, held(sines), home, {"role": "fit", "controller": "stiff", "payload": "none"})

@@ -21,7 +21,7 @@ from pytest_twin.twin import FILE_NAME
 _ASSET = "asset"
 _SCHEMAS = "schemas"
 _RULES = """\
-# What no file shows. Change an id when the thing changes, and the goldens that it affects are stale:
+# What no file shows. Change an id when the thing changes: the goldens that it affects are stale.
 # parts:
 #   firmware: {id: "3.10", affects: {kinds: [replay, step, frequency_response]}}
 #   table: {id: steel-2024, affects: {kinds: [contact]}}
@@ -92,7 +92,7 @@ def write_twin_file(
         content["fit"] = {
             "id": "inertia-repair",
             "body": {
-                link: {"fullinertia": [float(f"{v:.9g}") for v in values]}
+                link: {"inertia": [float(f"{v:.9g}") for v in values]}
                 for link, values in inertia_repairs.items()
             },
         }
