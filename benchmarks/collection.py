@@ -63,10 +63,14 @@ def main() -> None:
     best = {key: min(values) for key, values in taken.items()}
     for key, values in taken.items():
         print(f"{key:<10} best {best[key]:.3f} s, median {statistics.median(values):.3f} s")
-    print(f"collecting {options.specs} specs / {options.specs} functions: "
-          f"{best['specs'] / best['functions']:.2f}  (goal: at most 3)")
-    print(f"gate with nothing stale / bare collection: "
-          f"{best['gate'] / best['specs']:.2f}  (goal: at most 1.5)")
+    print(
+        f"collecting {options.specs} specs / {options.specs} functions: "
+        f"{best['specs'] / best['functions']:.2f}  (goal: at most 3)"
+    )
+    print(
+        f"gate with nothing stale / bare collection: "
+        f"{best['gate'] / best['specs']:.2f}  (goal: at most 1.5)"
+    )
     print(f"the same, asked to sign / bare collection: {best['signing'] / best['specs']:.2f}")
 
 

@@ -23,7 +23,7 @@ from pytest_twin.twin import load_twin
 if TYPE_CHECKING:
     from pytest_twin.release import Release
 
-MAX_PLOTTED = 300
+MAX_PLOTTED = 100
 """Goldens of a twin up to which each has its plot; above, those that fail have."""
 
 Progress = Callable[[float], None]
