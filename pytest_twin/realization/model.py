@@ -93,7 +93,7 @@ class Realization:
         """
         count = {
             "joint": self.model.njnt,
-            "actuator": self.model.nu,
+            "actuator": self.model.nactuator,
             "body": self.model.nbody,
             "site": self.model.nsite,
             "geom": self.model.ngeom,
