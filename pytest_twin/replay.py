@@ -22,8 +22,7 @@ bit for bit those of ``mj_step``.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -35,6 +34,7 @@ from numpy.typing import NDArray
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import command_input, joint_inputs, steady_activation
+from pytest_twin.realization.quiet import quiet
 from pytest_twin.trial import Trial
 from pytest_twin.twin import JointCalibration
 
@@ -170,7 +170,7 @@ def replay_rows(
         if progress is not None:
             progress(min(1.0, done / total))
 
-    with _quiet():
+    with quiet():
         for group in _layouts(runs):
             _step(group, threads, advance)
     return [run.result() for run in runs]
@@ -447,20 +447,6 @@ def _follow_joint_equalities(model: mujoco.MjModel, data: mujoco.MjData, placed:
             data.qvel[v1] = law.deriv()(away) * data.qvel[v2]
             placed.add(follower)
             moved = True
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep MuJoCo from printing warnings and writing a log file where the user stands.
-
-    The rows' warning counters say the same.
-    """
-    handler = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(handler)
 
 
 def _layouts(runs: Iterable[_Run]) -> list[list[_Run]]:

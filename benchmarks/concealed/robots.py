@@ -109,19 +109,19 @@ def mjcf(robot: Robot) -> str:
     for i, j in enumerate(robot.joints):
         body = ElementTree.SubElement(parent, "body", name=f"link{i + 1}", pos=row(j.origin))
         ElementTree.SubElement(
-            body, "inertial", pos=row(j.center), mass=repr(j.mass), diaginertia=row(j.inertia)
+            body, "inertial", pos=row(j.center), mass=repr(float(j.mass)), diaginertia=row(j.inertia)
         )
         ElementTree.SubElement(
             body, "joint", name=j.name, type="slide" if j.slide else "hinge", axis=row(j.axis),
-            damping=repr(j.damping), frictionloss=repr(j.friction), armature=repr(j.armature),
+            damping=repr(float(j.damping)), frictionloss=repr(float(j.friction)), armature=repr(float(j.armature)),
         )  # fmt: skip
-        bound = f"{-j.effort!r} {j.effort!r}"
+        bound = row((-j.effort, j.effort))
         if robot.mode == "position":
             ElementTree.SubElement(actuator, "position", name=j.name, joint=j.name,
-                                   kp=repr(j.kp), kv=repr(j.kv), forcerange=bound)  # fmt: skip
+                                   kp=repr(float(j.kp)), kv=repr(float(j.kv)), forcerange=bound)  # fmt: skip
         elif robot.mode == "velocity":
             ElementTree.SubElement(actuator, "velocity", name=j.name, joint=j.name,
-                                   kv=repr(j.kv), forcerange=bound)  # fmt: skip
+                                   kv=repr(float(j.kv)), forcerange=bound)  # fmt: skip
         else:
             ElementTree.SubElement(actuator, "motor", name=j.name, joint=j.name,
                                    forcerange=bound)  # fmt: skip

@@ -20,6 +20,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.lockstep import lockstep
+from pytest_twin.realization.quiet import quiet
 
 EffectValues = Mapping[str, Values]
 """Effect id -> parameter name -> (rows, joints) values."""
@@ -213,7 +214,8 @@ class RowSimulator:
         self._write_fields(batch, rows, models, effects, world)
         commands = self._row_commands(rows, effects, steps)
         self.stepped += len(rows) * steps
-        q, v, effort = self._step(batch, rows, world, effects, commands, steps)
+        with quiet():
+            q, v, effort = self._step(batch, rows, world, effects, commands, steps)
         return self._sample(rows, effects, q, v, effort)
 
     def _row_commands(

@@ -15,6 +15,7 @@ from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.feature_cache import Features
+from pytest_twin.realization.quiet import quiet
 from pytest_twin.report.plots import plot
 from pytest_twin.twin import Twin, load_twin
 
@@ -37,7 +38,8 @@ def prove(twin: str, spec: str, realization: str, plots: str, progress: Progress
         TwinError: what the check, the model or a file has to say.
     """
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
-    observation = check.observe(golden, loaded, progress)
+    with quiet():
+        observation = check.observe(golden, loaded, progress)
     stored = _stored(golden)
     return _compared(golden, check, observation, stored, plots=plots)
 
@@ -54,7 +56,8 @@ def record(twin: str, spec: str, realization: str, progress: Progress) -> dict[s
         TwinError: as :func:`prove`.
     """
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
-    observation = check.observe(golden, loaded, progress)
+    with quiet():
+        observation = check.observe(golden, loaded, progress)
     expected, trace = check.expect(golden, observation)
     recorded = replace(golden, expected=expected or None)
     moved: list[Measure] = []
