@@ -37,6 +37,12 @@ def pip_install(wheels: list[Path], target: Path) -> None:
     subprocess.run([*command, "--target", str(target), *map(str, wheels)], check=True, timeout=120)
 
 
+def unpack(path: Path, target: Path) -> None:
+    """Install a pure wheel the quick way."""
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(target)
+
+
 KIND = '''\
 """How far a dropped box sinks: a kind of golden in one file."""
 
