@@ -439,3 +439,24 @@ def test_a_bare_arm_has_a_ball_pressed_on_it(tmp_path: Path) -> None:
     measures = measures_on(CHECK, golden, trace, robot)
     assert set(measures) == {"onset_time", "position"}
     assert failed(measures) == set()
+
+
+def test_a_touch_is_told_from_the_side_of_its_first(tmp_path: Path) -> None:
+    robot = load_text(
+        tmp_path,
+        """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+        <body pos="0 0 .049"><freejoint/><geom name="ball" size=".05" mass="1"/></body>
+        </worldbody></mujoco>""",
+    )
+    data = mujoco.MjData(robot.model)
+    mujoco.mj_forward(robot.model, data)
+    ball, floor = (scene.geoms_of(robot.model, name, False) for name in ("ball", "floor"))
+    upper = scene.touch(robot.model, data, ball, floor)
+    lower = scene.touch(robot.model, data, floor, ball)
+    assert upper.normal == pytest.approx([0.0, 0.0, 1.0])
+    assert upper.force[2] > 0.0
+    assert upper.normal_force == pytest.approx(upper.force[2])
+    assert upper.depth == pytest.approx(1e-3)
+    assert lower.normal == pytest.approx(-upper.normal)
+    assert lower.force == pytest.approx(-upper.force)
+    assert lower.normal_force == pytest.approx(upper.normal_force)

@@ -173,7 +173,8 @@ def test_changes_are_caught(tmp_path: Path, change: dict, caught: set[str]) -> N
 
 
 def test_lines_that_are_lost_fail_in_words(tmp_path: Path) -> None:
-    golden, trace = recorded(CHECK, SPEC, load_text(tmp_path, spring()))
+    wide = {**SPEC, "tolerance": {"magnitude": "1000 dB"}}
+    golden, trace = recorded(CHECK, wide, load_text(tmp_path, spring()))
     rough = load_text(tmp_path, spring(friction=2.0), "rough.xml")
     measure = measures_on(CHECK, golden, trace, rough)["magnitude"]
     assert not measure.passed

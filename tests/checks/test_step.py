@@ -251,3 +251,11 @@ def test_first_specs_pass_on_the_robot_they_were_made_for(tmp_path: Path, actuat
     assert trace is not None
     moved = trace.columns["position:x" if actuator.startswith("<pos") else "velocity:x"][1]
     assert np.ptp(moved) > 1e-3
+
+
+def test_the_step_starts_from_the_hold(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
+    spec = {**STEP, "stimulus": {**STEP["stimulus"], "pose": {"joints": {"x": "0.3 m"}}}}
+    found = observe(CHECK, golden_of(CHECK, spec), robot).values
+    assert found["final"] == pytest.approx(0.32, abs=1e-6)
+    assert found["steady_state_error"] == pytest.approx(0.0, abs=1e-4)
