@@ -26,7 +26,9 @@ class Source:
     Attributes:
         kind: ``mjcf`` or ``urdf``.
         root: the checked elements, includes spliced in.
-        assets: name in the spec -> file of each mesh, texture, or other asset.
+        assets: name in the spec -> a file of each mesh, texture, or other asset; equal files share
+            one name.
+        read: files that were read beside those of ``root`` and ``assets``.
         urdf: the robot as read, None for MJCF.
         notes: what the conversion changed or left out, with file and line.
         inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that stands for one
@@ -41,11 +43,13 @@ class Source:
     notes: tuple[str, ...] = ()
     inertia_repairs: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     velocity_limit: Mapping[str, float] = field(default_factory=dict)
+    read: frozenset[Path] = frozenset()
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that was read, sorted."""
-        return tuple(sorted({node.path for node in self.root.walk()} | set(self.assets.values())))
+        named = {node.path for node in self.root.walk()} | set(self.assets.values())
+        return tuple(sorted(named | self.read))
 
 
 def load(
@@ -81,7 +85,9 @@ def load(
     if tag == "mujoco":
         roots = roots or (Roots(path.parent) if twin is None else twin.path_roots)
         document = mjcf.read(path, roots, limits=limits)
-        source = Source("mjcf", document.root, dict(document.asset_paths))
+        source = Source(
+            "mjcf", document.root, dict(document.asset_paths), read=frozenset(document.files)
+        )
         spec, places = mjcf.build(document), document.places
     elif tag == "robot":
         roots = roots or (_urdf_roots(path) if twin is None else twin.path_roots)

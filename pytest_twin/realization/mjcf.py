@@ -34,13 +34,15 @@ class Document:
         root: the ``mujoco`` element with every include spliced in.
         assets: name that MuJoCo asks for -> bytes of a mesh, texture or other asset.
         models: name that MuJoCo asks for -> text of a model that is attached.
-        asset_paths: the same name -> file that the bytes were read from.
+        asset_paths: the same name -> a file that the bytes were read from.
+        files: every file that was read, those of equal bytes too.
     """
 
     root: Node
     assets: dict[str, bytes] = field(default_factory=dict)
     models: dict[str, bytes] = field(default_factory=dict)
     asset_paths: dict[str, Path] = field(default_factory=dict)
+    files: set[Path] = field(default_factory=set)
     places: list[tuple[Path, int]] = field(default_factory=list)
     """Place that each line of :meth:`text` was read from."""
 
@@ -182,6 +184,7 @@ class _Reader:
         self.roots = roots
         self.limits = limits
         self.files = 0
+        self.read: set[Path] = set()
         self.elements = 0.0
         self.bytes = 0
         self.faces = 0
@@ -193,6 +196,7 @@ class _Reader:
         document = Document(root)
         self._check(root, 1.0)
         self._take_files(document, depth)
+        document.files = self.read
         return document
 
     # -- includes
@@ -205,6 +209,7 @@ class _Reader:
                 path=path,
                 expected=f"at most {self.limits.include_files}, {self.limits.include_depth} deep",
             )
+        self.read.add(path)
         return self._splice(xml.parse(path), path, main, chain)
 
     def _splice(self, element: Any, path: Path, main: Path, chain: tuple[Path, ...]) -> Node:
@@ -325,6 +330,7 @@ class _Reader:
         name = hashlib.sha256(content).hexdigest()[:24] + suffix
         document.assets[name] = content
         document.asset_paths[name] = path
+        self.read.add(path)
         if node.tag in ("mesh", "hfield", "skin", "texture"):
             node.attributes.setdefault("name", path.stem)
         node.attributes[key] = name
