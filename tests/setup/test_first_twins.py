@@ -1,0 +1,141 @@
+"""From a robot's file to a signed release, as a newcomer does it: two commands, other robots."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+BIN = Path(sys.executable).parent
+ROBOTS = {
+    "panda": "panda_description/urdf/panda.urdf",
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "so101": "so_arm_description/urdf/so101.urdf",
+    "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
+    "solo12": "solo_description/robots/solo12.urdf",
+    "talos_arm": "talos_data/robots/talos_left_arm.urdf",
+}
+EVERY_ROBOT = {"fk", "joint_direction", "limits", "mass_properties", "settling"}
+DEMO = Path(__file__).resolve().parents[2] / "golden"
+
+
+def find_robots() -> Path:
+    for entry in sys.path:
+        folder = Path(entry) / "cmeel.prefix/share/example-robot-data/robots"
+        if folder.is_dir():
+            return folder
+    pytest.fail("the package example-robot-data is not installed; it is in the extra 'test'")
+
+
+def run(*command: str, cwd: Path, state: Path) -> subprocess.CompletedProcess[str]:
+    environment = {
+        **os.environ,
+        "XDG_CONFIG_HOME": str(state / "config"),
+        "XDG_STATE_HOME": str(state / "state"),
+    }
+    environment.pop("PYTEST_ADDOPTS", None)
+    return subprocess.run(
+        [str(BIN / command[0]), *command[1:]],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_from_a_urdf_to_a_release(name: str, tmp_path: Path) -> None:
+    twin = tmp_path / "twin"
+    made = run("pytest-twin", "init", str(find_robots() / ROBOTS[name]), "--out", str(twin),
+               cwd=tmp_path, state=tmp_path)  # fmt: skip
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert "FAILS" not in made.stdout
+    assert {path.name for path in (twin / "golden").iterdir()} >= EVERY_ROBOT
+    released = run("pytest", "--twin-release", cwd=twin, state=tmp_path)
+    assert released.returncode == 0, released.stdout[-4000:]
+    assert "release 0001 signed" in released.stdout
+    verified = run("pytest-twin", "verify", "releases/0001", cwd=twin, state=tmp_path)
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    again = run("pytest", "--twin-release", cwd=twin, state=tmp_path)
+    assert again.returncode == 0, again.stdout[-4000:]
+    assert "release 0001 still holds" in again.stdout
+
+
+def test_an_impossible_inertia_is_repaired_in_sight(tmp_path: Path) -> None:
+    made = run("pytest-twin", "init", str(find_robots() / ROBOTS["allegro"]), cwd=tmp_path,
+               state=tmp_path)  # fmt: skip
+    assert made.returncode == 0, made.stdout + made.stderr
+    twin = yaml.safe_load((tmp_path / "twin.yaml").read_text())
+    assert sorted(twin["fit"]["body"]) == ["link_11.0", "link_15.0", "link_3.0", "link_7.0"]
+    for link in twin["fit"]["body"]:
+        assert any(link in line for line in made.stdout.splitlines() if line.startswith("note"))
+
+
+def test_a_robot_in_the_folder_stays_where_it_is(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text(
+        "<mujoco><worldbody><body name='link'><joint name='hinge' axis='0 1 0' range='-90 90'/>"
+        "<geom type='capsule' fromto='0 0 0 0 0 .3' size='.02'/></body></worldbody>"
+        "<actuator><position name='hinge' joint='hinge' kp='50' kv='2'/></actuator></mujoco>"
+    )
+    made = run("pytest-twin", "init", "robot.xml", cwd=tmp_path, state=tmp_path)
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert yaml.safe_load((tmp_path / "twin.yaml").read_text())["model"] == "robot.xml"
+    assert not (tmp_path / "asset").exists()
+    again = run("pytest-twin", "init", "robot.xml", cwd=tmp_path, state=tmp_path)
+    assert again.returncode == 2
+    assert again.stderr == (
+        f"pytest-twin init: {tmp_path}/twin.yaml: there is a twin already (expected a new folder)\n"
+    )
+
+
+def test_every_spec_names_a_schema_that_an_editor_finds(tmp_path: Path) -> None:
+    made = run("pytest-twin", "init", str(DEMO / "arm.xml"), cwd=tmp_path, state=tmp_path)
+    assert made.returncode == 0, made.stdout + made.stderr
+    files = [tmp_path / "twin.yaml", *(tmp_path / "golden").rglob("*.yaml")]
+    assert len(files) > 5
+    for path in files:
+        head = path.read_text().splitlines()[0]
+        assert head.startswith("# yaml-language-server: $schema=")
+        assert (path.parent / head.partition("=")[2]).resolve().is_file()
+
+
+@pytest.mark.parametrize("name", ["nothing.urdf", "notes.txt"])
+def test_what_is_no_robot_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("a robot, one day")
+    made = run("pytest-twin", "init", name, cwd=tmp_path, state=tmp_path)
+    assert made.returncode == 2
+    assert made.stderr == (
+        f"pytest-twin init: {name}: no robot file "
+        "(expected a URDF (.urdf) or an MJCF (.xml) file)\n"
+    )
+    assert not (tmp_path / "twin.yaml").exists()
+
+
+def test_a_broken_robot_leaves_no_half_twin(tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_text("<robot name='r'><link name='a'/><link name='a'/></robot>")
+    made = run("pytest-twin", "init", "robot.urdf", cwd=tmp_path, state=tmp_path)
+    assert made.returncode == 2
+    assert "robot.urdf:1" in made.stderr
+    assert len(made.stderr.splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir() if path.suffix != ".urdf"] == []
+
+
+def test_the_demo_twin_releases(tmp_path: Path) -> None:
+    twin = tmp_path / "golden"
+    shutil.copytree(
+        DEMO, twin, ignore=shutil.ignore_patterns("releases", "keys", ".twin", "__pycache__", "make")
+    )
+    released = run("pytest", "--twin-release", "golden", cwd=tmp_path, state=tmp_path)
+    assert released.returncode == 0, released.stdout[-4000:]
+    assert "release 0001 signed" in released.stdout
+    kinds = {path.parent.name for path in twin.glob("*/*.yaml")}
+    assert kinds == {
+        "collision_distance", "contact", "fk", "frequency_response", "joint_direction", "limits",
+        "mass_properties", "replay", "settling", "step", "task",
+    }  # fmt: skip
