@@ -1,0 +1,1 @@
+"""The project's own tests; the plugin itself is installed as an entry point."""
