@@ -132,8 +132,8 @@ class Structure:
         """All that moves ``joints`` (all of them by default).
 
         Kinematics, inertia, joints, actuators, couplings, collision of every body of the same
-        trees and of those that couplings, actuators or possible contacts tie to them; gravity and
-        the other options. Keyframes are not in it.
+        trees and of those that couplings, actuators, possible contacts or a common base tie to
+        them; gravity and the other options. Keyframes are not in it.
         """
         if joints is None:
             return self._remember("dynamics", lambda: self._dynamics(frozenset(self._trees())))
@@ -233,7 +233,11 @@ class Structure:
         bodies = moving | standing
         joints = {joint for joint, body in self.joint_body.items() if body in moving}
         placed = {b for body in bodies for b in self.ancestors(body)}
-        parts = self._placed(placed) | self._layer("inertia", moving)
+        # MuJoCo reckons about the centre of mass of all that stands on one body of the world:
+        # what stands still there shifts the last digits, and a contact makes much of them.
+        roots = {self.ancestors(body)[-1] for body in moving}
+        rooted = {body for body in self.body_parent if self.ancestors(body)[-1] in roots}
+        parts = self._placed(placed | rooted) | self._layer("inertia", rooted)
         parts |= self._layer("joint", joints) | self._layer("limit", joints)
         parts |= self._layer("tree", trees) | self._layer("collision", bodies)
         parts |= {mesh for body in bodies for mesh in self.body_meshes.get(body, ())}
@@ -279,6 +283,10 @@ class Structure:
                 *self.contact_pairs,
             )
         ]
+        rooted: dict[str, set[str]] = {}
+        for tree in self._trees():
+            rooted.setdefault(self.ancestors(tree)[-1], set()).add(tree)
+        links += rooted.values()
         masks = {tree: [0, 0] for tree in self._trees()}
         for body, (contype, conaffinity) in self.contact_masks.items():
             if body in self.body_tree:

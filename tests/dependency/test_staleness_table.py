@@ -318,7 +318,7 @@ FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
         model('mass="1"', 'mass="1.1"'),
         {"mass", "settling", "step_spin", "touch", "pick"},
     ),
-    ("mass of the fixed base", model('mass="2"', 'mass="3"'), {"mass", "pick"}),
+    ("mass of the fixed base", model('mass="2"', 'mass="3"'), ARM | {"mass"}),
     ("inertia", model('"0.002 0.002', '"0.003 0.003'), ARM | {"mass"}),
     (
         "link length",

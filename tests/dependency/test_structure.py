@@ -15,10 +15,11 @@ TWO_ARMS = """
 <mujoco>
   <worldbody>
     <geom name="floor" type="plane" size="1 1 0.1" contype="1" conaffinity="1"/>
-    <body name="torso" pos="0 0 1">
+    <body name="left_base" pos="0 0 1">
       <body name="left_upper"><joint name="left_a"/><geom name="lu" size="0.1"/>
         <body name="left_lower" pos="0 0 1"><joint name="left_b"/><geom size="0.1"/>
           <site name="left_tip"/></body></body>
+    %(between)s
       <body name="right_upper" pos="1 0 0"><joint name="right_a"/>
         <geom name="ru" size="0.1" %(right)s/>
         <body name="right_lower" pos="0 0 1"><joint name="right_b"/>
@@ -30,7 +31,12 @@ TWO_ARMS = """
   <actuator><motor name="m" joint="right_a"/></actuator>
 </mujoco>
 """
-APART = {"right": 'contype="2" conaffinity="2"', "box": 'contype="4" conaffinity="4"', "more": ""}
+APART = {
+    "between": '</body><body name="right_base" pos="2 0 1">',
+    "right": 'contype="2" conaffinity="2"',
+    "box": 'contype="4" conaffinity="4"',
+    "more": "",
+}
 
 
 def structure(**changes: str) -> Structure:
@@ -43,17 +49,18 @@ def short(ids: frozenset[str], layer: str) -> set[str]:
     return {ident.removeprefix(prefix) for ident in ids if ident.startswith(prefix)}
 
 
-def test_arms_on_one_torso_that_cannot_touch_are_apart() -> None:
+def test_arms_that_cannot_touch_are_apart() -> None:
     felt = structure().dynamics(["right_b"])
-    assert short(felt, "inertia") == {"right_upper", "right_lower"}
+    assert short(felt, "inertia") == {"right_base", "right_upper", "right_lower"}
     assert short(felt, "joint") == {"right_a", "right_b"}
-    assert short(felt, "kinematics") == {"torso", "right_upper", "right_lower"}
+    assert short(felt, "kinematics") == {"right_base", "right_upper", "right_lower"}
     assert short(felt, "actuator") == {"m"}
     assert short(felt, "option") == {"gravity", "integration"}
     assert short(felt, "collision") == {"right_upper", "right_lower"}
 
 
 LINKS = {
+    "common base": {"between": ""},
     "contact": {"right": 'contype="1" conaffinity="1"'},
     "one-sided masks": {"right": 'contype="0" conaffinity="1"'},
     "pair": {"more": '<contact><pair geom1="lu" geom2="ru"/></contact>'},
@@ -72,15 +79,15 @@ LINKS = {
 def test_whatever_ties_two_trees_makes_each_feel_the_other(change: dict[str, str]) -> None:
     found = structure(**change)
     felt = found.dynamics(["left_a"])
-    assert short(felt, "inertia") == {"left_upper", "left_lower", "right_upper", "right_lower"}
-    assert "box" not in short(felt, "inertia")
+    arms = {"left_upper", "left_lower", "right_upper", "right_lower"}
+    assert short(felt, "inertia") - {"left_base", "right_base"} == arms
 
 
 def test_two_trees_on_one_floor_are_apart() -> None:
     both = structure(right='contype="0" conaffinity="2"', box='contype="4" conaffinity="1"')
     felt = both.dynamics(["left_a"])
     # The box may touch the left arm, the right arm nobody.
-    assert short(felt, "inertia") == {"left_upper", "left_lower", "box"}
+    assert short(felt, "inertia") == {"left_base", "left_upper", "left_lower", "box"}
     assert "world" in short(felt, "collision")
     assert "world" not in short(both.dynamics(["right_a"]), "collision")
 
@@ -89,7 +96,7 @@ def test_chain_is_the_way_to_the_world() -> None:
     chain = structure().chain(["left_tip"])
     assert chain == {
         "m/frame:left_tip",
-        *(f"m/kinematics:{body}" for body in ("torso", "left_upper", "left_lower")),
+        *(f"m/kinematics:{body}" for body in ("left_base", "left_upper", "left_lower")),
     }
     assert structure().chain(["world"]) == frozenset()
 
@@ -107,7 +114,7 @@ def test_a_mimic_brings_its_master_and_a_loop_is_in_every_chain() -> None:
 def test_a_load_is_what_hangs_on_a_joint() -> None:
     load = structure().carried(["left_a"])
     assert short(load, "inertia") == {"left_upper", "left_lower"}
-    assert short(load, "kinematics") == {"torso", "left_upper", "left_lower"}
+    assert short(load, "kinematics") == {"left_base", "left_upper", "left_lower"}
     assert structure().gravity_load(["left_b"]) == structure().carried(["left_b"]) | {
         "m/option:gravity"
     }
