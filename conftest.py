@@ -1,1 +1,3 @@
-"""The project's own tests; the plugin itself is installed as an entry point."""
+"""For the project's own tests; the plugin itself comes by its entry point."""
+
+pytest_plugins = ["pytester"]

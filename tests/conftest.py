@@ -1,3 +1,0 @@
-"""Fixtures that every area shares."""
-
-pytest_plugins = ["pytester"]
