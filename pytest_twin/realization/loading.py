@@ -90,7 +90,7 @@ def load(
         )
         spec, places = mjcf.build(document), document.places
     elif tag == "robot":
-        roots = roots or (_urdf_roots(path) if twin is None else twin.path_roots)
+        roots = roots or (urdf_roots(path) if twin is None else twin.path_roots)
         robot = urdf.read(path, limits=limits)
         converted = urdf_spec.convert(
             robot,
@@ -126,7 +126,7 @@ def load(
     return Realization(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
 
 
-def _urdf_roots(path: Path) -> Roots:
+def urdf_roots(path: Path) -> Roots:
     """The ROS package that the file lies in, or its folder alone."""
     for folder in path.resolve().parents:
         if (folder / "package.xml").is_file():

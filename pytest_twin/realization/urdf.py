@@ -115,15 +115,10 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
         FormatError: not well-formed, or beyond a bound.
         ModelError: not a tree of links, or a value that no robot can have.
     """
-    root = _nodes(xml.parse(path), path, limits)
-    if root.tag != "robot":
-        raise root.error("not a URDF", value=root.tag, expected="the root <robot>")
-    for node in root.walk():
-        if "}" in node.tag and "xacro" in node.tag:
-            raise node.error("a xacro macro, not a URDF", expected="the output of `xacro`")
+    root = document(path, limits=limits)
     links: dict[str, Link] = {}
     for node in root.all("link"):
-        link = _link(node)
+        link = link_of(node)
         if link.name in links:
             raise node.error(
                 "two links of one name",
@@ -135,7 +130,7 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
         raise root.error("a robot without links")
     joints: dict[str, Joint] = {}
     for node in root.all("joint"):
-        joint = _joint(node)
+        joint = joint_of(node)
         if joint.name in joints:
             raise node.error(
                 "two joints of one name",
@@ -147,6 +142,22 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
     _check_tree(robot)
     _check_mimics(robot)
     return robot
+
+
+def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
+    """The ``robot`` element of a URDF file, its values not yet looked at.
+
+    Raises:
+        FormatError: not well-formed, or beyond a bound.
+        ModelError: no URDF.
+    """
+    root = _nodes(xml.parse(path), path, limits)
+    if root.tag != "robot":
+        raise root.error("not a URDF", value=root.tag, expected="the root <robot>")
+    for node in root.walk():
+        if "}" in node.tag and "xacro" in node.tag:
+            raise node.error("a xacro macro, not a URDF", expected="the output of `xacro`")
+    return root
 
 
 def rotation(rpy: Vector) -> Vector:
@@ -196,7 +207,12 @@ def _name(node: Node) -> str:
     return name
 
 
-def _link(node: Node) -> Link:
+def link_of(node: Node) -> Link:
+    """What a ``link`` element says.
+
+    Raises:
+        ModelError: a value that no link can have.
+    """
     name = _name(node)
     inertial = node.find("inertial")
     if inertial is None:
@@ -220,7 +236,12 @@ def _link(node: Node) -> Link:
     return Link(name, node, mass, com, moments, inertial)
 
 
-def _joint(node: Node) -> Joint:
+def joint_of(node: Node) -> Joint:
+    """What a ``joint`` element says, without a look at the links that it names.
+
+    Raises:
+        ModelError: a value that no joint can have.
+    """
     name = _name(node)
     kind = node.attributes.get("type", "")
     if kind not in (*MOVING, "fixed"):

@@ -392,7 +392,7 @@ class _Converter:
     def _mesh(
         self, link: Link, node: Node, position: Vector, axes: Vector
     ) -> dict[str, Any] | None:
-        path = self._mesh_file(node)
+        path = mesh_file(node, self.roots, self.packages)
         scale = node.numbers("scale", (1.0, 1.0, 1.0))
         if (scale == 0).any():
             raise node.error("a mesh without size", "scale", value=node.attributes["scale"])
@@ -465,26 +465,6 @@ class _Converter:
                 )
         return self.files[path]
 
-    def _mesh_file(self, node: Node) -> Path:
-        reference = node.attributes.get("filename", "")
-        if not reference:
-            raise node.error("no file", "filename", expected="the path of a mesh")
-        details: dict[str, Any] = {"at": node.path, "line": node.line, "where": "mesh.filename"}
-        if reference.startswith("package://"):
-            package, _, rest = reference.removeprefix("package://").lstrip("/").partition("/")
-            folder = self.packages.get(package) or find_package(package, node.path, self.roots)
-            if folder is None:
-                raise node.error(
-                    f"package '{package}' is not found",
-                    "filename",
-                    value=reference,
-                    expected="its folder above this file, or under 'roots:'",
-                )
-            return self.roots.resolve(str(folder / rest), **details)
-        if reference.startswith("file://"):
-            return self.roots.resolve(reference.removeprefix("file://"), **details)
-        return self.roots.resolve(reference, **details)
-
     # -- the rest
 
     def _exclude_base(self) -> None:
@@ -527,6 +507,33 @@ class _Converter:
         if counts:
             listed = ", ".join(f"{count} {tag}" for tag, count in sorted(counts.items()))
             self.note(self.robot.node, f"left out: {listed}")
+
+
+def mesh_file(node: Node, roots: Roots, packages: Mapping[str, Path]) -> Path:
+    """The file that a ``mesh`` element names.
+
+    Raises:
+        ModelError: none is named, or its package is not found.
+        PathError: outside the roots, or not there.
+    """
+    reference = node.attributes.get("filename", "")
+    if not reference:
+        raise node.error("no file", "filename", expected="the path of a mesh")
+    details: dict[str, Any] = {"at": node.path, "line": node.line, "where": "mesh.filename"}
+    if reference.startswith("package://"):
+        package, _, rest = reference.removeprefix("package://").lstrip("/").partition("/")
+        folder = packages.get(package) or find_package(package, node.path, roots)
+        if folder is None:
+            raise node.error(
+                f"package '{package}' is not found",
+                "filename",
+                value=reference,
+                expected="its folder above this file, or under 'roots:'",
+            )
+        return roots.resolve(str(folder / rest), **details)
+    if reference.startswith("file://"):
+        return roots.resolve(reference.removeprefix("file://"), **details)
+    return roots.resolve(reference, **details)
 
 
 def find_package(package: str, urdf: Path, roots: Roots) -> Path | None:
