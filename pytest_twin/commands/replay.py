@@ -6,10 +6,9 @@ import argparse
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
@@ -18,6 +17,12 @@ from pytest_twin.metrics.residual import residual
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES, Twin, load_twin
+
+if TYPE_CHECKING:
+    from pytest_twin.diagnosis.realize import Patched
+    from pytest_twin.effects.rows import Predicted
+    from pytest_twin.realization import Realization
+    from pytest_twin.replay import Replayed
 
 HELP = "replay a recording on a model, open loop: write the joint states that it predicts"
 DONE = 0
@@ -46,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topics",
         metavar="state=/x,command=/y",
-        type=_topics,
+        type=parse_topics,
         default={},
         help="topics of the recording (default: twin.yaml's, else "
         + ",".join(f"{role}={topic}" for role, topic in TOPICS.items())
@@ -108,33 +113,12 @@ def replay_file(model: str, recording: str, out: str, topics: Mapping[str, str])
     """
     import mujoco
 
-    from pytest_twin.realization import load
-    from pytest_twin.replay import replay
-
-    twin: Twin | None = None
-    file, name = Path(model), "mujoco"
-    if file.suffix.lower() in (".yaml", ".yml"):
-        twin = load_twin(file)
-        if not twin.realizations:
-            raise SpecError("this twin has no model", path=file, where="model")
-        name, reference = next(iter(twin.realizations.items()))
-        file = reference.file
-    realization = load(file, twin=twin, name=name)
-    known = dict(TOPICS if twin is None else twin.topics)
-    trial = make_trial(read_recording(Path(recording), {**known, **topics}), realization.structure)
-    result = replay(realization, [trial], tcp=False)[0]
-    if result.error is not None:
-        raise result.error
-    stamps = trial.stamps
-    predicted = JointSeries(
-        topic=STATE_TOPIC,
-        names=trial.joints,
-        stamp=stamps,
-        log_time=stamps,
-        position=result.position,
-        velocity=result.velocity,
-        effort=result.effort,
+    loaded = load_model(Path(model))
+    realization = loaded.realization
+    trial = make_trial(
+        read_recording(Path(recording), {**loaded.topics, **topics}), realization.structure
     )
+    predicted, notes = _predict(loaded, trial)
     write_recording(Path(out), [predicted], trial.metadata)
     return {
         "schema": 1,
@@ -147,7 +131,7 @@ def replay_file(model: str, recording: str, out: str, topics: Mapping[str, str])
         "duration": {"value": trial.duration, "unit": "s"},
         "command_mode": trial.command_mode,
         "trial": dict(trial.metadata),
-        "joints": _joints(trial, result.position, realization.structure.joint_type),
+        "joints": _joints(trial, predicted, realization.structure.joint_type),
         "marks": [
             {
                 "kind": mark.kind,
@@ -159,16 +143,86 @@ def replay_file(model: str, recording: str, out: str, topics: Mapping[str, str])
             }
             for mark in trial.marks
         ],
-        "notes": [*result.notes, *realization.notes],
+        "notes": [*notes, *realization.notes],
     }
 
 
-def _joints(
-    trial: Trial, predicted: np.ndarray[Any, np.dtype[np.float64]], types: Mapping[str, str]
-) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class LoadedModel:
+    """What a command line's MODEL is.
+
+    Attributes:
+        realization: loaded, with its twin where it has one.
+        topics: role -> topic.
+        patched: effects that are stepped beside the model, where a diagnosis wrote it.
+    """
+
+    realization: Realization
+    topics: Mapping[str, str]
+    patched: Patched | None
+
+
+def load_model(file: Path) -> LoadedModel:
+    """Load what :func:`find_model` found; in the child process.
+
+    Raises:
+        TwinError: it cannot be loaded.
+    """
+    from pytest_twin.diagnosis.realize import EFFECTS_FILE, read_effects
+    from pytest_twin.realization import load
+
+    twin: Twin | None = None
+    beside, name = file.parent / EFFECTS_FILE, "mujoco"
+    if file.suffix.lower() in (".yaml", ".yml"):
+        twin = load_twin(file)
+        if not twin.realizations:
+            raise SpecError("this twin has no model", path=file, where="model")
+        name, reference = next(iter(twin.realizations.items()))
+        file = reference.file
+    return LoadedModel(
+        realization=load(file, twin=twin, name=name),
+        topics=dict(TOPICS if twin is None else twin.topics),
+        patched=read_effects(beside) if beside.is_file() else None,
+    )
+
+
+def _predict(loaded: LoadedModel, trial: Trial) -> tuple[JointSeries, tuple[str, ...]]:
+    """The joint states that the model predicts for a trial, and notes."""
+    from pytest_twin.diagnosis.realize import replay_patched
+    from pytest_twin.replay import replay
+
+    stamps = trial.stamps
+
+    def series(names: tuple[str, ...], values: Replayed | Predicted) -> JointSeries:
+        return JointSeries(
+            topic=STATE_TOPIC,
+            names=names,
+            stamp=stamps,
+            log_time=stamps,
+            position=values.position,
+            velocity=values.velocity,
+            effort=values.effort,
+        )
+
+    if loaded.patched is None:
+        result = replay(loaded.realization, [trial], tcp=False)[0]
+        if result.error is not None:
+            raise result.error
+        return series(trial.joints, result), result.notes
+    predicted = replay_patched(loaded.realization, loaded.patched, [trial])[0]
+    beside = ", ".join(
+        e.effect + ("" if e.joint is None else f" of {e.joint}") for e in loaded.patched.beside
+    )
+    note = (f"stepped beside the model: {beside}",) if beside else ()
+    return series(loaded.patched.joints, predicted), note
+
+
+def _joints(trial: Trial, predicted: JointSeries, types: Mapping[str, str]) -> dict[str, Any]:
     found = {}
-    for column, joint in enumerate(trial.joints):
-        left = residual(predicted[:, column], trial.position[:, column])
+    assert predicted.position is not None
+    for column, joint in enumerate(predicted.names):
+        measured = trial.position[:, trial.joints.index(joint)]
+        left = residual(predicted.position[:, column], measured)
         found[joint] = {
             "rms": left.rms,
             "max": left.maximum,
@@ -179,7 +233,8 @@ def _joints(
     return found
 
 
-def _topics(text: str) -> dict[str, str]:
+def parse_topics(text: str) -> dict[str, str]:
+    """``state=/x,command=/y`` of a command line, as a mapping."""
     found: dict[str, str] = {}
     for item in text.split(","):
         role, separator, topic = item.partition("=")

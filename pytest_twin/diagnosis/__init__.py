@@ -1,1 +1,1 @@
-"""Locate, name, model and show: why a simulation and recordings differ."""
+"""Locate the mismatch, name the missing physics, model it, show what it buys."""

@@ -1,0 +1,182 @@
+"""``pytest-twin diagnose``: what a model lacks, where, how surely, and what it would buy."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands.replay import find_model, parse_topics
+from pytest_twin.errors import PathError, TwinError
+from pytest_twin.formats import atomic
+from pytest_twin.formats.mcap import TOPICS
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report.text import printable
+
+HELP = (
+    "say which physics a model lacks: locate, name, fit, and show the gain on held-out recordings"
+)
+EXPLAINED, LEFT_OVER = 0, 1
+DIAGNOSIS_FILE = "diagnosis.json"
+REPORT_FILE = "report.html"
+REALIZATION = "realization"
+_SECONDS = 4 * 3600.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "model",
+        metavar="MODEL",
+        type=Path,
+        help="MJCF or URDF file, twin.yaml, or the folder of an earlier diagnosis",
+    )
+    parser.add_argument("recordings", metavar="RECORDING", type=Path, nargs="+", help="MCAP files")
+    parser.add_argument(
+        "--held-out",
+        metavar="RECORDING",
+        type=Path,
+        nargs="+",
+        action="extend",
+        default=[],
+        help="recordings that no fit may see (default: those whose metadata says role held_out, "
+        "else whole recordings are split and the report says which)",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"gets {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
+        "replaced whole where it is an earlier diagnosis",
+    )
+    parser.add_argument(
+        "--topics",
+        metavar="state=/x,command=/y",
+        type=parse_topics,
+        default={},
+        help="topics of the recordings (default: twin.yaml's, else "
+        + ",".join(f"{role}={topic}" for role, topic in TOPICS.items())
+        + ")",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 where nothing is left unexplained, 1 where something is.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
+    out: Path = args.out.absolute()
+    _check_out(out)
+    model = find_model(args.model)
+    with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
+        staging = Path(scratch) / "diagnosis"
+        staging.mkdir()
+        line = _ProgressLine()
+        # The simulator writes its log into the working folder: into one that goes.
+        with Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox:
+            summary = sandbox.call(
+                "pytest_twin.commands.diagnose:diagnose_files",
+                {
+                    "model": str(model),
+                    "recordings": [str(r.absolute()) for r in args.recordings],
+                    "held_out": [str(r.absolute()) for r in args.held_out],
+                    "out": str(staging),
+                    "topics": args.topics,
+                },
+                progress=line.show,
+            )
+        line.close()
+        atomic.replace_directory(staging, out)
+    print("\n".join(_printed(text) for text in summary["words"]))
+    print(f"{args.out / REPORT_FILE}")
+    return EXPLAINED if summary["verdict"] in ("no_mismatch", "explained") else LEFT_OVER
+
+
+def diagnose_files(
+    model: str,
+    recordings: list[str],
+    held_out: list[str],
+    out: str,
+    topics: Mapping[str, str],
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> dict[str, Any]:
+    """Load, diagnose, write; runs in the child process.
+
+    Returns:
+        The verdict and the lines to print.
+    """
+    from pytest_twin.commands.replay import load_model
+    from pytest_twin.diagnosis.diagnose import diagnose
+    from pytest_twin.diagnosis.realize import write_realization
+    from pytest_twin.diagnosis.trials import read_trials
+    from pytest_twin.realization.quiet import quiet
+    from pytest_twin.report.diagnosis import words
+
+    loaded = load_model(Path(model))
+    realization = loaded.realization
+    trials = read_trials(
+        [Path(r) for r in recordings],
+        [Path(r) for r in held_out],
+        {**loaded.topics, **topics},
+        realization.structure,
+    )
+    folder = Path(out)
+    with quiet():
+        found = diagnose(realization, trials, inherited=loaded.patched, progress=progress)
+        (folder / REALIZATION).mkdir()
+        write_realization(
+            folder / REALIZATION,
+            realization,
+            found.prepared.problem,
+            found.explained.hypothesis,
+            loaded.patched,
+        )
+    said = found.to_json(realization=f"{REALIZATION}/")
+    atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")
+    progress(0.95)
+    progress(1.0)
+    return {"verdict": found.verdict, "words": words(said)}
+
+
+class _ProgressLine:
+    """The fraction done, rewritten on a terminal; silence elsewhere."""
+
+    def __init__(self) -> None:
+        self.shown = False
+
+    def show(self, fraction: float) -> None:
+        if sys.stderr.isatty():
+            print(f"\rdiagnosing {100 * fraction:3.0f} %", end="", file=sys.stderr, flush=True)
+            self.shown = True
+
+    def close(self) -> None:
+        if self.shown:
+            print("\r" + " " * 24 + "\r", end="", file=sys.stderr, flush=True)
+
+
+def _check_out(out: Path) -> None:
+    if not out.parent.is_dir():
+        raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise PathError("is in the way of a folder", path=out, expected="a folder or nothing")
+    if out.is_dir() and any(out.iterdir()) and not (out / DIAGNOSIS_FILE).is_file():
+        raise PathError(
+            "a folder with other things in it is not replaced",
+            path=out,
+            expected="a new folder, or that of an earlier diagnosis",
+        )
+
+
+def _printed(text: str) -> str:
+    # Names come from files and may carry terminal escapes.
+    return printable(text)
+
+
+__all__ = ["HELP", "add_arguments", "diagnose_files", "run", "shutil"]

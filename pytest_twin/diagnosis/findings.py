@@ -1,0 +1,283 @@
+"""From a chosen structure to findings: parameters with intervals, what each buys, and what next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.intervals import Spread, spread
+from pytest_twin.diagnosis.locate import Where, blame_windows, motions, place_of
+from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.select import Selected
+from pytest_twin.effects.base import FloatArray, Parameter
+from pytest_twin.trial import Trial
+
+_REFIT = 4
+# Without recordings to predict, no name is surer than this.
+_UNTESTED = 0.8
+_CORRELATED = 0.9
+# A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
+_OPEN = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One parameter: SI value in ``unit`` and the 95 % interval."""
+
+    value: float
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A rival in a finding's place."""
+
+    effect: str
+    joint: str | None
+    confidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """An effect that the data support.
+
+    Attributes:
+        effect, joint: what and where; joint None for the whole robot's.
+        confidence: share of the evidence against the rivals in its place.
+        parameters: name -> estimate.
+        where: when and in which regime it shows.
+        held_out_gain: fraction of the squared held-out error, in units of each signal's floor,
+            that goes when this finding joins the others, those refitted without it.
+        share: of the whole mismatch, by the same measure; findings are ordered by it.
+        alternatives: rivals, best first.
+        next_test: the recording that would separate it from the best rival.
+        correlated: parameters of which only a combination is known, one line each.
+        term: in the problem's own numbering.
+    """
+
+    effect: str
+    joint: str | None
+    confidence: float
+    parameters: Mapping[str, Estimate]
+    where: Where
+    held_out_gain: float
+    share: float
+    alternatives: tuple[Alternative, ...]
+    next_test: str
+    correlated: tuple[str, ...]
+    term: Term
+
+
+@dataclass(slots=True)
+class Explained:
+    """Findings and the predictions behind them.
+
+    Attributes:
+        findings: ordered by share.
+        hypothesis: of all of them.
+        spread: of its parameters.
+    """
+
+    findings: tuple[Finding, ...]
+    hypothesis: Hypothesis
+    spread: Spread | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def explain(
+    prepared: Prepared,
+    selected: Selected,
+    trials: Sequence[Trial],
+    say: Callable[[str], None] = lambda text: None,
+) -> Explained:
+    """Turn the selected structure into findings.
+
+    Args:
+        prepared: the problem.
+        selected: its best structure.
+        trials: fit, then held-out, as ``prepared`` numbers them.
+        say: told what is being done.
+    """
+    problem = prepared.problem
+    best = selected.best
+    hypothesis = best.hypothesis
+    if not hypothesis.terms:
+        return Explained((), hypothesis)
+    say("intervals")
+    width = spread(problem, best.fitted)
+    say("gains")
+    tested = problem.held_out if len(problem.held_out) else problem.fit
+    weights = 1.0 / np.sqrt(np.mean(best.fitted.residual**2, axis=0) + problem.signal_floor**2)
+    starts = [hypothesis.without(t) for t in hypothesis.terms]
+    refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
+    rests = [f.hypothesis for f in refitted]
+    everywhere = np.arange(len(problem.simulator.segments))
+    residuals = problem.residuals([hypothesis, EMPTY, *rests], everywhere)
+    lengths = problem.lengths(everywhere)
+    in_test = np.repeat(np.isin(everywhere, tested), lengths)
+
+    def error(residual: FloatArray) -> float:
+        return float(np.nansum((residual[in_test] / problem.signal_floor) ** 2))
+
+    with_all, with_none = error(residuals[0]), error(residuals[1])
+    paths = motions(prepared, trials)
+    found = []
+    for term, without in zip(hypothesis.terms, residuals[2:], strict=True):
+        alone = error(without)
+        gain = (alone - with_all) / alone if alone > 0.0 else 0.0
+        share = (alone - with_all) / with_none if with_none > 0.0 else 0.0
+        blame = _blame(problem, term, residuals[0], without)
+        where = place_of(paths, blame, max(term.joint, 0))
+        others = selected.alternatives.get(term, [])
+        confidence = selected.confidence.get(term, 1.0)
+        if not len(problem.held_out):
+            confidence = min(confidence, _UNTESTED)
+        found.append(
+            Finding(
+                effect=term.effect,
+                joint=_joint(problem, term),
+                confidence=confidence,
+                parameters=_estimates(problem, hypothesis, term, width),
+                where=where,
+                held_out_gain=float(np.clip(gain, -1.0, 1.0)),
+                share=float(share),
+                alternatives=tuple(
+                    Alternative(t.effect, _joint(problem, t), c) for t, c in others if c > 1e-4
+                )[:4],
+                next_test=_next_test(term, [t for t, _ in others]),
+                correlated=_correlations(problem, hypothesis, term, width),
+                term=term,
+            )
+        )
+    found.sort(key=lambda f: -f.share)
+    return Explained(tuple(found), hypothesis, width)
+
+
+def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) -> FloatArray:
+    """(samples,) rise of the squared error, in floors, where the term is taken away."""
+    rise = (without**2 - best**2) / problem.signal_floor**2
+    joints = len(problem.joints)
+    columns = range(rise.shape[1]) if term.joint < 0 else range(term.joint, rise.shape[1], joints)
+    total: FloatArray = np.nan_to_num(rise[:, list(columns)]).sum(axis=1)
+    return np.maximum(total, 0.0)
+
+
+def _joint(problem: Problem, term: Term) -> str | None:
+    return None if term.joint < 0 else problem.joints[term.joint]
+
+
+def joint_type(problem: Problem, joint: int) -> str:
+    """``hinge`` or ``slide``; of the whole robot, the first joint's."""
+    model = problem.simulator.segments[0].model
+    kind = int(model.jnt_type[problem.simulator.joint_ids[max(joint, 0)]])
+    return "slide" if kind == int(mujoco.mjtJoint.mjJNT_SLIDE) else "hinge"
+
+
+def _estimates(
+    problem: Problem, hypothesis: Hypothesis, term: Term, width: Spread
+) -> dict[str, Estimate]:
+    place = hypothesis.slice_of(term)
+    kind, servo = joint_type(problem, term.joint), str(problem.simulator.servo[max(term.joint, 0)])
+    found = {}
+    for i, p in enumerate(term.parameters, start=place.start):
+        scale = problem.scales.value(p, term.joint)
+        theta, half = float(hypothesis.theta[i]), float(width.half_width[i])
+        ends = np.clip([theta - half, theta + half], p.lower, p.upper) * scale
+        found[p.reported_name] = Estimate(
+            p.reported(theta * scale), p.unit(kind, servo), *_ends(p, theta * scale, ends)
+        )
+    return found
+
+
+def _ends(p: Parameter, value: float, ends: NDArray[np.float64]) -> tuple[float, float]:
+    low, high = float(ends[0]), float(ends[1])
+    if p.reciprocal_of is None:
+        return low, high
+    return p.reported(high), p.reported(max(low, value / _OPEN))
+
+
+def _correlations(
+    problem: Problem, hypothesis: Hypothesis, term: Term, width: Spread
+) -> tuple[str, ...]:
+    """What is known where two parameters trade off against each other."""
+    owner = [(t, p) for t in hypothesis.terms for p in t.parameters]
+    place = hypothesis.slice_of(term)
+    lines = []
+    for i in range(place.start, place.stop):
+        for k, (other, q) in enumerate(owner):
+            rho = float(width.correlation[i, k])
+            if k == i or abs(rho) < _CORRELATED or (other == term and k < i):
+                continue
+            p = owner[i][1]
+            mine, its = (problem.scales.value(x, t.joint) for x, t in ((p, term), (q, other)))
+            sd = np.sqrt(np.diag(width.covariance).clip(1e-300))
+            # The direction in which the two move together leaves this sum alone.
+            slope = -rho * sd[i] * mine / (sd[k] * its)
+            value = hypothesis.theta[i] * mine + slope * hypothesis.theta[k] * its
+            narrow = width.quantile * sd[i] * mine * np.sqrt(max(1.0 - rho * rho, 0.0))
+            name = _parameter_name(problem, other, q, term)
+            lines.append(
+                f"{p.name} trades off against {name} (correlation {rho:+.2f}); known well is "
+                f"{p.name} {'+' if slope >= 0 else '-'} {abs(slope):.3g} x {name} = "
+                f"{value:.4g} +- {narrow:.2g} (SI)"
+            )
+    return tuple(lines)
+
+
+def _parameter_name(problem: Problem, term: Term, p: Parameter, beside: Term) -> str:
+    if term == beside:
+        return p.name
+    joint = _joint(problem, term)
+    return f"{p.name} of {term.effect}" + ("" if joint is None else f" at {joint}")
+
+
+def _next_test(term: Term, rivals: Sequence[Term]) -> str:
+    """The experiment that separates a term from its best rival."""
+    for rival in rivals:
+        for one, other in ((term, rival), (rival, term)):
+            text = one.law.confused_with.get(other.effect)
+            if text is not None:
+                return str(text)
+        if rival.effect == term.effect and rival.joint != term.joint:
+            return "move one joint at a time: the cause stays with its joint"
+    texts = term.law.confused_with
+    return next(iter(texts.values()), "another recording of the same kind, held out")
+
+
+def finding_json(finding: Finding) -> dict[str, Any]:
+    """As ``diagnosis.json`` has it."""
+    out: dict[str, Any] = {
+        "effect": finding.effect,
+        "joint": finding.joint,
+        "confidence": round(finding.confidence, 4),
+        "parameters": {
+            name: {"value": e.value, "unit": e.unit, "ci95": [e.low, e.high]}
+            for name, e in finding.parameters.items()
+        },
+        "where": {"summary": finding.where.summary, "windows": dict(finding.where.windows)},
+        "held_out_gain": round(finding.held_out_gain, 5),
+        "alternatives": [
+            {"effect": a.effect, "joint": a.joint, "confidence": round(a.confidence, 4)}
+            for a in finding.alternatives
+        ],
+        "next_test": finding.next_test,
+    }
+    if finding.correlated:
+        out["correlated"] = list(finding.correlated)
+    return out
+
+
+__all__ = [
+    "Alternative", "Estimate", "Explained", "Finding", "blame_windows", "explain", "finding_json",
+    "joint_type",
+]  # fmt: skip

@@ -1,0 +1,123 @@
+"""How well parameters are known: intervals that hold where residuals are correlated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from pytest_twin.diagnosis.evidence import effective_samples
+from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.hypothesis import effect_values
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import RowSimulator
+
+_LEVEL = 0.975
+_REFINE = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How far the parameters of a fit may be off.
+
+    Attributes:
+        half_width: (parameters,) of the 95 % interval, in multiples of the parameters' scales.
+        correlation: (parameters, parameters).
+        covariance: (parameters, parameters), scaled parameters.
+        quantile: of Student's distribution that the half widths carry.
+    """
+
+    half_width: FloatArray
+    correlation: FloatArray
+    covariance: FloatArray
+    quantile: float
+
+
+def spread(problem: Problem, fitted: Fitted) -> Spread:
+    """Intervals from the curvature at the optimum.
+
+    Residuals are correlated in time. Two estimates of what that costs stand side by side, and the
+    wider one counts: the sandwich with a Bartlett kernel (Newey, West, Econometrica 55, 1987) over
+    the scores, and the white-noise covariance enlarged to the effective samples (Geyer 1992). What
+    a finer time step would move is added: it is no chance, but the parameters are off by it.
+    """
+    count = fitted.hypothesis.theta.size
+    if not count:
+        return Spread(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), 0.0)
+    residual, floor = fitted.residual, problem.signal_floor
+    mean_square = np.maximum(np.mean(residual**2, axis=0), floor**2)
+    weight = 1.0 / mean_square
+    lengths = problem.lengths(problem.fit)
+    effective = np.maximum(effective_samples(residual, lengths), 2.0)
+    jac = fitted.jacobian
+    curvature = np.einsum("tsp,s,tsq->pq", jac, weight, jac)
+    inverse = _inverse(curvature)
+    enlarged = np.einsum("tsp,s,tsq->pq", jac, weight * len(residual) / effective, jac)
+    scores = np.einsum("tsp,ts->tp", jac, residual * weight)
+    ranges = 2.0 * len(residual) / effective
+    meat = _long_run(scores, lengths, int(np.ceil(ranges.max())))
+    wide = inverse @ enlarged @ inverse
+    sandwich = inverse @ meat @ inverse
+    deviation = np.sqrt(np.maximum(np.diag(wide), np.diag(sandwich)).clip(0.0))
+    base = np.sqrt(np.diag(wide).clip(1e-300))
+    correlation = wide / np.outer(base, base)
+    freedom = max(float(effective.max()) * 1.0 - count, 2.0)
+    quantile = float(stats.t.ppf(_LEVEL, freedom))
+    shift = np.abs(inverse @ _discretization_pull(problem, fitted, weight))
+    return Spread(
+        quantile * deviation + shift,
+        correlation,
+        correlation * np.outer(deviation, deviation),
+        quantile,
+    )
+
+
+def _inverse(curvature: FloatArray) -> FloatArray:
+    """Inverse under a unit diagonal, so that parameters of any size count alike."""
+    size = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    values, vectors = np.linalg.eigh(curvature / np.outer(size, size))
+    values = np.maximum(values, 1e-10)
+    inverse: FloatArray = (vectors / values) @ vectors.T / np.outer(size, size)
+    return inverse
+
+
+def _long_run(scores: FloatArray, lengths: list[int], reach: int) -> FloatArray:
+    """Long-run covariance of the scores' sum, Bartlett kernel, segments apart."""
+    total = np.zeros((scores.shape[1], scores.shape[1]))
+    at = 0
+    for n in lengths:
+        part = scores[at : at + n]
+        at += n
+        size = 1 << (2 * n - 1).bit_length()
+        spectrum = np.fft.rfft(part, size, axis=0)
+        last = min(reach, n - 1)
+        kernel = np.zeros(size)
+        kernel[: last + 1] = 1.0 - np.arange(last + 1) / (last + 1)
+        if last:
+            kernel[-last:] = kernel[1 : last + 1][::-1]
+        # sum_tu k(t - u) g_t g_u' by convolution.
+        smooth = np.fft.irfft(spectrum * np.fft.rfft(kernel)[:, None], size, axis=0)[:n]
+        total += part.T @ smooth
+    return 0.5 * (total + total.T)
+
+
+def _discretization_pull(problem: Problem, fitted: Fitted, weight: FloatArray) -> FloatArray:
+    """Gradient (parameters,) that the simulator's own discretization error exerts on the fit."""
+    simulator, segments = problem.simulator, [problem.simulator.segments[s] for s in problem.fit]
+    fine = RowSimulator(segments, simulator.joints, threads=simulator.threads, refine=_REFINE)
+    rows = np.arange(len(segments))
+    values = effect_values(
+        [fitted.hypothesis] * len(segments), len(simulator.joints), problem.scales
+    )
+    predicted = fine.simulate(rows, values)
+    parts = []
+    for segment, p in zip(segments, predicted, strict=True):
+        columns = [segment.position - p.position]
+        if problem.effort_floor is not None and segment.effort is not None:
+            columns.append(segment.effort - p.effort)
+        parts.append(np.concatenate(columns, axis=1))
+    change = (np.concatenate(parts) - fitted.residual) * _REFINE / (_REFINE - 1)
+    pull: FloatArray = np.einsum("tsp,ts->p", fitted.jacobian, np.nan_to_num(change) * weight)
+    return pull

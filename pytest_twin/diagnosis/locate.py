@@ -1,0 +1,332 @@
+"""Where and when an error is: which joint is the cause, in which regime, in which stretches.
+
+A position error spreads along the chain; the generalized force that is missing does not. What is
+left of the positions is therefore turned back into a force, by the equation of motion of small
+deviations, and held against what the sensors' noise alone would give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import Segment
+from pytest_twin.trial import Trial
+
+_SMOOTH = 0.12
+"""s over which motions are differentiated."""
+_WINDOW = 0.1
+_MERGE = 0.25
+_COVER = 0.8
+_MOST_WINDOWS = 12
+_LIFT, _SHARE = 1.5, 0.45
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """When and in which regime something shows.
+
+    Attributes:
+        summary: in words.
+        windows: recording's file name -> stretches (start, end), s from its first state.
+    """
+
+    summary: str
+    windows: Mapping[str, list[list[float]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """One segment's motion, smoothed.
+
+    Attributes:
+        name: the recording's file name.
+        time: (n,) s.
+        position, velocity, acceleration: (n, joints), of what was measured.
+        load: (n, joints) N*m or N, effort that the rigid bodies ask for.
+        command_rate: (n, joints) of the command, per s.
+    """
+
+    name: str
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    load: FloatArray
+    command_rate: FloatArray
+
+
+def derivatives(
+    time: FloatArray, values: FloatArray, width: float = _SMOOTH
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Smoothed values and their first two derivatives, by local cubics over ``width`` s.
+
+    Args:
+        time: (n,) s, ascending; may be irregular.
+        values: (n, k).
+    """
+    n = len(time)
+    usual = float(np.median(np.diff(time))) if n > 1 else 1.0
+    half = max(int(round(0.5 * width / max(usual, 1e-6))), 3)
+    out = np.empty((3, *values.shape))
+    grid = time[0] + usual * np.arange(int(np.ceil((time[-1] - time[0]) / usual)) + 1)
+    even = np.stack([np.interp(grid, time, values[:, k]) for k in range(values.shape[1])], axis=1)
+    offsets = np.arange(-half, half + 1) * usual
+    basis = np.vander(offsets / (half * usual), 4, increasing=True)
+    weights = np.linalg.pinv(basis)
+    padded = np.pad(even, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
+    for order, factor in ((0, 1.0), (1, 1.0), (2, 2.0)):
+        kernel = weights[order] * factor / (half * usual) ** order
+        smooth = np.stack(
+            [np.correlate(padded[:, k], kernel, mode="valid") for k in range(values.shape[1])],
+            axis=1,
+        )
+        for k in range(values.shape[1]):
+            out[order, :, k] = np.interp(time, grid, smooth[:, k])
+    return out[0], out[1], out[2]
+
+
+def motions(prepared: Prepared, trials: Sequence[Trial]) -> list[Motion]:
+    """Every segment's smoothed motion, in the problem's order."""
+    problem = prepared.problem
+    return [
+        _motion(problem, segment, trials[owner].path.name)
+        for segment, owner in zip(problem.simulator.segments, prepared.segment_trial, strict=True)
+    ]
+
+
+def _motion(problem: Problem, segment: Segment, name: str) -> Motion:
+    q, v, a = derivatives(segment.time, segment.position)
+    simulator, model = problem.simulator, segment.model
+    data = mujoco.MjData(model)
+    load = np.empty_like(q)
+    # Every tenth sample: a load varies no faster than the motion.
+    at = np.arange(0, len(q), max(1, len(q) // 600))
+    rows = np.empty((len(at), q.shape[1]))
+    result = np.zeros(model.nv)
+    for i, k in enumerate(at):
+        data.qpos[simulator.qpos_index] = q[k]
+        data.qvel[simulator.dof_index] = v[k]
+        data.qacc[simulator.dof_index] = a[k]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_rne(model, data, 1, result)
+        rows[i] = result[simulator.dof_index]
+    for j in range(q.shape[1]):
+        load[:, j] = np.interp(segment.time, segment.time[at], rows[:, j])
+    held = np.searchsorted(segment.command_time, segment.time, side="right") - 1
+    command = np.nan_to_num(segment.command[np.maximum(held, 0)])
+    _, rate, _ = derivatives(segment.time, command)
+    return Motion(name, segment.time, q, v, a, load, rate)
+
+
+def blame_windows(name: str, time: FloatArray, blame: FloatArray) -> list[list[float]]:
+    """The fewest stretches of a recording that hold most of the blame."""
+    total = float(blame.sum())
+    if total <= 0.0 or len(time) < 3:
+        return []
+    interval = float(np.median(np.diff(time)))
+    smooth = uniform_filter1d(blame, max(int(_WINDOW / max(interval, 1e-6)), 1))
+    order = np.argsort(-smooth, kind="stable")
+    reached = np.searchsorted(np.cumsum(smooth[order]), _COVER * smooth.sum()) + 1
+    chosen = np.zeros(len(time), dtype=bool)
+    chosen[order[:reached]] = True
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]])))
+    found: list[list[float]] = []
+    for begin, end in zip(edges[::2], edges[1::2] - 1, strict=True):
+        start, stop = float(time[begin]), float(time[end])
+        if found and start - found[-1][1] <= _MERGE:
+            found[-1][1] = stop
+        else:
+            found.append([start, stop])
+    weight = [float(blame[(time >= a) & (time <= b)].sum()) for a, b in found]
+    best = sorted(range(len(found)), key=lambda i: -weight[i])[:_MOST_WINDOWS]
+    return [[round(found[i][0], 3), round(found[i][1], 3)] for i in sorted(best)]
+
+
+def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int) -> Where:
+    """Where blame (samples over all segments,) lies, seen from one joint."""
+    at = 0
+    windows: dict[str, list[list[float]]] = {}
+    share: dict[str, float] = {}
+    total = max(float(blame.sum()), 1e-300)
+    for m in paths:
+        part = blame[at : at + len(m.time)]
+        at += len(m.time)
+        share[m.name] = share.get(m.name, 0.0) + float(part.sum()) / total
+        windows.setdefault(m.name, []).extend(blame_windows(m.name, m.time, part))
+    kept = {
+        name: _merged(found)
+        for name, found in windows.items()
+        if found and share[name] > 0.25 / max(len(windows), 1)
+    }
+    return Where(regime(paths, blame, joint), kept)
+
+
+def _merged(windows: list[list[float]]) -> list[list[float]]:
+    out: list[list[float]] = []
+    for start, end in sorted(windows):
+        if out and start - out[-1][1] <= _MERGE:
+            out[-1][1] = max(end, out[-1][1])
+        else:
+            out.append([start, end])
+    return out
+
+
+def regime(paths: Sequence[Motion], blame: FloatArray, joint: int) -> str:
+    """The regime that holds more of the blame than of the time, in words with units."""
+    total = float(blame.sum())
+    if total <= 0.0:
+        return "nowhere in particular"
+    best, words = 0.0, "throughout the motion"
+    for text, inside in regimes(paths, joint):
+        time = float(inside.mean())
+        if not 0.02 < time < 0.8:
+            continue
+        held = float(blame[inside].sum()) / total
+        score = held * np.log(max(held / time, 1e-9))
+        if held >= _SHARE and held / time >= _LIFT and score > best:
+            best = score
+            words = f"{text}: {100 * held:.0f} % of it in {100 * time:.0f} % of the time"
+    return words
+
+
+def regimes(paths: Sequence[Motion], joint: int) -> list[tuple[str, NDArray[np.bool_]]]:
+    """Slices of the motion: by speed, reversal, direction, acceleration, pose, load, time."""
+
+    def column(name: str) -> FloatArray:
+        return np.concatenate([getattr(m, name)[:, joint] for m in paths])
+
+    q, v, a, load = (column(n) for n in ("position", "velocity", "acceleration", "load"))
+    rate = column("command_rate")
+    reversal = np.concatenate([_near_reversal(m, joint) for m in paths])
+    since = np.concatenate([m.time for m in paths])
+    end = np.concatenate([np.full(len(m.time), m.time[-1]) for m in paths])
+    speed, push = np.abs(v), np.abs(a)
+    slow, fast = (float(x) for x in np.quantile(speed, (0.3, 0.75)))
+    hard = float(np.quantile(push, 0.75))
+    heavy, light = (float(x) for x in np.quantile(np.abs(load), (0.75, 0.3)))
+    low, high = (float(x) for x in np.quantile(q, (0.25, 0.75)))
+    found = [
+        (f"reversals, |velocity| < {slow:.2g}", reversal),
+        (f"slow, |velocity| < {slow:.2g}", speed < slow),
+        (f"fast, |velocity| > {fast:.2g}", speed > fast),
+        ("moving in the positive direction", v > slow),
+        ("moving in the negative direction", v < -slow),
+        (f"accelerating, |acceleration| > {hard:.2g}", push > hard),
+        (f"position above {high:.2g}", q > high),
+        (f"position below {low:.2g}", q < low),
+        (f"position within {low:.2g} and {high:.2g}", (q >= low) & (q <= high)),
+        (f"loaded, |effort| > {heavy:.2g}", np.abs(load) > heavy),
+        (f"unloaded, |effort| < {light:.2g}", np.abs(load) < light),
+        ("at rest under a resting command", (speed < slow) & (np.abs(rate) < slow)),
+        ("the first third of the recording", since < end / 3),
+        ("the last third of the recording", since > 2 * end / 3),
+    ]
+    edges = np.quantile(q, np.linspace(0, 1, 9))
+    found += [
+        (f"position {a0:.2g} to {b0:.2g}", (q >= a0) & (q <= b0))
+        for a0, b0 in zip(edges[:-1], edges[1:], strict=True)
+    ]
+    return found
+
+
+def _near_reversal(m: Motion, joint: int) -> NDArray[np.bool_]:
+    """(n,) within 0.15 s of a change of direction."""
+    v = m.velocity[:, joint]
+    turn = m.time[:-1][np.signbit(v[:-1]) != np.signbit(v[1:])]
+    if not turn.size:
+        return np.zeros(len(v), dtype=bool)
+    nearest = np.abs(m.time[:, None] - turn[None, :]).min(axis=1)
+    near: NDArray[np.bool_] = nearest < 0.15
+    return near
+
+
+@dataclass(frozen=True, slots=True)
+class MissingForce:
+    """Generalized force that the model lacks, by joint.
+
+    Attributes:
+        force: (samples, joints) over all segments, N*m or N.
+        noise: (joints,) root mean square that the sensors' floor alone would give.
+    """
+
+    force: FloatArray
+    noise: FloatArray
+
+    @property
+    def strength(self) -> FloatArray:
+        """(joints,) how far the force stands out of its noise."""
+        size = np.sqrt(np.nanmean(self.force**2, axis=0))
+        strength: FloatArray = np.sqrt(np.maximum((size / self.noise) ** 2 - 1.0, 0.0))
+        return strength
+
+
+def missing_force(problem: Problem, residual: FloatArray) -> MissingForce:
+    """Turn position residuals back into the force that would remove them.
+
+    Small deviations r of the simulated motion obey M(q) r'' + D r' + K r = f, with D and K of
+    the drives and of passive dampers and springs: f is what the model lacks, at the joint that
+    lacks it.
+
+    Args:
+        residual: (samples, signals) over all segments, positions first.
+    """
+    simulator = problem.simulator
+    joints = len(simulator.joints)
+    forces, noises = [], []
+    at = 0
+    for segment in simulator.segments:
+        n = len(segment.time)
+        r = residual[at : at + n, :joints]
+        at += n
+        usual = float(np.median(np.diff(segment.time)))
+        r0, r1, r2 = derivatives(segment.time, np.nan_to_num(r))
+        model = segment.model
+        data = mujoco.MjData(model)
+        mass = np.zeros((model.nv, model.nv))
+        damping, stiffness = _linear(problem, model)
+        dof = simulator.dof_index
+        force = np.empty_like(r0)
+        step = max(1, n // 60)
+        inertia = np.zeros((joints, joints))
+        for k in range(0, n, step):
+            data.qpos[simulator.qpos_index] = segment.position[k]
+            mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, mass)
+            inertia = mass[np.ix_(dof, dof)]
+            block = slice(k, min(k + step, n))
+            force[block] = r2[block] @ inertia.T + r1[block] * damping + r0[block] * stiffness
+        forces.append(force)
+        half = max(int(round(0.5 * _SMOOTH / usual)), 3)
+        basis = np.vander(np.arange(-half, half + 1) / half, 4, increasing=True)
+        w = np.linalg.pinv(basis)
+        gain = [np.linalg.norm(w[o]) * f / (half * usual) ** o for o, f in ((0, 1), (1, 1), (2, 2))]
+        floor = problem.floor
+        noises.append(
+            (inertia**2 @ floor**2) * gain[2] ** 2
+            + (damping * floor * gain[1]) ** 2
+            + (stiffness * floor * gain[0]) ** 2
+        )
+    return MissingForce(np.concatenate(forces), np.sqrt(np.maximum(np.mean(noises, axis=0), 1e-30)))
+
+
+def _linear(problem: Problem, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
+    """(joints,) damping and stiffness that a small deviation meets."""
+    simulator = problem.simulator
+    damping = model.dof_damping[simulator.dof_index].copy()
+    stiffness = model.jnt_stiffness[simulator.joint_ids].copy()
+    for j, actuator in enumerate(simulator.actuator):
+        if actuator >= 0 and model.actuator_biastype[actuator]:
+            gear = simulator.gear[j]
+            stiffness[j] -= model.actuator_biasprm[actuator, 1] * gear**2
+            damping[j] -= model.actuator_biasprm[actuator, 2] * gear**2
+    return damping, stiffness
