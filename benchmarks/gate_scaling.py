@@ -68,7 +68,7 @@ def main() -> None:
                 taken.setdefault(step, []).append(time_taken)
                 each = 1e3 * (time_taken - idle) / size
                 print(f"{size:>6} goldens  {step:<18} {time_taken:8.2f} s  {each:7.2f} ms each")
-    for step, values in taken.items():
+    for step, values in taken.items() if len(options.sizes) > 1 else ():
         print(f"{step:<18} time ~ size^{exponent(options.sizes, values, idle):.2f}")
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from pytest_twin.checks import check_of, kinds
+from pytest_twin.checks import Check, check_of, kinds
 from pytest_twin.checks.files import find_file
-from pytest_twin.dependency import Part
+from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.golden import Golden
@@ -78,7 +78,8 @@ def look_around(
         except TwinError:
             return None
 
-    surroundings = Surroundings(check_of, installed_version, file_digest)
+    guarded = {golden.kind: _Guarded(check_of(golden.kind), problems) for golden in goldens}
+    surroundings = Surroundings(guarded.__getitem__, installed_version, file_digest)
     problems += map(str, rule_problems(twin, goldens, models, kinds()))
     stock = take_stock(twin, goldens, models, surroundings)
     for path in files:
@@ -88,6 +89,25 @@ def look_around(
             problems.append(str(error))
     wanted = {name for golden in goldens for name in golden.realizations}
     return Today(stock, digests, tuple(problems), frozenset(wanted - models.keys()))
+
+
+class _Guarded:
+    """A check whose ``depends`` may be anyone's code: what it raises costs its own golden only."""
+
+    def __init__(self, check: Check, problems: list[str]) -> None:
+        self.kind, self.version, self.libraries = check.kind, check.version, check.libraries
+        self._check, self._problems = check, problems
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """As the check says, or an id that no part bears."""
+        try:
+            return frozenset(self._check.depends(golden, structure))
+        except Exception as error:
+            words = (
+                str(error) if isinstance(error, TwinError) else f"{type(error).__name__}: {error}"
+            )
+            self._problems.append(f"{golden.id}: what it rests on cannot be told: {words}")
+            return (f"dependencies:{golden.id}",)
 
 
 def changed_since(parts: Mapping[str, Part], files: Mapping[Path, str]) -> Iterator[str]:

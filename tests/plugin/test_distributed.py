@@ -57,3 +57,14 @@ def test_updates_return_to_the_controller(twin) -> None:
     result = twin.run_apart("-n", "2", "--twin-update")
     result.stdout.fnmatch_lines(["2 recorded, 0 unchanged"])
     assert twin.run().ret == 0
+
+
+def test_why_and_a_run_cut_short(released) -> None:
+    released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    result = released.run_apart("-n", "2", "--twin-why")
+    result.stdout.fnmatch_lines(["stale  golden/mass/arm@mujoco", "1 stale, 1 fresh"])
+    assert result.ret == 0
+    result = released.run_apart("-n", "2", "-x", "--twin-release")
+    result.stdout.fnmatch_lines(["  the run did not end: stopping after 1 failures"])
+    assert result.ret != 0
+    assert released.releases == ["0001"]

@@ -7,6 +7,8 @@ import shutil
 
 import pytest
 
+from pytest_twin.session.selection import selected_by
+
 
 def _results(twin, number: str) -> dict[str, dict[str, object]]:
     results = json.loads((twin.root / "releases" / number / "results.json").read_text())
@@ -131,17 +133,28 @@ def test_a_broken_spec_is_refused(released) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("-k", "home"), "-k 'home'"),
-        (("-m", "fk"), "-m 'fk'"),
-        (("--lf",), "--lf"),
-        (("--deselect", "golden/fk/home.yaml"), "--deselect golden/fk/home.yaml"),
-        (("--ignore", "golden/fk"), "--ignore golden/fk"),
+        (("-k", "home"), "-k 'home', 1 deselected"),
         (("golden/fk/home.yaml::home[mujoco]",), "golden/fk/home.yaml::home[mujoco]"),
         (("golden/fk",), "golden/fk"),
     ],
 )
 def test_a_selected_subset_never_signs(released, arguments, words) -> None:
     refused(released, f"a selected subset never signs: {words}", arguments=arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("-m", "fk"), "-m 'fk'"),
+        (("--lf",), "--lf"),
+        (("--sw",), "--stepwise"),
+        (("--deselect", "a.yaml"), "--deselect a.yaml"),
+        (("--ignore", "golden/fk"), "--ignore golden/fk"),
+        (("--ignore-glob", "*fk*"), "--ignore-glob *fk*"),
+    ],
+)
+def test_what_selects_a_subset(pytester, arguments, words) -> None:
+    assert selected_by(pytester.parseconfigure(*arguments)) == (words,)
 
 
 def test_a_run_cut_short_is_refused(recorded) -> None:

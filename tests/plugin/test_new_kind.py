@@ -82,3 +82,15 @@ def test_dependency_bump_stale_subset_failure_decision_new_release(with_kind) ->
     result = with_kind.run_apart("--twin-release")
     result.assert_outcomes(passed=1, deselected=2)
     assert with_kind.releases == ["0001", "0002"]
+
+
+def test_a_kind_that_cannot_say_what_it_rests_on_costs_its_own_golden_only(with_kind) -> None:
+    assert with_kind.run_apart("--twin-update", "-k", "box").ret == 0
+    path = with_kind.pytester.path / "site" / "box_rest.py"
+    path.write_text(path.read_text().replace("structure.contact()", "structure.no_such_thing()"))
+    result = with_kind.run_apart("--twin-release")
+    result.assert_outcomes(passed=3)
+    result.stdout.fnmatch_lines(
+        ["  golden/box: what it rests on cannot be told: AttributeError: *no_such_thing*"]
+    )
+    assert with_kind.releases == []

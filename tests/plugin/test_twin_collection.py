@@ -105,7 +105,6 @@ def test_only_specs_of_a_twin_are_collected(twin) -> None:
     result.stdout.fnmatch_lines(["2 tests collected*"])
 
 
-@pytest.mark.parametrize("mode", ["importlib", "prepend", "append"])
-def test_import_modes_and_no_cache(recorded, mode) -> None:
-    result = recorded.run(f"--import-mode={mode}", "-p", "no:cacheprovider")
+def test_another_import_mode_and_no_cache(recorded) -> None:
+    result = recorded.run("--import-mode=importlib", "-p", "no:cacheprovider")
     result.assert_outcomes(passed=2)
