@@ -16,13 +16,14 @@ from pytest_twin.errors import LimitError, ModelError
 
 @dataclass(slots=True)
 class Node:
-    """One element of a model."""
+    """One element of a model; ``text`` is what stands before its first child, of a URDF."""
 
     tag: str
     attributes: dict[str, str]
     path: Path
     line: int
     children: list[Node] = field(default_factory=list)
+    text: str = ""
 
     def walk(self) -> Iterator[Node]:
         """This element and all below it, in document order."""

@@ -195,6 +195,7 @@ def _nodes(root: xml.Element, path: Path, limits: ModelLimits) -> Node:
             path,
             element.sourceline or 1,
             [node(child) for child in element if isinstance(child.tag, str)],
+            (element.text or "").strip(),
         )
 
     return node(root)
