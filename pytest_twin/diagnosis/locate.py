@@ -7,6 +7,7 @@ deviations, and held against what the sensors' noise alone would give.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -75,7 +76,7 @@ def derivatives(
     """
     n = len(time)
     usual = float(np.median(np.diff(time))) if n > 1 else 1.0
-    half = max(int(round(0.5 * width / max(usual, 1e-6))), 3)
+    half = max(round(0.5 * width / max(usual, 1e-6)), 3)
     out = np.empty((3, *values.shape))
     grid = time[0] + usual * np.arange(int(np.ceil((time[-1] - time[0]) / usual)) + 1)
     even = np.stack([np.interp(grid, time, values[:, k]) for k in range(values.shape[1])], axis=1)
@@ -234,7 +235,7 @@ def regimes(paths: Sequence[Motion], joint: int) -> list[tuple[str, NDArray[np.b
     edges = np.quantile(q, np.linspace(0, 1, 9))
     found += [
         (f"position {a0:.2g} to {b0:.2g}", (q >= a0) & (q <= b0))
-        for a0, b0 in zip(edges[:-1], edges[1:], strict=True)
+        for a0, b0 in itertools.pairwise(edges)
     ]
     return found
 
@@ -306,7 +307,7 @@ def missing_force(problem: Problem, residual: FloatArray) -> MissingForce:
             block = slice(k, min(k + step, n))
             force[block] = r2[block] @ inertia.T + r1[block] * damping + r0[block] * stiffness
         forces.append(force)
-        half = max(int(round(0.5 * _SMOOTH / usual)), 3)
+        half = max(round(0.5 * _SMOOTH / usual), 3)
         basis = np.vander(np.arange(-half, half + 1) / half, 4, increasing=True)
         w = np.linalg.pinv(basis)
         gain = [np.linalg.norm(w[o]) * f / (half * usual) ** o for o, f in ((0, 1), (1, 1), (2, 2))]

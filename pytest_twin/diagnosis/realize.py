@@ -521,7 +521,8 @@ def without_delays(realization: Realization, patched: Patched) -> Realization:
     for actuator in spec.actuators:
         if actuator.target in delayed and actuator.delay > 0.0:
             left = float(actuator.delay) - delayed[actuator.target]
-            actuator.delay = left if left > 1e-9 else 0.0
+            # MJCF is written with six digits.
+            actuator.delay = left if left > 1e-5 * float(actuator.delay) else 0.0
             if actuator.delay == 0.0:
                 actuator.nsample = 0
     return Realization(

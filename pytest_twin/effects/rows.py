@@ -106,6 +106,8 @@ class RowSimulator:
         self.steps = np.array(
             [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]
         )
+        self.fixed: EffectValues = {}
+        """Effects under every row: parameters as (1, joints) arrays."""
         self.stepped = 0
         """Rows times steps so far: what the engine alone would have had to step."""
         self._inputs(model)
@@ -184,6 +186,7 @@ class RowSimulator:
 
     def simulate(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
         """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i."""
+        values = _with_fixed(values, self.fixed, len(rows))
         found: list[Predicted | None] = [None] * len(rows)
         order = np.argsort(self.steps[rows], kind="stable")
         begin = 0
@@ -535,6 +538,27 @@ class RowSimulator:
             )
             for i, r in enumerate(rows)
         ]
+
+
+def _with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
+    """Rows' effects on top of fixed ones: switches add, a shape that is fixed stays."""
+    if not fixed:
+        return values
+    out = {e: dict(v) for e, v in values.items()}
+    for effect, own in fixed.items():
+        if effect not in out:
+            out[effect] = {n: np.repeat(v, rows, axis=0) for n, v in own.items()}
+            continue
+        parameters = catalogue()[effect].parameters
+        switches = [p for p in parameters if p.neutral is not None]
+        there = np.any([own[p.name] != p.neutral for p in switches], axis=0)
+        for p in parameters:
+            theirs = out[effect][p.name]
+            if p.neutral is not None:
+                out[effect][p.name] = theirs + own[p.name] - p.neutral
+            else:
+                out[effect][p.name] = np.where(there, own[p.name], theirs)
+    return out
 
 
 def _hooks(effect: Effect, name: str) -> bool:
