@@ -117,7 +117,8 @@ def diagnose_files(
     from pytest_twin.diagnosis.realize import write_realization
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.realization.quiet import quiet
-    from pytest_twin.report.diagnosis import words
+    from pytest_twin.report.diagnosis import render, words
+    from pytest_twin.report.diagnosis_view import view_of
 
     loaded = load_model(Path(model))
     realization = loaded.realization
@@ -131,7 +132,7 @@ def diagnose_files(
     with quiet():
         found = diagnose(realization, trials, inherited=loaded.patched, progress=progress)
         (folder / REALIZATION).mkdir()
-        write_realization(
+        patched = write_realization(
             folder / REALIZATION,
             realization,
             found.prepared.problem,
@@ -140,7 +141,9 @@ def diagnose_files(
         )
     said = found.to_json(realization=f"{REALIZATION}/")
     atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")
-    progress(0.95)
+    progress(0.96)
+    view = view_of(found, said, patched, Path(model).name)
+    atomic.write_text(folder / REPORT_FILE, render(view))
     progress(1.0)
     return {"verdict": found.verdict, "words": words(said)}
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.diagnosis.findings import Explained, explain, finding_json, joint_type
+from pytest_twin.diagnosis.findings import Explained, explain, finding_json, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared, prepare
@@ -165,8 +165,8 @@ def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[s
     found = {}
     for j, joint in enumerate(problem.joints):
         rms = [float(np.sqrt(np.nanmean(r[inside, j] ** 2))) for r in (before, after)]
-        unit = "m" if joint_type(problem, j) == "slide" else "rad"
-        found[joint] = JointError(rms[0], rms[1], float(problem.floor[j]), unit)
+        floor, unit = float(problem.floor[j]), joint_unit(problem, j)
+        found[joint] = JointError(rms[0], rms[1], floor, unit)
     return found
 
 
@@ -188,7 +188,8 @@ def _left(
         if errors[joint].fraction <= 0.0:
             continue
         blame = np.maximum((force.force[:, j] / force.noise[j]) ** 2 - 1.0, 0.0)
-        found[joint] = Left(errors[joint].fraction, place_of(paths, blame, int(j)))
+        where = place_of(paths, blame, int(j), errors[joint].unit)
+        found[joint] = Left(errors[joint].fraction, where)
     return found
 
 

@@ -137,7 +137,8 @@ def explain(
         gain = (alone - with_all) / alone if alone > 0.0 else 0.0
         share = (alone - with_all) / with_none if with_none > 0.0 else 0.0
         blame = _blame(problem, term, residuals[0], without)
-        where = place_of(paths, blame, max(term.joint, 0))
+        at = max(term.joint, 0)
+        where = place_of(paths, blame, at, joint_unit(problem, at))
         others = selected.alternatives.get(term, [])
         confidence = selected.confidence.get(term, 1.0)
         if not len(problem.held_out):
@@ -181,6 +182,11 @@ def joint_type(problem: Problem, joint: int) -> str:
     model = problem.simulator.segments[0].model
     kind = int(model.jnt_type[problem.simulator.joint_ids[max(joint, 0)]])
     return "slide" if kind == int(mujoco.mjtJoint.mjJNT_SLIDE) else "hinge"
+
+
+def joint_unit(problem: Problem, joint: int) -> str:
+    """``rad`` or ``m``."""
+    return "m" if joint_type(problem, joint) == "slide" else "rad"
 
 
 def _estimates(
@@ -279,5 +285,5 @@ def finding_json(finding: Finding) -> dict[str, Any]:
 
 __all__ = [
     "Alternative", "Estimate", "Explained", "Finding", "blame_windows", "explain", "finding_json",
-    "joint_type",
+    "joint_type", "joint_unit",
 ]  # fmt: skip

@@ -153,8 +153,8 @@ def blame_windows(name: str, time: FloatArray, blame: FloatArray) -> list[list[f
     return [[round(found[i][0], 3), round(found[i][1], 3)] for i in sorted(best)]
 
 
-def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int) -> Where:
-    """Where blame (samples over all segments,) lies, seen from one joint."""
+def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> Where:
+    """Where blame (samples over all segments,) lies, seen from a joint in ``unit``, rad or m."""
     at = 0
     windows: dict[str, list[list[float]]] = {}
     share: dict[str, float] = {}
@@ -169,7 +169,7 @@ def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int) -> Where:
         for name, found in windows.items()
         if found and share[name] > 0.25 / max(len(windows), 1)
     }
-    return Where(regime(paths, blame, joint), kept)
+    return Where(regime(paths, blame, joint, unit), kept)
 
 
 def _merged(windows: list[list[float]]) -> list[list[float]]:
@@ -182,13 +182,13 @@ def _merged(windows: list[list[float]]) -> list[list[float]]:
     return out
 
 
-def regime(paths: Sequence[Motion], blame: FloatArray, joint: int) -> str:
+def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> str:
     """The regime that holds more of the blame than of the time, in words with units."""
     total = float(blame.sum())
     if total <= 0.0:
         return "nowhere in particular"
     best, words = 0.0, "throughout the motion"
-    for text, inside in regimes(paths, joint):
+    for text, inside in regimes(paths, joint, unit):
         time = float(inside.mean())
         if not 0.02 < time < 0.8:
             continue
@@ -200,7 +200,7 @@ def regime(paths: Sequence[Motion], blame: FloatArray, joint: int) -> str:
     return words
 
 
-def regimes(paths: Sequence[Motion], joint: int) -> list[tuple[str, NDArray[np.bool_]]]:
+def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, NDArray[np.bool_]]]:
     """Slices of the motion: by speed, reversal, direction, acceleration, pose, load, time."""
 
     def column(name: str) -> FloatArray:
@@ -216,25 +216,26 @@ def regimes(paths: Sequence[Motion], joint: int) -> list[tuple[str, NDArray[np.b
     hard = float(np.quantile(push, 0.75))
     heavy, light = (float(x) for x in np.quantile(np.abs(load), (0.75, 0.3)))
     low, high = (float(x) for x in np.quantile(q, (0.25, 0.75)))
+    force = "N" if unit == "m" else "N*m"
     found = [
-        (f"reversals, |velocity| < {slow:.2g}", reversal),
-        (f"slow, |velocity| < {slow:.2g}", speed < slow),
-        (f"fast, |velocity| > {fast:.2g}", speed > fast),
+        (f"reversals, |velocity| < {slow:.2g} {unit}/s", reversal),
+        (f"slow, |velocity| < {slow:.2g} {unit}/s", speed < slow),
+        (f"fast, |velocity| > {fast:.2g} {unit}/s", speed > fast),
         ("moving in the positive direction", v > slow),
         ("moving in the negative direction", v < -slow),
-        (f"accelerating, |acceleration| > {hard:.2g}", push > hard),
-        (f"position above {high:.2g}", q > high),
-        (f"position below {low:.2g}", q < low),
-        (f"position within {low:.2g} and {high:.2g}", (q >= low) & (q <= high)),
-        (f"loaded, |effort| > {heavy:.2g}", np.abs(load) > heavy),
-        (f"unloaded, |effort| < {light:.2g}", np.abs(load) < light),
+        (f"accelerating, |acceleration| > {hard:.2g} {unit}/s^2", push > hard),
+        (f"position above {high:.2g} {unit}", q > high),
+        (f"position below {low:.2g} {unit}", q < low),
+        (f"position within {low:.2g} and {high:.2g} {unit}", (q >= low) & (q <= high)),
+        (f"loaded, |effort| > {heavy:.2g} {force}", np.abs(load) > heavy),
+        (f"unloaded, |effort| < {light:.2g} {force}", np.abs(load) < light),
         ("at rest under a resting command", (speed < slow) & (np.abs(rate) < slow)),
         ("the first third of the recording", since < end / 3),
         ("the last third of the recording", since > 2 * end / 3),
     ]
     edges = np.quantile(q, np.linspace(0, 1, 9))
     found += [
-        (f"position {a0:.2g} to {b0:.2g}", (q >= a0) & (q <= b0))
+        (f"position {a0:.2g} to {b0:.2g} {unit}", (q >= a0) & (q <= b0))
         for a0, b0 in itertools.pairwise(edges)
     ]
     return found

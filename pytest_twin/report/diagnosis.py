@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import base64
+import hashlib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
 from typing import Any
 
-from pytest_twin.report.text import number, quantity
+import jinja2
+
+from pytest_twin.report.diagnosis_plots import joint_figure
+from pytest_twin.report.diagnosis_view import DiagnosisView
+from pytest_twin.report.text import number, printable, quantity
+
+MAX_FIGURES = 12
+"""Joints that are drawn; the worst mismatch first."""
 
 _VERDICT = {
     "no_mismatch": "No mismatch: nothing stands above the floor",
@@ -13,6 +24,7 @@ _VERDICT = {
     "improved": "Improved: something is still unexplained",
     "unexplained": "Unexplained: a mismatch stands, and no known effect earns its place",
 }
+_MOOD = {"no_mismatch": "good", "explained": "good", "improved": "part", "unexplained": "bad"}
 
 
 def words(said: Mapping[str, Any]) -> list[str]:
@@ -28,25 +40,106 @@ def words(said: Mapping[str, Any]) -> list[str]:
                 f"    {joint:<{width}}  {number(e['rms_before'])} -> {number(e['rms_after'])} "
                 f"{e['unit']} (floor {number(e['floor'])})"
             )
-    for joint, left in said["unexplained"].items():
-        lines.append(
-            f"  unexplained at {joint}: {100 * left['fraction']:.3g} % of the squared error, "
-            f"{left['where']}"
-        )
+    lines += [f"  {line}" for line in _left(said)]
+    lines += [f"  next: {f['next_test']}" for f in said["findings"] if f["confidence"] < _SURE]
     lines += [f"  note: {note}" for note in said["notes"]]
     return lines
 
 
+_SURE = 0.9
+
+
 def finding_sentence(finding: Mapping[str, Any]) -> str:
     """One sentence: what, where, how much, how surely, what it buys."""
-    name = finding["effect"].replace("_", " ")
-    place = "" if finding["joint"] is None else f" at {finding['joint']}"
     values = ", ".join(
         f"{key.replace('_', ' ')} {quantity(p['value'], p['unit'])} "
-        f"[{number(p['ci95'][0])}, {number(p['ci95'][1])}]"
+        f"({number(p['ci95'][0])} to {number(p['ci95'][1])})"
         for key, p in finding["parameters"].items()
     )
-    return (
-        f"{name}{place}: {values}; confidence {100 * finding['confidence']:.0f} %, takes "
-        f"{100 * finding['held_out_gain']:.0f} % off the error without it"
+    text = (
+        f"{_name(finding).capitalize()}: {values}; confidence {_percent(finding['confidence'])}, "
+        f"takes {_percent(finding['held_out_gain'])} off the error that stands without it."
     )
+    rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - _SURE]
+    if rivals:
+        text += f" The data cannot tell it from {' or '.join(_name(a) for a in rivals)}."
+    return text
+
+
+def render(view: DiagnosisView) -> str:
+    """The report as one HTML document that needs nothing but itself."""
+    folder = resources.files(__package__)
+    style = "".join(
+        folder.joinpath(name).read_text("utf-8") for name in ("report.css", "diagnosis.css")
+    )
+    said = view.said
+    drawn = view.joints[:MAX_FIGURES]
+    return _template().render(
+        view=view,
+        style=style,
+        style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
+        headline=_VERDICT[said["verdict"]],
+        mood=_MOOD[said["verdict"]],
+        findings=[_shown(f, view) for f in said["findings"]],
+        left=_left(said),
+        figures=[(v.joint, _data_uri(joint_figure(v))) for v in drawn],
+        figures_left_out=[v.joint for v in view.joints[MAX_FIGURES:]],
+        at_floor=view.at_floor,
+        share_left=view.share_left,
+    )
+
+
+def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
+    law, source = view.laws[finding["effect"]]
+    return {
+        **finding,
+        "name": _name(finding),
+        "sentence": finding_sentence(finding),
+        "alternatives": [{**a, "name": _name(a)} for a in finding["alternatives"]],
+        "correlated": finding.get("correlated", []),
+        "windows": [(n, _spans(w)) for n, w in finding["where"]["windows"].items()],
+        "law": law,
+        "source": source,
+    }
+
+
+def _left(said: Mapping[str, Any]) -> list[str]:
+    return [
+        f"Unexplained at {joint}: {_percent(u['fraction'])} of the squared mismatch, {u['where']}."
+        for joint, u in said["unexplained"].items()
+    ]
+
+
+def _name(item: Mapping[str, Any]) -> str:
+    place = "" if item["joint"] is None else f" at {item['joint']}"
+    return str(item["effect"]).replace("_", " ") + place
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
+
+
+def _spans(windows: Sequence[Sequence[float]]) -> str:
+    return ", ".join(f"{number(a)} to {number(b)}" for a, b in windows)
+
+
+def _data_uri(svg: bytes) -> str:
+    return "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
+
+
+def _printable(value: object) -> object:
+    return printable(value) if type(value) is str else value
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=_printable,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=jinja2.PackageLoader("pytest_twin.report", "."),
+    )
+    environment.filters.update(number=number, quantity=quantity, percent=_percent, spans=_spans)
+    return environment.get_template("diagnosis.html.j2")

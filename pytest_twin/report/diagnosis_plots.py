@@ -1,0 +1,226 @@
+"""Pictures of one joint: the overlay, what is left and what drives it, and where it is."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.report.diagnosis_view import JointView
+from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, STYLE, finish
+from pytest_twin.report.text import number, printable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FloatArray = NDArray[np.float64]
+_WIDTH, _HEIGHT = 9.6, 9.0
+_POINTS = 700
+_BINS = 24
+_MOST_REGIMES = 9
+
+
+def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
+    """One joint's figure as SVG (or PNG).
+
+    Top to bottom: measured, before and after over time; what is left over time; what is left
+    against velocity, position and load; its spectrum; its root mean square by regime.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE), warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+        (FigureCanvasSVG if image == "svg" else FigureCanvasAgg)(figure)
+        course, drivers, slices = figure.subfigures(3, 1, height_ratios=[2.7, 1.35, 1.7])
+        overlay, left = course.subplots(2, 1, sharex=True, height_ratios=[1.4, 1.1])
+        _overlay(overlay, view)
+        _left_over_time(left, view)
+        course.align_ylabels()
+        effort = "N" if view.unit == "m" else "N*m"
+        panels = drivers.subplots(1, 3, sharey=True)
+        for axes, label, values in zip(
+            panels,
+            (f"velocity [{view.unit}/s]", f"position [{view.unit}]", f"load [{effort}]"),
+            (view.velocity, view.position, view.load),
+            strict=True,
+        ):
+            _against(axes, view, values, label, first=axes is panels[0])
+        spectrum, regimes = slices.subplots(1, 2)
+        _spectrum(spectrum, view)
+        _regimes(regimes, view)
+        buffer = io.BytesIO()
+        if image == "png":
+            figure.savefig(buffer, format="png", dpi=110, facecolor="white")
+            return buffer.getvalue()
+        figure.savefig(
+            buffer,
+            format="svg",
+            transparent=True,
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )
+    return finish(buffer.getvalue().decode("utf-8")).encode("utf-8")
+
+
+def _overlay(axes: Axes, view: JointView) -> None:
+    axes.set_title(printable(f"{view.joint} in {view.recording}")[:90], color=INK)
+    axes.set_ylabel(f"position [{view.unit}]")
+    if view.command is not None and view.command_time is not None:
+        inside = view.command_time <= view.time[-1]
+        t, c = _thin(view.command_time[inside], view.command[inside])
+        axes.plot(t, c, color=DIM, linewidth=0.8, linestyle=(0, (4, 3)), label="command",
+                  drawstyle="steps-post")  # fmt: skip
+    t, m = _thin(view.time, view.measured)
+    axes.plot(t, m, color=GOLDEN, linewidth=3.4, alpha=0.35, label="measured")
+    t, b = _thin(view.time, view.before)
+    axes.plot(t, b, color=FAIL, linewidth=1.0, label="model before")
+    t, a = _thin(view.time, view.after)
+    axes.plot(t, a, color=NOW, linewidth=1.1, label="model after")
+    low, high = float(view.measured.min()), float(view.measured.max())
+    room = 0.35 * max(high - low, 1e-6)
+    axes.set_ylim(low - room, high + room)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.1)
+    axes.tick_params(labelbottom=False)
+
+
+def _left_over_time(axes: Axes, view: JointView) -> None:
+    axes.set_ylabel(f"measured \N{MINUS SIGN} model\n[{view.unit}]")
+    axes.set_xlabel("time [s]")
+    for start, end in {(a, b) for _, a, b in view.windows}:
+        axes.axvspan(start, end, color=BAND, alpha=0.35, linewidth=0)
+    _floor_band(axes, view)
+    for values, colour, width in ((view.before, FAIL, 0.9), (view.after, NOW, 1.0)):
+        t, r = _thin(view.time, view.measured - values)
+        axes.plot(t, r, color=colour, linewidth=width)
+    reach = 1.15 * float(np.nanmax(np.abs(view.measured - view.before)))
+    reach = max(reach, 3.0 * view.floor)
+    axes.set_ylim(-reach, reach)
+    said = "shaded: where the findings show" if view.windows else ""
+    axes.set_title(said, loc="right", color=DIM, fontsize=8)
+    axes.set_title("what is left over time; grey band: the floor", color=DIM, fontsize=8)
+
+
+def _floor_band(axes: Axes, view: JointView) -> None:
+    axes.axhspan(-view.floor, view.floor, color=GOLDEN, alpha=0.25, linewidth=0)
+    axes.axhline(0.0, color=DIM, linewidth=0.5)
+
+
+def _against(axes: Axes, view: JointView, values: FloatArray, label: str, *, first: bool) -> None:
+    """Median and the middle 80 % of what is left, by bins with equally many samples."""
+    good = np.isfinite(values) & np.isfinite(view.left_before) & np.isfinite(view.left_after)
+    edges = np.unique(np.quantile(values[good], np.linspace(0.0, 1.0, _BINS + 1)))
+    _floor_band(axes, view)
+    if len(edges) > 2:
+        bins = np.clip(np.searchsorted(edges, values[good], side="right") - 1, 0, len(edges) - 2)
+        for series, colour in ((view.left_before, FAIL), (view.left_after, NOW)):
+            rows = [
+                (float(np.median(values[good][bins == b])),
+                 *np.quantile(series[good][bins == b], (0.1, 0.5, 0.9)))
+                for b in range(len(edges) - 1)
+                if (bins == b).any()
+            ]  # fmt: skip
+            x, low, middle, high = np.array(rows).T
+            axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
+            axes.plot(x, middle, color=colour, linewidth=1.3)
+    axes.set_xlabel(label)
+    if first:
+        axes.set_ylabel(f"what is left [{view.unit}]")
+        axes.set_title("median and middle 80 %, against what drives it", color=DIM, fontsize=8)
+    else:
+        axes.tick_params(labelleft=False)
+
+
+def _spectrum(axes: Axes, view: JointView) -> None:
+    """Amplitude spectral density, averaged over the tested recordings."""
+    from scipy.signal import welch
+
+    rate = 1.0 / view.interval
+    longest = max(view.stretches)
+    window = max(min(longest, round(4.0 * rate)), 8)
+    for series, colour, name in (
+        (view.left_before, FAIL, "before"), (view.left_after, NOW, "after"),
+    ):  # fmt: skip
+        total, weight, at = None, 0, 0
+        for n in view.stretches:
+            part = np.nan_to_num(series[at : at + n])
+            at += n
+            if n < 8:
+                continue
+            size = min(window, n)
+            f, p = welch(part, rate, nperseg=size, nfft=window, detrend=False)
+            total = p * n if total is None else total + p * n
+            weight += n
+        if total is not None:
+            # The lowest bin is what does not change; it has no place on a logarithmic axis.
+            f, power = _by_octaves(f[1:], total[1:] / weight)
+            axes.plot(f, np.sqrt(power), color=colour, linewidth=1.3, label=name)
+    axes.axhline(view.floor * np.sqrt(2.0 / rate), color=GOLDEN, linewidth=0.9,
+                 linestyle=(0, (4, 3)), label="floor, if white")  # fmt: skip
+    _logarithmic(axes, "x", "y")
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel(f"what is left [{view.unit}/\N{SQUARE ROOT}Hz]")
+    axes.legend(loc="lower left")
+
+
+def _regimes(axes: Axes, view: JointView) -> None:
+    """Root mean square before and after, slice by slice."""
+    shown = sorted(view.regimes, key=lambda r: -r.before)[:_MOST_REGIMES]
+    rows = np.arange(len(shown))
+    scale = max(view.floor, 1e-300)
+    for row, r in zip(rows, shown, strict=True):
+        axes.plot([r.after, r.before], [row, row], color=BAND, linewidth=2.2, zorder=1)
+    axes.scatter([r.before for r in shown], rows, color=FAIL, s=22, zorder=2)
+    axes.scatter([r.after for r in shown], rows, color=NOW, s=22, zorder=3)
+    axes.axvline(view.floor, color=GOLDEN, linewidth=0.9, linestyle=(0, (4, 3)))
+    _logarithmic(axes, "x")
+    values = [x for r in shown for x in (r.before, r.after)] + [scale]
+    axes.set_xlim(0.6 * min(values), 1.6 * max(values))
+    axes.set_yticks(rows, [printable(r.name)[:46] for r in shown], color=INK, fontsize=7.5)
+    axes.set_ylim(len(shown) - 0.5, -0.6)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel(f"root mean square [{view.unit}]; dashed: the floor, {number(view.floor)}")
+
+
+def _logarithmic(axes: Axes, *which: str) -> None:
+    """Logarithmic axes with plain numbers at the decades."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for name in which:
+        (axes.set_xscale if name == "x" else axes.set_yscale)("log")
+        axis = axes.xaxis if name == "x" else axes.yaxis
+        axis.set_major_locator(LogLocator(numticks=6))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _by_octaves(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Means over eight bands an octave, so that a high end does not turn to grass."""
+    band = np.floor(8.0 * np.log2(frequency / frequency[0]))
+    _, first = np.unique(band, return_index=True)
+    count = np.diff(np.append(first, len(power)))
+    return (
+        np.add.reduceat(frequency, first) / count,
+        np.add.reduceat(power, first) / count,
+    )
+
+
+def _thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fewer points: the least and the greatest of each of many short stretches."""
+    if len(x) <= 2 * _POINTS:
+        return x, y
+    edges = np.linspace(0, len(x), _POINTS + 1).astype(int)
+    chosen: set[int] = {0, len(x) - 1}
+    for a, b in itertools.pairwise(edges):
+        part = y[a:b]
+        if np.isfinite(part).any():
+            chosen |= {a + int(np.nanargmin(part)), a + int(np.nanargmax(part))}
+    index = np.array(sorted(chosen))
+    return x[index], y[index]

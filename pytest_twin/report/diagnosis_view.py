@@ -1,0 +1,217 @@
+"""What the report of a diagnosis shows, taken out of the diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pytest_twin.diagnosis.diagnose import Diagnosis
+    from pytest_twin.diagnosis.realize import AppliedEffect, Patched
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Regime:
+    """Root mean squares in one slice of the motion.
+
+    Attributes:
+        name: in words.
+        before, after: rad or m.
+        share: of the time.
+    """
+
+    name: str
+    before: float
+    after: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class JointView:
+    """One joint's pictures.
+
+    Attributes:
+        joint, unit: which; ``rad`` or ``m``.
+        recording: the one that is drawn over time.
+        time, measured, before, after: (n,) of that recording.
+        command_time, command: (m,) where positions are commanded, else None.
+        floor: root mean square that no model explains.
+        left_before, left_after: (s,) measured minus predicted, over all tested recordings.
+        velocity, position, load: (s,) of the motion then; per s, and N*m or N.
+        stretches: lengths of the tested recordings within s.
+        interval: usual time between samples, s.
+        regimes: root mean squares by slice.
+        windows: where findings show in the drawn recording, (effect, start, end).
+    """
+
+    joint: str
+    unit: str
+    recording: str
+    time: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+    command_time: FloatArray | None
+    command: FloatArray | None
+    floor: float
+    left_before: FloatArray
+    left_after: FloatArray
+    velocity: FloatArray
+    position: FloatArray
+    load: FloatArray
+    stretches: tuple[int, ...]
+    interval: float
+    regimes: tuple[Regime, ...]
+    windows: tuple[tuple[str, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisView:
+    """One report.
+
+    Attributes:
+        model: what was diagnosed.
+        created: RFC 3339.
+        said: ``diagnosis.json``.
+        joints: pictures, the worst mismatch first.
+        floor_parts: source -> joint -> deviation in the joint's unit.
+        native: what the patched MJCF holds, one line each; ``beside``: what is stepped beside it.
+        tried: how many effects at places competed.
+        laws: effect -> its law and the law's source.
+        at_floor, share_left: what counts as explained, see :mod:`pytest_twin.diagnosis.verdict`.
+    """
+
+    model: str
+    created: str
+    said: Mapping[str, Any]
+    joints: tuple[JointView, ...]
+    floor_parts: Mapping[str, Mapping[str, float]]
+    native: tuple[str, ...]
+    beside: tuple[str, ...]
+    tried: int
+    laws: Mapping[str, tuple[str, str]]
+    at_floor: float
+    share_left: float
+
+
+def view_of(
+    found: Diagnosis, said: Mapping[str, Any], patched: Patched, model: str
+) -> DiagnosisView:
+    """Everything that the report shows.
+
+    Args:
+        found: the diagnosis.
+        said: its ``diagnosis.json``.
+        patched: what was written as its realization.
+        model: what was diagnosed, as people call it.
+    """
+    from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT
+    from pytest_twin.effects import catalogue
+
+    joints = found.prepared.problem.joints
+    return DiagnosisView(
+        model=model,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        said=said,
+        joints=joint_views(found),
+        floor_parts={
+            source: dict(zip(joints, map(float, values), strict=True))
+            for source, values in found.prepared.floor_parts.items()
+        },
+        native=tuple(f"{_at(e)}: {e.written}" for e in patched.effects if e.written),
+        beside=tuple(_at(e) for e in patched.beside),
+        tried=len({a.term for a in found.selected.answers}),
+        laws={id: (law.law, law.source) for id, law in catalogue().items()},
+        at_floor=AT_FLOOR,
+        share_left=LEFT,
+    )
+
+
+def _at(effect: AppliedEffect) -> str:
+    name = effect.effect.replace("_", " ")
+    return name if effect.joint is None else f"{name} at {effect.joint}"
+
+
+def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
+    """Pictures of every joint, the worst mismatch first."""
+    from pytest_twin.diagnosis.locate import motions, regimes
+
+    problem, prepared = found.prepared.problem, found.prepared
+    everything = (*found.trials.fit, *found.trials.held_out)
+    tested = problem.held_out if len(problem.held_out) else problem.fit
+    every = np.arange(len(problem.simulator.segments))
+    lengths = problem.lengths(every)
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    inside = np.repeat(np.isin(every, tested), lengths)
+    paths = [
+        m for m, t in zip(motions(prepared, everything), np.isin(every, tested), strict=True) if t
+    ]
+    owners = sorted({prepared.segment_trial[s] for s in tested})
+    views = []
+    for j, joint in enumerate(problem.joints):
+        error = found.errors[joint]
+        left = [r[inside, j] for r in (found.before, found.after)]
+        worst = max(
+            owners,
+            key=lambda o: _rms(
+                np.concatenate(
+                    [
+                        found.before[starts[s] : starts[s + 1], j]
+                        for s in tested
+                        if prepared.segment_trial[s] == o
+                    ]
+                )
+            ),
+        )
+        parts = [s for s in tested if prepared.segment_trial[s] == worst]
+        segments = [problem.simulator.segments[s] for s in parts]
+        rows = np.concatenate([np.arange(starts[s], starts[s + 1]) for s in parts])
+        measured = np.concatenate([s.position[:, j] for s in segments])
+        name = everything[worst].path.name
+        commanded = segments[0].mode == "position" and np.isfinite(segments[0].command[:, j]).all()
+        views.append(
+            JointView(
+                joint=joint,
+                unit=error.unit,
+                recording=name,
+                time=np.concatenate([s.time for s in segments]),
+                measured=measured,
+                before=measured - found.before[rows, j],
+                after=measured - found.after[rows, j],
+                command_time=segments[0].command_time if commanded else None,
+                command=segments[0].command[:, j] if commanded else None,
+                floor=error.floor,
+                left_before=left[0],
+                left_after=left[1],
+                velocity=np.concatenate([m.velocity[:, j] for m in paths]),
+                position=np.concatenate([m.position[:, j] for m in paths]),
+                load=np.concatenate([m.load[:, j] for m in paths]),
+                stretches=tuple(lengths[s] for s in tested),
+                interval=float(np.median(np.diff(segments[0].time))),
+                regimes=tuple(
+                    Regime(text, _rms(left[0][mask]), _rms(left[1][mask]), float(mask.mean()))
+                    for text, mask in regimes(paths, j, error.unit)
+                    if 0.02 < mask.mean() < 0.9 and not text.startswith("position ")
+                ),
+                windows=tuple(
+                    (f.effect, float(a), float(b))
+                    for f in found.explained.findings
+                    if f.joint in (None, joint)
+                    for a, b in f.where.windows.get(name, ())
+                ),
+            )
+        )
+    views.sort(key=lambda v: -(_rms(v.left_before) / max(v.floor, 1e-300)))
+    return tuple(views)
+
+
+def _rms(values: FloatArray) -> float:
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
