@@ -54,7 +54,7 @@ def build(realization: Realization, robot: Robot) -> RigidModel:
             joint.type == "floating" and joint.name not in realization.joints
         ):
             raise joint.node.error(f"no independent reference for a {joint.type} joint here")
-    text = _text(robot.node)
+    text = dynamics_text(robot.node)
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError, IndexError) as error:
@@ -108,8 +108,8 @@ def _world_to_base(realization: Realization) -> pin.SE3:
     return pin.SE3(pin.Quaternion(*base.quaternion), np.array(base.position))
 
 
-def _text(node: Node) -> str:
+def dynamics_text(node: Node) -> str:
     """The dynamics of the robot alone: no shape, so no file, and no mimic, which only couples."""
     attributes = "".join(f" {key}={quoteattr(value)}" for key, value in node.attributes.items())
-    inner = "".join(_text(child) for child in node.children if child.tag in _KEPT)
+    inner = "".join(dynamics_text(child) for child in node.children if child.tag in _KEPT)
     return f"<{node.tag}{attributes}>{inner}</{node.tag}>"

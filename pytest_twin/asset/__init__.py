@@ -1,0 +1,1 @@
+"""From the supplier's files to realizations that can be trusted, and what each conversion lost."""

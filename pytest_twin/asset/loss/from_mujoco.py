@@ -1,0 +1,334 @@
+"""What MuJoCo makes of an MJCF: read off the compiled model, and off what it does."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from itertools import combinations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.asset.loss import shapes
+from pytest_twin.asset.loss.description import Description, JointFacts, LinkFacts
+from pytest_twin.asset.loss.shapes import Shape
+from pytest_twin.realization.tree import inverse
+
+Vector = NDArray[np.float64]
+_KINDS = {
+    mujoco.mjtJoint.mjJNT_HINGE: "hinge",
+    mujoco.mjtJoint.mjJNT_SLIDE: "slide",
+    mujoco.mjtJoint.mjJNT_BALL: "ball",
+    mujoco.mjtJoint.mjJNT_FREE: "free",
+}
+_OVERDRIVEN = 1e9
+
+
+class MujocoDynamics:
+    """A compiled model, asked by name; contacts are left out."""
+
+    def __init__(self, model: mujoco.MjModel, root: str) -> None:
+        self.model = model
+        self._root = root
+        self._data = mujoco.MjData(model)
+        self._joints = {
+            _name(model, mujoco.mjtObj.mjOBJ_JOINT, i): i
+            for i in range(model.njnt)
+            if int(model.jnt_type[i])
+            in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        }
+        self._bodies = {_name(model, mujoco.mjtObj.mjOBJ_BODY, i): i for i in range(model.nbody)}
+        if root != "world":
+            del self._bodies["world"]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Hinges and slides, in model order."""
+        return tuple(self._joints)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Bodies."""
+        return tuple(self._bodies)
+
+    def _at(self, q: Mapping[str, float]) -> mujoco.MjData:
+        data = self._data
+        data.qpos[:] = self.model.qpos0
+        for name, value in q.items():
+            data.qpos[self.model.jnt_qposadr[self._joints[name]]] = value
+        mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_comPos(self.model, data)
+        return data
+
+    def _pose(self, data: mujoco.MjData, body: int) -> Vector:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
+        return pose
+
+    def poses(self, q: Mapping[str, float]) -> dict[str, Vector]:
+        """``transform_root_to_frame`` (4, 4) of every body."""
+        data = self._at(q)
+        back = inverse(self._pose(data, self._bodies[self._root]))
+        return {name: back @ self._pose(data, body) for name, body in self._bodies.items()}
+
+    def mass(self) -> float:
+        """kg, what stands still included."""
+        return float(self.model.body_mass.sum())
+
+    def center_of_mass(self, q: Mapping[str, float]) -> Vector:
+        """(3,) m, what stands still included."""
+        data, total = self._at(q), self.mass()
+        moment = self.model.body_mass @ data.xipos
+        world = moment / total if total > 0 else np.zeros(3)
+        return np.asarray((inverse(self._pose(data, self._bodies[self._root])) @ [*world, 1.0])[:3])
+
+    def _columns(self) -> list[int]:
+        return [int(self.model.jnt_dofadr[i]) for i in self._joints.values()]
+
+    def gravity_torque(self, q: Mapping[str, float]) -> Vector:
+        """(n,) N*m or N: the bias force at rest."""
+        data = self._at(q)
+        data.qvel[:] = 0.0
+        mujoco.mj_fwdVelocity(self.model, data)
+        return np.array(data.qfrc_bias[self._columns()])
+
+    def mass_matrix(self, q: Mapping[str, float]) -> Vector:
+        """(n, n), armature included."""
+        data = self._at(q)
+        mujoco.mj_crb(self.model, data)
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, data, full)
+        columns = self._columns()
+        return np.asarray(full[np.ix_(columns, columns)])
+
+
+def describe(model: mujoco.MjModel, root: str) -> Description:
+    """Everything that the compiled model holds.
+
+    Args:
+        root: the link that stands fixed in the world.
+    """
+    actuators = _actuators(model)
+    effort = _saturated_effort(model)
+    joints = {}
+    for index in range(model.njnt):
+        name = _name(model, mujoco.mjtObj.mjOBJ_JOINT, index)
+        dof, limited = int(model.jnt_dofadr[index]), bool(model.jnt_limited[index])
+        kind = _KINDS[mujoco.mjtJoint(model.jnt_type[index])]
+        joints[name] = JointFacts(
+            kind,
+            (float(model.jnt_range[index, 0]), float(model.jnt_range[index, 1]))
+            if limited
+            else None,
+            None,
+            effort.get(name),
+            float(model.dof_damping[dof]),
+            float(model.dof_frictionloss[dof]),
+            float(model.qpos0[model.jnt_qposadr[index]]) if kind in ("hinge", "slide") else 0.0,
+        )
+    mimics, rank, others = _equalities(model)
+    geoms = _colliding(model)
+    return Description(
+        name="MJCF",
+        engine=f"MuJoCo {mujoco.__version__}",
+        dynamics=MujocoDynamics(model, root),
+        links=_links(model, root),
+        joints=joints,
+        independent=int(model.nv) - rank,
+        actuators=actuators,
+        drives=_drives(model),
+        mimics=mimics,
+        constraints=others,
+        shapes={
+            body: shapes.in_order([_shape(model, g) for g in of]) for body, of in geoms.items()
+        },
+        disabled_pairs=_disabled(model, geoms),
+        contact=dict(
+            Counter(
+                "friction " + " ".join(f"{value:g}" for value in model.geom_friction[geom])
+                for of in geoms.values()
+                for geom in of
+            )
+        ),
+        sensors={
+            _name(model, mujoco.mjtObj.mjOBJ_SENSOR, i): mujoco.mjtSensor(model.sensor_type[i])
+            .name.removeprefix("mjSENS_")
+            .lower()
+            for i in range(model.nsensor)
+        },
+        transmissions={joint: f"reduction {gear:g}" for joint, gear, _ in actuators.values()},
+    )
+
+
+def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
+    return mujoco.mj_id2name(model, kind, index) or f"{kind.name[6:].lower()}#{index}"
+
+
+def _links(model: mujoco.MjModel, root: str) -> dict[str, LinkFacts]:
+    links = {}
+    for body in range(model.nbody):
+        name = _name(model, mujoco.mjtObj.mjOBJ_BODY, body)
+        if body == 0 and root != "world":
+            continue
+        axes = np.empty(9)
+        mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+        turned = axes.reshape(3, 3)
+        tensor = turned @ np.diag(model.body_inertia[body]) @ turned.T
+        links[name] = LinkFacts(
+            float(model.body_mass[body]), np.array(model.body_ipos[body]), tensor
+        )
+    return links
+
+
+def _actuators(
+    model: mujoco.MjModel,
+) -> dict[str, tuple[str, float, tuple[float, float] | None]]:
+    found = {}
+    for index in range(model.nu):
+        if model.actuator_trntype[index] != mujoco.mjtTrn.mjTRN_JOINT:
+            continue
+        joint = _name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.actuator_trnid[index, 0]))
+        bound = None
+        if model.actuator_forcelimited[index]:
+            lower, upper = (float(value) for value in model.actuator_forcerange[index])
+            bound = (lower, upper)
+        gear = float(model.actuator_gear[index, 0])
+        found[_name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, index)] = (joint, gear, bound)
+    return found
+
+
+def _saturated_effort(model: mujoco.MjModel) -> dict[str, float]:
+    """Joint -> greatest force that its actuators bring out when they are driven past all bounds."""
+    data = mujoco.MjData(model)
+    found: dict[str, float] = {}
+    for sign in (1.0, -1.0):
+        data.ctrl[:] = sign * _OVERDRIVEN
+        with _without_contact(model):
+            mujoco.mj_forward(model, data)
+        for joint, _, _ in _actuators(model).values():
+            index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+            force = abs(float(data.qfrc_actuator[model.jnt_dofadr[index]]))
+            if force < _OVERDRIVEN / 2:
+                found[joint] = max(found.get(joint, 0.0), force)
+    return found
+
+
+def _drives(model: mujoco.MjModel) -> dict[str, str]:
+    """Actuators whose force depends on where the joint is or how fast it moves."""
+    found = {}
+    for name, (joint, _, _) in _actuators(model).items():
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+        if model.actuator_biastype[index] != mujoco.mjtBias.mjBIAS_NONE:
+            values = " ".join(f"{value:g}" for value in model.actuator_biasprm[index][:3])
+            found[joint] = f"bias {values}"
+    return found
+
+
+class _without_contact:  # noqa: N801
+    """Contacts switched off for a while."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self.flags = int(model.opt.disableflags)
+
+    def __enter__(self) -> None:
+        self.model.opt.disableflags = self.flags | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+
+    def __exit__(self, *_: object) -> None:
+        self.model.opt.disableflags = self.flags
+
+
+def _equalities(
+    model: mujoco.MjModel,
+) -> tuple[dict[str, tuple[str, float, float]], int, tuple[str, ...]]:
+    """Mimics as the constraint solver feels them, rank of all equalities, and the other ones."""
+    mimics: dict[str, tuple[str, float, float]] = {}
+    others = []
+    if not model.neq:
+        return {}, 0, tuple(f"tendon {i}" for i in range(model.ntendon))
+    data = mujoco.MjData(model)
+
+    def residual(joint: int | None) -> Vector:
+        data.qpos[:] = model.qpos0
+        if joint is not None:
+            data.qpos[model.jnt_qposadr[joint]] += 1.0
+        mujoco.mj_fwdPosition(model, data)
+        found = np.zeros(model.neq)
+        rows = np.flatnonzero(data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY))
+        for row in rows:
+            found[data.efc_id[row]] = data.efc_pos[row]
+        return found
+
+    with _without_contact(model):
+        jacobian = int(model.opt.jacobian)
+        model.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+        at_rest = residual(None)
+        rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        dense = np.array(data.efc_J).reshape(len(data.efc_type), model.nv)[rows]
+        rank = int(np.linalg.matrix_rank(dense)) if dense.size else 0
+        for index in range(model.neq):
+            kind = mujoco.mjtEq(model.eq_type[index])
+            follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+            if kind != mujoco.mjtEq.mjEQ_JOINT or leader < 0 or not data.eq_active[index]:
+                others.append(f"equality {kind.name.removeprefix('mjEQ_').lower()}")
+                continue
+            names = [_name(model, mujoco.mjtObj.mjOBJ_JOINT, i) for i in (follower, leader)]
+            multiplier = -(residual(leader)[index] - at_rest[index])
+            mimics[names[0]] = (names[1], float(multiplier), float(-at_rest[index]))
+        model.opt.jacobian = jacobian
+    others += [f"tendon {i}" for i in range(model.ntendon)]
+    return mimics, rank, tuple(others)
+
+
+def _colliding(model: mujoco.MjModel) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for geom in range(model.ngeom):
+        if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+            body = _name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.geom_bodyid[geom]))
+            found.setdefault(body, []).append(geom)
+    return found
+
+
+def _shape(model: mujoco.MjModel, geom: int) -> Shape:
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    size = np.array(model.geom_size[geom])
+    pose, axes = np.eye(4), np.empty(9)
+    mujoco.mju_quat2Mat(axes, model.geom_quat[geom])
+    pose[:3, :3], pose[:3, 3] = axes.reshape(3, 3), model.geom_pos[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return shapes.of_box(2 * size, pose)
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return shapes.of_sphere(size[0], pose)
+    if kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+        word = kind.name.removeprefix("mjGEOM_").lower()
+        return shapes.of_round(word, size[0], 2 * size[1], pose)
+    mesh = int(model.geom_dataid[geom])
+    start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    points = np.array(model.mesh_vert[start : start + count], dtype=np.float64)
+    convex = int(model.mesh_graphadr[mesh]) >= 0
+    return shapes.of_points("convex hull" if convex else "mesh", points, pose)
+
+
+def _disabled(model: mujoco.MjModel, geoms: Mapping[str, list[int]]) -> frozenset[frozenset[str]]:
+    """Pairs of bodies with shapes that MuJoCo's rules keep from colliding."""
+    excluded = {int(signature) for signature in model.exclude_signature}
+    parents = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    found = set()
+    index = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in geoms}
+    for first, second in combinations(geoms, 2):
+        a, b = index[first], index[second]
+        weld_a, weld_b = int(model.body_weldid[a]), int(model.body_weldid[b])
+        above_a = int(model.body_weldid[model.body_parentid[weld_a]])
+        above_b = int(model.body_weldid[model.body_parentid[weld_b]])
+        family = parents and weld_a and weld_b and (weld_a == above_b or weld_b == above_a)
+        signature = (min(a, b) << 16) + max(a, b)
+        masked = not any(
+            model.geom_contype[g] & model.geom_conaffinity[h]
+            or model.geom_contype[h] & model.geom_conaffinity[g]
+            for g in geoms[first]
+            for h in geoms[second]
+        )
+        if weld_a == weld_b or family or signature in excluded or masked:
+            found.add(frozenset((first, second)))
+    return frozenset(found)

@@ -1,0 +1,169 @@
+"""The manifest of an asset: its states, source, normalized, realization, each with its digest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from pytest_twin.dependency import canonical
+from pytest_twin.errors import FormatError, PathError
+from pytest_twin.formats import atomic
+from pytest_twin.formats.digest import bytes_sha256, file_sha256
+from pytest_twin.formats.paths import decode_text, read_bytes
+
+FILE_NAME = "manifest.json"
+STATES = ("source", "normalized", "realization")
+_MAX_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """One state of an asset.
+
+    Attributes:
+        files: path relative to the manifest, with ``/`` -> SHA-256.
+        facts: what else is known of it, JSON-able: who supplied it, which engine made it.
+    """
+
+    files: Mapping[str, str]
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over the paths and digests of all files, hex."""
+        return bytes_sha256(canonical(dict(self.files)))
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """The states of one asset; those that it has not reached are left out."""
+
+    asset: str
+    states: Mapping[str, State] = field(default_factory=dict)
+
+    def with_state(self, name: str, state: State) -> Manifest:
+        """The same with one state put in."""
+        return replace(self, states={**self.states, name: state})
+
+    def to_text(self) -> str:
+        """JSON, the same for the same content."""
+        data = {
+            "schema": 1,
+            "asset": self.asset,
+            "states": {
+                name: {
+                    "digest": self.states[name].digest,
+                    **self.states[name].facts,
+                    "files": dict(sorted(self.states[name].files.items())),
+                }
+                for name in STATES
+                if name in self.states
+            },
+        }
+        return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def state_of(folder: Path, files: Iterable[Path], facts: Mapping[str, Any] | None = None) -> State:
+    """The state that ``files`` below ``folder`` make up.
+
+    Raises:
+        PathError: a file is missing, or no regular file.
+    """
+    return State(
+        {path.relative_to(folder).as_posix(): file_sha256(path) for path in files}, facts or {}
+    )
+
+
+def write(path: Path, manifest: Manifest) -> None:
+    """Write a manifest, whole or not at all."""
+    atomic.write_text(path, manifest.to_text())
+
+
+def read(path: Path) -> Manifest:
+    """Read a manifest.
+
+    Raises:
+        PathError: missing, or no regular file.
+        FormatError: no manifest, or a digest that does not follow from its files.
+    """
+    text = decode_text(read_bytes(path, _MAX_BYTES), path)
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"not JSON: {error}", path=path) from None
+    if not isinstance(data, dict) or data.get("schema") != 1:
+        raise FormatError("not a manifest of an asset", path=path, expected='"schema": 1')
+    states = data.get("states")
+    if not isinstance(states, dict) or not isinstance(data.get("asset"), str):
+        raise FormatError("no states", path=path, where="states", expected="a table")
+    found: dict[str, State] = {}
+    for name, content in states.items():
+        where = f"states.{name}"
+        files = content.get("files") if isinstance(content, dict) else None
+        if name not in STATES or not isinstance(files, dict) or not _are_files(files):
+            raise FormatError(
+                "not a state", path=path, where=where, expected="paths and their SHA-256"
+            )
+        facts = {key: value for key, value in content.items() if key not in ("digest", "files")}
+        state = State(files, facts)
+        if content.get("digest") != state.digest:
+            raise FormatError(
+                "the digest does not follow from the files",
+                path=path,
+                where=f"{where}.digest",
+                value=content.get("digest"),
+                expected=state.digest,
+            )
+        found[name] = state
+    return Manifest(data["asset"], found)
+
+
+def _are_files(files: dict[str, Any]) -> bool:
+    for name, digest in files.items():
+        place = PurePosixPath(name)
+        if place.is_absolute() or ".." in place.parts or not place.parts or "\0" in name:
+            return False
+        if not isinstance(digest, str) or len(digest) != 64:
+            return False
+    return True
+
+
+def differences(folder: Path, state: State, below: str | None = None) -> list[str]:
+    """What differs between a state and the files on the disk, one line each.
+
+    Args:
+        folder: that of the manifest.
+        below: a folder whose files all belong to the state: further ones there are named too.
+    """
+    found = []
+    for name, digest in state.files.items():
+        path = folder / name
+        try:
+            if file_sha256(path) != digest:
+                found.append(f"{name} was changed")
+        except PathError as error:
+            found.append(f"{name}: {error.problem}")
+    if below is not None:
+        for path in sorted((folder / below).rglob("*")):
+            name = path.relative_to(folder).as_posix()
+            if (path.is_symlink() or not path.is_dir()) and name not in state.files:
+                found.append(f"{name} was added")
+    return found
+
+
+def find(path: Path) -> tuple[Path, Manifest] | None:
+    """The manifest that stands above a file and lists it among its sources, if there is one."""
+    for folder in path.parents:
+        candidate = folder / FILE_NAME
+        if candidate.is_file() and not candidate.is_symlink():
+            try:
+                manifest = read(candidate)
+            except FormatError:
+                continue
+            state = manifest.states.get("source")
+            if state is not None and path.relative_to(folder).as_posix() in state.files:
+                return candidate, manifest
+    return None

@@ -1,0 +1,415 @@
+"""A URDF made portable: the same robot, explicit and self-contained, every change written down.
+
+Form is normalized: meshes in metres beside the file, unit axes, stated defaults, names for shapes.
+What is physical is never invented: an inertia that no body can have stays as it is, flagged, until
+its repair is accepted by name.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from pytest_twin.asset import obj
+from pytest_twin.asset.changes import Change, Flag
+from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
+from pytest_twin.formats import atomic, xml
+from pytest_twin.formats.digest import bytes_sha256
+from pytest_twin.formats.paths import Roots, read_bytes
+from pytest_twin.realization import inertia, mesh, urdf
+from pytest_twin.realization.limits import LIMITS
+from pytest_twin.realization.urdf_spec import find_package
+
+Vector = NDArray[np.float64]
+
+MESH_FOLDER = "meshes"
+INERTIA_REPAIR = "inertia-repair"
+UNITS = "units: metre, kilogram, second, radian; newton, newton metre"
+_UNIT_LENGTH = 1e-9
+_SAFE = re.compile(r"[^A-Za-z0-9_-]+")
+_IMAGES = (".png", ".jpg", ".jpeg", ".tga", ".bmp")
+
+
+@dataclass(slots=True)
+class Normalized:
+    """What was made.
+
+    Attributes:
+        urdf: the file.
+        files: every file that was written, the URDF first.
+        source_files: every file that was read, the URDF first.
+        repairs: link -> ixx iyy izz ixy ixz iyz in its inertial frame, accepted by name.
+        collision_points: a collision mesh as the source names it -> its vertices (n, 3), m.
+    """
+
+    urdf: Path
+    files: list[Path]
+    source_files: list[Path]
+    changes: list[Change] = field(default_factory=list)
+    flags: list[Flag] = field(default_factory=list)
+    repairs: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    collision_points: dict[str, Vector] = field(default_factory=dict)
+
+
+def normalize(
+    source: Path,
+    folder: Path,
+    *,
+    roots: Roots,
+    packages: Mapping[str, Path] | None = None,
+    accept: Collection[str] = (),
+) -> Normalized:
+    """Write the normalized asset of a URDF.
+
+    Args:
+        source: the URDF; only read.
+        folder: an existing folder, which gets ``<name>.urdf`` and ``meshes/``.
+        roots: where files that the URDF names may lie.
+        packages: ROS package -> its folder, in front of those that are found by name.
+        accept: named patches, ``inertia-repair:<link>``.
+
+    Raises:
+        FormatError: not well-formed, beyond a bound, or a broken collision mesh.
+        ModelError: not a tree of links, or a value that no robot can have.
+        PathError: a collision mesh that is missing or outside the roots.
+        SpecError: an accepted patch that nothing asks for.
+    """
+    robot = urdf.read(source)
+    return _Normalizer(source, robot, folder, roots, packages or {}, accept).run()
+
+
+def file_stem(name: str, fallback: str) -> str:
+    """A portable file name, without suffix."""
+    return _SAFE.sub("_", name).strip("_-")[:80] or fallback
+
+
+class _Normalizer:
+    def __init__(
+        self,
+        source: Path,
+        robot: urdf.Robot,
+        folder: Path,
+        roots: Roots,
+        packages: Mapping[str, Path],
+        accept: Collection[str],
+    ) -> None:
+        self.source = source
+        self.robot = robot
+        self.folder = folder
+        self.roots = roots
+        self.packages = packages
+        self.accept = set(accept)
+        self.known_patches: set[str] = set()
+        self.root = xml.parse(source)
+        stem = file_stem(source.stem, "robot")
+        self.out = Normalized(folder / f"{stem}.urdf", [folder / f"{stem}.urdf"], [source])
+        self.meshes: dict[tuple[Path, tuple[float, ...]], str] = {}
+        self.read_meshes: dict[Path, mesh.Triangles | TwinError] = {}
+        self.images: dict[Path, str] = {}
+        self.taken: set[str] = set()
+        self.bytes = self.faces = 0
+
+    def run(self) -> Normalized:
+        self._names()
+        self._joints()
+        self._inertias()
+        self._shapes()
+        self._textures()
+        unknown = sorted(self.accept - self.known_patches)
+        if unknown:
+            raise SpecError(
+                "nothing in this asset asks for that patch",
+                path=self.source,
+                where="--accept",
+                value=unknown[0],
+                expected=", ".join(sorted(self.known_patches)) or "no patch at all",
+            )
+        etree.indent(self.root)
+        head = f"<?xml version='1.0' encoding='utf-8'?>\n<!-- {UNITS} -->\n"
+        body = etree.tostring(self.root, encoding="unicode")
+        atomic.write_text(self.out.urdf, f"{head}{body}\n")
+        return self.out
+
+    # -- the log
+
+    def _file(self) -> str:
+        return self.source.name
+
+    def _change(
+        self,
+        element: Any,
+        attribute: str,
+        before: str | None,
+        after: str | None,
+        why: str,
+        patch: str | None = None,
+    ) -> None:
+        line = element.sourceline or 1
+        where = f"{_label(element)}.{attribute}" if attribute else _label(element)
+        self.out.changes.append(Change(self._file(), line, where, before, after, why, patch))
+
+    def _set(self, element: Any, attribute: str, value: str, why: str) -> None:
+        before = element.get(attribute)
+        if before != value:
+            element.set(attribute, value)
+            self._change(element, attribute, before, value, why)
+
+    # -- form
+
+    def _names(self) -> None:
+        if not (self.root.get("name") or "").strip():
+            name = file_stem(self.source.stem, "robot")
+            self._set(self.root, "name", name, "a robot without a name")
+        for link in self.root.findall("link"):
+            for kind in ("visual", "collision"):
+                used: set[str] = set()
+                for index, shape in enumerate(link.findall(kind)):
+                    name = shape.get("name") or ""
+                    if name and name not in used:
+                        used.add(name)
+                        continue
+                    fresh = f"{link.get('name')}_{kind}_{index}"
+                    why = "two shapes of one name" if name else "a shape without a name"
+                    self._set(shape, "name", fresh, why)
+                    used.add(fresh)
+
+    def _joints(self) -> None:
+        for element in self.root.findall("joint"):
+            joint = self.robot.joints[element.get("name", "")]
+            if joint.type in ("fixed", "floating"):
+                continue
+            axis = element.find("axis")
+            if axis is None:
+                axis = etree.SubElement(element, "axis")
+                axis.set("xyz", "1 0 0")
+                self._change(element, "axis", None, "1 0 0", "the default, made explicit")
+                continue
+            stated = xml_numbers(axis.get("xyz"), (1.0, 0.0, 0.0))
+            if abs(float(np.linalg.norm(stated)) - 1.0) > _UNIT_LENGTH:
+                self._set(axis, "xyz", digits(joint.axis), "an axis that is not of unit length")
+
+    # -- what is physical
+
+    def _inertias(self) -> None:
+        for element in self.root.findall("link"):
+            link = self.robot.links[element.get("name", "")]
+            if link.inertial is None:
+                continue
+            share = inertia.violation(link.inertia)
+            if share <= inertia.ROUNDING:
+                continue
+            patch = f"{INERTIA_REPAIR}:{link.name}"
+            self.known_patches.add(patch)
+            node: Any = element.find("inertial/inertia")
+            moments = urdf.principal_text(link.inertia)
+            if patch not in self.accept:
+                self.out.flags.append(
+                    Flag(
+                        self._file(),
+                        node.sourceline or 1,
+                        f"link '{link.name}'.inertia",
+                        f"principal moments {moments} kg*m^2",
+                        "no body can have it: a principal moment is negative or exceeds the sum "
+                        "of the other two",
+                        patch,
+                        critical=True,
+                    )
+                )
+                continue
+            self._repair(element, node, link, patch)
+
+    def _repair(self, element: Any, node: Any, link: urdf.Link, patch: str) -> None:
+        repaired = inertia.consistent(link.inertia)
+        # Stated about the centre of mass in the link's axes; the file's inertial frame may turn.
+        _, axes = urdf.origin(link.inertial) if link.inertial else (None, np.eye(3))
+        values = inertia.six(axes.T @ repaired @ axes)
+        self.out.repairs[link.name] = values
+        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        before = " ".join(f"{key}={node.get(key, '0')}" for key in keys)
+        for key, value in zip(keys, values, strict=True):
+            node.set(key, repr(value))
+        after = " ".join(f"{key}={node.get(key)}" for key in keys)
+        self._change(
+            node,
+            "",
+            f"{before} kg*m^2",
+            f"{after} kg*m^2",
+            f"principal moments {urdf.principal_text(link.inertia)} became "
+            f"{urdf.principal_text(repaired)} kg*m^2: the largest stays, the other two grow until "
+            "the triangle closes",
+            patch,
+        )
+
+    # -- files
+
+    def _shapes(self) -> None:
+        for link in self.root.findall("link"):
+            for kind in ("collision", "visual"):
+                for shape in link.findall(kind):
+                    for element in shape.findall("geometry/mesh"):
+                        self._mesh(link, shape, element, must=kind == "collision")
+
+    def _mesh(self, link: Any, shape: Any, element: Any, *, must: bool) -> None:
+        reference = element.get("filename") or ""
+        try:
+            path = self._resolve(element, reference)
+            triangles = self._triangles(path, element)
+        except TwinError as error:
+            if must:
+                raise
+            link.remove(shape)
+            problem = f"{error.problem}; it is only looked at, and left out"
+            self._change(shape, "", f"mesh {reference}", None, problem)
+            return
+        if must:
+            self.out.collision_points[reference] = triangles.vertices
+        scale = xml_numbers(element.get("scale"), (1.0, 1.0, 1.0))
+        if scale.shape != (3,) or not np.isfinite(scale).all() or (scale == 0).any():
+            raise FormatError(
+                "not the scale of a mesh",
+                path=self.source,
+                line=element.sourceline,
+                where="mesh.scale",
+                value=element.get("scale"),
+                expected="three numbers other than 0",
+            )
+        name = self._written(path, scale, triangles)
+        said = []
+        if path.suffix.lower() != ".obj":
+            said.append(f"{path.suffix.lower()} became .obj, which every simulator loads")
+        if path.suffix.lower() == ".dae":
+            said.append("its unit is taken in; its materials are left out")
+            if triangles.up_axis != "Z_UP":
+                said.append(f"it states {triangles.up_axis}, and its vertices stand as read")
+        if element.get("scale") is not None:
+            said.append(f"scale {element.get('scale')} is taken into its vertices, in metres")
+            del element.attrib["scale"]
+        why = "; ".join(["a path inside the asset", *said])
+        self._set(element, "filename", f"{MESH_FOLDER}/{name}", why)
+
+    def _written(self, path: Path, scale: Vector, triangles: mesh.Triangles) -> str:
+        key = (path, tuple(scale.tolist()))
+        if key not in self.meshes:
+            stem = file_stem(path.stem, "mesh")
+            name, count = f"{stem}.obj", 2
+            while name.lower() in self.taken:
+                name, count = f"{stem}_{count}.obj", count + 1
+            self.taken.add(name.lower())
+            self.meshes[key] = name
+            target = self.folder / MESH_FOLDER / name
+            target.parent.mkdir(exist_ok=True)
+            scaled = triangles if (scale == 1).all() else triangles.scaled(scale)
+            atomic.write_text(target, obj.text(scaled))
+            self.out.files.append(target)
+        return self.meshes[key]
+
+    def _triangles(self, path: Path, element: Any) -> mesh.Triangles:
+        if path not in self.read_meshes:
+            try:
+                found: mesh.Triangles | TwinError = mesh.read(path, LIMITS)
+            except TwinError as error:
+                found = error
+            self.read_meshes[path] = found
+            self.out.source_files.append(path)
+            if isinstance(found, mesh.Triangles):
+                self.bytes += path.stat().st_size
+                self.faces += len(found.faces)
+            if self.bytes > LIMITS.total_asset_bytes or self.faces > LIMITS.total_mesh_faces:
+                raise FormatError(
+                    "the meshes are too large together",
+                    path=self.source,
+                    line=element.sourceline,
+                    expected=f"at most {LIMITS.total_asset_bytes} bytes and "
+                    f"{LIMITS.total_mesh_faces} triangles",
+                )
+        made = self.read_meshes[path]
+        if isinstance(made, TwinError):
+            raise made
+        return made
+
+    def _textures(self) -> None:
+        for element in list(self.root.iter("texture")):
+            reference = element.get("filename") or ""
+            try:
+                path = self._resolve(element, reference)
+                if path.suffix.lower() not in _IMAGES:
+                    raise PathError("not an image", path=path)
+                data = read_bytes(path, LIMITS.asset_bytes)
+            except TwinError as error:
+                parent: Any = element.getparent()
+                parent.remove(element)
+                self._change(element, "", f"texture {reference}", None, error.problem)
+                continue
+            if path not in self.images:
+                name = (
+                    f"{file_stem(path.stem, 'image')}-{bytes_sha256(data)[:8]}{path.suffix.lower()}"
+                )
+                target = self.folder / MESH_FOLDER / name
+                target.parent.mkdir(exist_ok=True)
+                atomic.write_bytes(target, data)
+                self.images[path] = name
+                self.out.files.append(target)
+                self.out.source_files.append(path)
+            place = f"{MESH_FOLDER}/{self.images[path]}"
+            self._set(element, "filename", place, "a path inside the asset")
+
+    def _resolve(self, element: Any, reference: str) -> Path:
+        line = element.sourceline
+        where = f"{element.tag}.filename"
+        if reference.startswith("package://"):
+            package, _, rest = reference.removeprefix("package://").lstrip("/").partition("/")
+            found = self.packages.get(package) or find_package(package, self.source, self.roots)
+            if found is None:
+                raise PathError(
+                    f"package '{package}' is not found",
+                    path=self.source,
+                    line=line,
+                    where=where,
+                    value=reference,
+                    expected="its folder above the URDF, or --package NAME=FOLDER",
+                )
+            reference = str(found / rest)
+        return self.roots.resolve(
+            reference.removeprefix("file://"), at=self.source, line=line, where=where
+        )
+
+
+def _label(element: Any) -> str:
+    """An element as people find it, with the link or joint that it stands in."""
+    name = element.get("name")
+    own = element.tag if name is None else f"{element.tag} '{name}'"
+    for parent in element.iterancestors("link", "joint"):
+        return f"{parent.tag} '{parent.get('name')}'/{own}"
+    return own
+
+
+def xml_numbers(text: str | None, default: tuple[float, ...]) -> Vector:
+    """Numbers of an attribute that was checked before, or the default."""
+    return np.array(default if text is None else [float(word) for word in text.split()])
+
+
+def digits(values: Any) -> str:
+    """The shortest decimals that read back as the same numbers."""
+    return " ".join(repr(float(value) + 0.0).removesuffix(".0") for value in values)
+
+
+def source_roots(source: Path, packages: dict[str, Path] | None = None) -> Roots:
+    """The ROS package that a URDF lies in, or its folder, and the packages that were given."""
+    extra = tuple((packages or {}).values())
+    for folder in source.resolve().parents:
+        if (folder / "package.xml").is_file():
+            return Roots(source.parent, (folder, *extra))
+    return Roots(source.parent, extra)
+
+
+def relative_to(path: Path, folder: Path) -> str:
+    """A path as the manifest writes it."""
+    return Path(os.path.relpath(path, folder)).as_posix()

@@ -1,0 +1,73 @@
+"""Put what was made into its folder, file by file, the manifest last."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.asset import manifest
+from pytest_twin.asset.manifest import Manifest, State
+from pytest_twin.errors import PathError
+from pytest_twin.formats.digest import file_sha256
+
+
+def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -> None:
+    """Move the files of ``staging`` to ``out`` and write the manifest.
+
+    Files of an earlier run that are not made any more go; nothing else in the folder is touched.
+
+    Args:
+        made: what ``realize`` told; gets ``manifest``, as written.
+
+    Raises:
+        PathError: the source lies where a file would go, or a link is in the way.
+    """
+    files = sorted(path for path in staging.rglob("*") if path.is_file())
+    targets = {out / path.relative_to(staging): path for path in files}
+    if source in targets:
+        raise PathError(
+            "the source would be written over", path=source, expected="another folder for --out"
+        )
+    for target in targets:
+        if target.is_symlink() or target.is_dir():
+            raise PathError("is in the way of a file", path=target)
+    told = _manifest(out, source, made)
+    old = _written_before(out)
+    for target, path in targets.items():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        path.replace(target)
+    for name in old - {target.relative_to(out).as_posix() for target in targets}:
+        if not (out / name).is_symlink():
+            (out / name).unlink(missing_ok=True)
+    manifest.write(out / manifest.FILE_NAME, told)
+    made["manifest"] = json.loads(told.to_text())
+
+
+def _written_before(out: Path) -> set[str]:
+    path = out / manifest.FILE_NAME
+    if not path.is_file():
+        return set()
+    states = manifest.read(path).states
+    return {
+        name
+        for state in ("normalized", "realization")
+        for name in (states[state].files if state in states else ())
+    }
+
+
+def _manifest(out: Path, source: Path, made: Mapping[str, Any]) -> Manifest:
+    known = manifest.find(source)
+    if known is not None and known[1].states.get("source") is not None:
+        # An asset that was taken in vouches for all of its files.
+        state = known[1].states["source"]
+    else:
+        paths = [Path(name) for name in made["source_files"]]
+        base = Path(os.path.commonpath([path.parent for path in paths]))
+        state = State({p.relative_to(base).as_posix(): file_sha256(p) for p in paths})
+    states = {"source": state}
+    for name, content in made["states"].items():
+        states[name] = State(content["files"], content["facts"])
+    return Manifest(made["asset"], states)

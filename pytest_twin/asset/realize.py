@@ -1,0 +1,183 @@
+"""From a URDF to a normalized URDF, an MJCF, a USD stage, and the matrix of what each one lost.
+
+Runs in the child process: everything that a stranger's file reaches is loaded here.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.asset import manifest
+from pytest_twin.asset.changes import ChangeLog
+from pytest_twin.asset.loss import compare, from_mujoco, from_pinocchio, from_urdf, from_usd, render
+from pytest_twin.asset.loss.description import Description
+from pytest_twin.asset.loss.matrix import Conversion, Matrix
+from pytest_twin.asset.normalize import Normalized, normalize, source_roots
+from pytest_twin.errors import TwinError
+from pytest_twin.formats import atomic
+from pytest_twin.formats.paths import Roots
+from pytest_twin.realization import inertia, mjcf_file, urdf, urdf_spec, usd
+
+CHANGES = "changes"
+LOSS = "loss"
+
+
+def realize(
+    source: str,
+    folder: str,
+    accept: Sequence[str] = (),
+    packages: Mapping[str, str] | None = None,
+    progress: Any = None,
+) -> dict[str, Any]:
+    """Write every form of a robot into an empty folder.
+
+    Args:
+        source: the URDF.
+        accept: named patches, ``inertia-repair:<link>``.
+        packages: ROS package -> its folder.
+
+    Returns:
+        ``files`` of each state, ``critical`` failures, ``notes``, ``left_out``, and ``counts`` of
+        the matrix.
+
+    Raises:
+        TwinError: no robot that could be read.
+    """
+    say = progress or (lambda fraction: None)
+    path, out = Path(source), Path(folder)
+    where = {name: Path(place) for name, place in (packages or {}).items()}
+    made = normalize(path, out, roots=source_roots(path, where), packages=where, accept=accept)
+    say(0.3)
+    told = _repaired(urdf.read(path), made)
+    robot = urdf.read(made.urdf)
+    before = from_urdf.describe(told, made.collision_points)
+    forms = [_mjcf(made, robot, told, before)]
+    say(0.6)
+    forms.append(_usd(made, told, before))
+    say(0.8)
+    forms.append(_pinocchio(made, robot, told, before))
+    matrix = Matrix(
+        told.node.attributes.get("name", path.stem), path.name, tuple(c for c, _ in forms)
+    )
+    command: tuple[str, ...] = ("pytest-twin", "realize", path.name, "--out", "DIR")
+    for patch in sorted(accept):
+        command += ("--accept", patch)
+    log = ChangeLog(command, tuple(made.changes), tuple(made.flags))
+    _write(out, matrix, log)
+    say(1.0)
+    states = {
+        "normalized": manifest.state_of(out, made.files),
+        "realization": manifest.state_of(
+            out,
+            [file for _, file in forms if file is not None],
+            {
+                conversion.target.lower(): {
+                    "engine": conversion.engine,
+                    "file": None if file is None else file.relative_to(out).as_posix(),
+                    **({"left_out": conversion.problem} if conversion.problem else {}),
+                }
+                for conversion, file in forms
+            },
+        ),
+    }
+    critical = [f"{flag.where}: {flag.why} ({flag.value})" for flag in made.flags if flag.critical]
+    return {
+        "asset": made.urdf.stem,
+        "source_files": [str(file) for file in dict.fromkeys(made.source_files)],
+        "states": {
+            name: {"files": dict(state.files), "facts": dict(state.facts)}
+            for name, state in states.items()
+        },
+        "critical": critical + matrix.critical,
+        "patches": [flag.patch for flag in made.flags if flag.patch],
+        "left_out": [c.problem for c in matrix.conversions if c.problem and not c.critical],
+        "changes": len(made.changes),
+        "counts": {
+            f"{c.source} -> {c.target}": {
+                verdict: sum(row.verdict == verdict for row in c.rows)
+                for verdict in ("kept", "changed", "lost")
+            }
+            for c in matrix.conversions
+            if c.rows
+        },
+    }
+
+
+def _repaired(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
+    """The source with the patches that were accepted: what every form has to hold."""
+    for name, values in made.repairs.items():
+        link = robot.links[name]
+        assert link.inertial is not None
+        node = link.inertial.find("inertia")
+        assert node is not None
+        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        node.attributes.update({k: repr(v) for k, v in zip(keys, values, strict=True)})
+        _, axes = urdf.origin(link.inertial)
+        link.inertia = axes @ inertia.tensor(values) @ axes.T
+    return robot
+
+
+_Form = tuple[Conversion, Path | None]
+
+
+def _mjcf(made: Normalized, robot: urdf.Robot, told: urdf.Robot, before: Description) -> _Form:
+    path = made.urdf.with_suffix(".xml")
+    try:
+        converted = urdf_spec.convert(robot, Roots(path.parent), {})
+        model = mjcf_file.write(converted.spec, path, converted.mesh_paths)
+        after = from_mujoco.describe(model, robot.root)
+    except TwinError as error:
+        path.unlink(missing_ok=True)
+        return _failed("MJCF", error), None
+    return compare.compare(before, after, from_pinocchio.reference(told), "Pinocchio"), path
+
+
+def _usd(made: Normalized, told: urdf.Robot, before: Description) -> _Form:
+    path = made.urdf.with_suffix(".usdc")
+    try:
+        usd.convert(made.urdf, path)
+        free = [joint.child for joint in told.joints.values() if joint.type == "floating"]
+        after = from_usd.describe(path, free)
+    except usd.UsdMissingError as error:
+        return Conversion("URDF", "USD", "none", problem=str(error)), None
+    except TwinError as error:
+        path.unlink(missing_ok=True)
+        return _failed("USD", error), None
+    return compare.compare(before, after, from_pinocchio.reference(told), "Pinocchio"), path
+
+
+def _pinocchio(made: Normalized, robot: urdf.Robot, told: urdf.Robot, before: Description) -> _Form:
+    try:
+        after = from_pinocchio.describe(made.urdf, robot)
+    except TwinError as error:
+        return _failed("Pinocchio", error), None
+    return compare.compare(before, after, before.dynamics, "the URDF's own numbers"), None
+
+
+def _failed(target: str, error: TwinError) -> Conversion:
+    return Conversion("URDF", target, "none", problem=str(error), critical=True)
+
+
+def _write(out: Path, matrix: Matrix, log: ChangeLog) -> None:
+    for stem, data in ((LOSS, matrix.to_json()), (CHANGES, log.to_json())):
+        text = json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False)
+        atomic.write_text(out / f"{stem}.json", text + "\n")
+    atomic.write_text(out / f"{CHANGES}.md", log.to_markdown())
+    atomic.write_text(out / f"{LOSS}.md", render.markdown(matrix))
+    atomic.write_text(out / f"{LOSS}.html", render.html(matrix))
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows no infinity: such a number becomes its name."""
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    return value

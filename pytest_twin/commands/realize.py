@@ -1,0 +1,116 @@
+"""``pytest-twin realize``: a normalized URDF, MJCF and USD, and what each conversion lost."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.asset import manifest
+from pytest_twin.asset.placing import put_in_place
+from pytest_twin.errors import PathError, SpecError
+from pytest_twin.realization.sandbox import Sandbox
+
+HELP = "write a URDF's normalized form, MJCF and USD, with digests and the semantic-loss matrix"
+CLEAN, CRITICAL = 0, 1
+_PATCH = re.compile(r"[a-z-]+:.+")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("urdf", metavar="URDF", type=Path)
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True)
+    parser.add_argument(
+        "--accept",
+        metavar="PATCH",
+        action="append",
+        default=[],
+        help="accept one named repair of the asset, such as inertia-repair:LINK; once for each",
+    )
+    parser.add_argument(
+        "--package",
+        metavar="NAME=FOLDER",
+        action="append",
+        default=[],
+        help="where a package:// of the URDF lies, when it is not found above the file",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 where every form holds what the URDF states, 1 where a critical field fails.
+
+    USD is left out, and said so, where the extra ``usd`` is missing; that alone is no failure.
+
+    Raises:
+        TwinError: no robot that could be read.
+    """
+    source: Path = args.urdf
+    if not source.is_file():
+        raise PathError("no such file", path=source, expected="a URDF")
+    source = source.parent.resolve() / source.name
+    for patch in args.accept:
+        if not _PATCH.fullmatch(patch):
+            raise SpecError(
+                "not a named patch", where="--accept", value=patch, expected="inertia-repair:LINK"
+            )
+    out: Path = args.out.resolve()
+    if out.exists() and not out.is_dir():
+        raise PathError("not a folder", path=args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
+    try:
+        with Sandbox() as sandbox:
+            made = sandbox.call(
+                "pytest_twin.asset.realize:realize",
+                {
+                    "source": str(source),
+                    "folder": str(staging),
+                    "accept": args.accept,
+                    "packages": _packages(args.package),
+                },
+                progress=_say_progress,
+            )
+        put_in_place(staging, out, source, made)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    _tell(args.out, made)
+    return CRITICAL if made["critical"] else CLEAN
+
+
+def _packages(words: list[str]) -> dict[str, str]:
+    found = {}
+    for word in words:
+        name, equals, folder = word.partition("=")
+        if not (name and equals and Path(folder).is_dir()):
+            raise SpecError(
+                "no package", where="--package", value=word, expected="NAME=FOLDER that exists"
+            )
+        found[name] = str(Path(folder).resolve())
+    return found
+
+
+def _tell(out: Path, made: dict[str, Any]) -> None:
+    for name in manifest.STATES:
+        state = made["manifest"]["states"].get(name)
+        if state is not None:
+            print(f"{name}: {len(state['files'])} files, {state['digest'][:16]}")
+    for conversion, counts in made["counts"].items():
+        print(f"{conversion}: " + ", ".join(f"{n} {word}" for word, n in counts.items()))
+    print(f"{made['changes']} changes: {out / 'changes.md'}; loss: {out / 'loss.html'}")
+    for line in made["left_out"]:
+        print(f"pytest-twin realize: {line}", file=sys.stderr)
+    for line in made["critical"]:
+        print(f"FAILS: {line}", file=sys.stderr)
+    for patch in made["patches"]:
+        print(f"to accept its repair: --accept {json.dumps(patch)}", file=sys.stderr)
+
+
+def _say_progress(fraction: float) -> None:
+    if sys.stderr.isatty():
+        end = "\n" if fraction >= 1.0 else ""
+        print(f"\rrealizing {100 * fraction:3.0f} %", end=end, file=sys.stderr, flush=True)

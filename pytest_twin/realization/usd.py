@@ -1,0 +1,128 @@
+"""A URDF as a USD stage, through ``urdf-usd-converter`` (extra ``usd``)."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+from pytest_twin.errors import ModelError, TwinError
+
+INSTALL = "pip install 'pytest-twin[usd]'"
+
+
+class UsdMissingError(TwinError):
+    """The extra ``usd`` is not installed, or two packages of OpenUSD stand in each other's way."""
+
+
+def require() -> None:
+    """Import OpenUSD and the converter.
+
+    Raises:
+        UsdMissingError: the extra is not installed, or does not load.
+    """
+    for module in ("pxr", "urdf_usd_converter"):
+        if importlib.util.find_spec(module) is None:
+            raise UsdMissingError(
+                "USD is left out: the extra 'usd' is not installed", expected=INSTALL
+            )
+    try:
+        with _quiet():
+            import urdf_usd_converter  # noqa: F401
+            from pxr import UsdPhysics  # noqa: F401
+    except ImportError as error:
+        # usd-core and usd-exchange (which the converter needs) both bring the modules `pxr`, and
+        # whichever comes last breaks the other.
+        raise UsdMissingError(
+            f"USD is left out: OpenUSD does not load ({' '.join(str(error).split())[:120]})",
+            expected="usd-exchange without usd-core: `pip uninstall usd-core`, then "
+            "`pip install --force-reinstall usd-exchange`",
+        ) from None
+
+
+def version() -> str:
+    """OpenUSD and the converter, as a manifest names them."""
+    from importlib.metadata import version as installed
+
+    from pxr import Usd
+
+    number = ".".join(str(part) for part in Usd.GetVersion())
+    return f"OpenUSD {number}, urdf-usd-converter {installed('urdf-usd-converter')}"
+
+
+def convert(urdf: Path, target: Path) -> None:
+    """Write the stage of a normalized URDF as one file, ``.usda`` or ``.usdc``.
+
+    The converter writes orientations of links with single precision; they are stated again with
+    double precision from the same text, so that the stage stands as exactly as its schema lets it.
+
+    Raises:
+        UsdMissingError: as :func:`require`.
+        ModelError: the converter refuses the URDF.
+    """
+    require()
+    import urdf_usd_converter
+    from pxr import Sdf, Tf
+
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".twin-usd-") as folder:
+        try:
+            with _quiet():
+                made = urdf_usd_converter.Converter(layer_structure=False).convert(
+                    str(urdf), folder
+                )
+        except (ValueError, RuntimeError, TypeError, KeyError, Tf.ErrorException) as error:
+            words = " ".join(str(error).split())[:300]
+            raise ModelError(f"the USD converter refuses it: {words}", path=urdf) from None
+        layer = Sdf.Layer.FindOrOpen(made.path)
+        _state_orientations(made.path, urdf)
+        # Where and when it was made is not of the robot, and would change its digest.
+        layer.documentation = ""
+        layer.comment = ""
+        layer.customLayerData = {}
+        layer.Export(str(target))
+
+
+def _state_orientations(stage_path: str, urdf: Path) -> None:
+    from pxr import Gf, Sdf, Usd
+    from scipy.spatial.transform import Rotation
+
+    from pytest_twin.realization import urdf as urdf_text
+    from pytest_twin.realization.usd_names import link_prims
+
+    robot = urdf_text.read(urdf)
+    stage = Usd.Stage.Open(stage_path)
+    prims = link_prims(stage)
+    for joint in robot.joints.values():
+        prim = prims.get(joint.child)
+        if prim is None or not prim.HasAttribute("xformOp:orient"):
+            continue
+        prim.RemoveProperty("xformOp:orient")
+        made = prim.CreateAttribute("xformOp:orient", Sdf.ValueTypeNames.Quatd, custom=False)
+        x, y, z, w = Rotation.from_matrix(joint.rotation).as_quat()
+        made.Set(Gf.Quatd(w, x, y, z))
+    stage.GetRootLayer().Save()
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep OpenUSD's running commentary off the terminal: it writes to the descriptors."""
+    saved: list[tuple[int, int]] = []
+    with warnings.catch_warnings(), Path(os.devnull).open("w") as sink:
+        warnings.simplefilter("ignore")
+        for descriptor in (1, 2):
+            saved.append((descriptor, os.dup(descriptor)))
+        sys.stdout.flush()
+        sys.stderr.flush()
+        try:
+            for descriptor, _ in saved:
+                os.dup2(sink.fileno(), descriptor)
+            yield
+        finally:
+            for descriptor, copy in saved:
+                os.dup2(copy, descriptor)
+                os.close(copy)
