@@ -1,0 +1,104 @@
+"""Command semantics: what the number that is sent to a joint means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pytest_twin.audit.asset import Asset
+from pytest_twin.audit.evidence import Evidence
+from pytest_twin.audit.finding import Finding
+
+_INTERFACES = {
+    "position": "position setpoint",
+    "velocity": "velocity setpoint",
+    "effort": "torque or force",
+}
+
+
+def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
+    """What each command means, where anything declares it."""
+    interfaces = {item.joint: item for item in asset.controlled if item.commands}
+    for name in evidence.commands:
+        if name not in asset.joint and name not in {a.name for a in asset.actuators}:
+            yield Finding(
+                "commands.evidence_unused",
+                "warning",
+                None if evidence.path is None else asset.place,
+                f"command '{name}'",
+                "the evidence names what the asset lacks",
+                name,
+                None,
+                "the name of a joint or actuator",
+                "evidence under another name proves nothing",
+                "the name in the asset",
+            )
+    told: set[str] = set()
+    for actuator in asset.actuators:
+        told.update(actuator.joints)
+        declared = evidence.commands.get(actuator.name)
+        unclear = actuator.means is None
+        yield Finding(
+            "commands.unknown" if unclear and declared is None else "commands.declared",
+            "unknown" if unclear and declared is None else "info",
+            actuator.place,
+            f"actuator '{actuator.name}'",
+            f"its command is a {actuator.means}"
+            if actuator.means is not None and declared is None
+            else f"its command is declared: {declared}"
+            if declared is not None
+            else "what its command means is not plain from its gain and bias",
+            None,
+            None,
+            None,
+            "a position sent where a torque is expected is a runaway",
+            "one small step at rest: the state settles at it, moves on, or speeds up",
+        )
+    followers = {mimic.follower for mimic in asset.mimics}
+    for joint in asset.joints:
+        if joint.name in told or joint.name in followers or not joint.scalar:
+            continue
+        declared = evidence.commands.get(joint.name)
+        element = f"joint '{joint.name}'"
+        if declared is None and joint.name in interfaces:
+            item = interfaces[joint.name]
+            known = [_INTERFACES.get(name, name) for name in item.commands]
+            yield Finding(
+                "commands.interface",
+                "info",
+                item.place,
+                element,
+                f"ros2_control takes: {', '.join(known)}",
+                " ".join(item.commands),
+                None,
+                None,
+                "gains, filters and limits of the driver still stand between it and the motor",
+                "the driver's documentation",
+            )
+        elif declared is None:
+            yield Finding(
+                "commands.unknown",
+                "unknown",
+                joint.place,
+                element,
+                "what its command means (position, velocity, torque; whose unit, sign and zero) "
+                "is not declared",
+                None,
+                None,
+                None,
+                "a position sent where a torque is expected is a runaway",
+                "the SDK's manual; or one small step at rest: the state settles at it, moves on, "
+                "or speeds up",
+            )
+        else:
+            yield Finding(
+                "commands.declared",
+                "info",
+                joint.place,
+                element,
+                f"its command is declared: {declared}",
+                None,
+                None,
+                None,
+                "replay and goldens rest on it",
+                "a replay of one recorded step",
+            )

@@ -1,0 +1,336 @@
+"""What is known of a robot from elsewhere, and whether its file agrees with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.audit.asset import Asset, Joint, Vector
+from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.errors import SpecError
+from pytest_twin.formats import yaml
+from pytest_twin.formats.schema import load_schema, validate
+
+_STEP = 1e-5
+"""rad or m: of the difference quotient that says which way a frame moves."""
+_PLAIN = 0.3
+"""Cosine below which a declared direction says nothing about the sign."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointEvidence:
+    """What is declared of one joint.
+
+    Attributes:
+        limits: (lower, upper) in rad or m; velocity: rad/s or m/s; effort: N*m or N.
+        direction: frame, (3,) along in the base, and name of the pose at which it holds.
+        zero: who says where its encoder reads zero.
+    """
+
+    place: Place
+    source: str
+    limits: tuple[float, float] | None = None
+    velocity: float | None = None
+    effort: float | None = None
+    direction: tuple[str, Vector, str | None] | None = None
+    zero: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameEvidence:
+    """A measured place of a frame: (3,) position in the base, tolerance, m."""
+
+    place: Place
+    source: str
+    frame: str
+    pose: str | None
+    position: Vector
+    tolerance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Everything that is declared; empty where nothing is.
+
+    Attributes:
+        mass: kg, tolerance in kg, where it stands, source.
+        commands: joint or actuator -> what its command means, with unit and source.
+        poses: name -> joint -> rad or m.
+    """
+
+    joints: Mapping[str, JointEvidence] = field(default_factory=dict)
+    frames: tuple[FrameEvidence, ...] = ()
+    commands: Mapping[str, str] = field(default_factory=dict)
+    poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    mass: tuple[float, float, Place, str] | None = None
+    tcp: str | None = None
+    path: Path | None = None
+
+
+def load(path: Path) -> Evidence:
+    """Read an evidence file.
+
+    Raises:
+        FormatError: no strict YAML.
+        SpecError: it does not fit the schema, or names a pose that it does not declare.
+    """
+    document = yaml.load(path)
+    validate(document, load_schema("evidence.schema.json"), path)
+    data, lines = document.data, document.lines
+    common = data.get("source", path.name)
+    poses = data.get("poses", {})
+
+    def at(field_name: str) -> Place:
+        return Place(path, lines.get(field_name))
+
+    def pose(entry: Mapping[str, Any], where: str) -> str | None:
+        name = entry.get("pose")
+        if name is not None and name not in poses:
+            raise SpecError(
+                "no such pose",
+                path=path,
+                line=lines.get(f"{where}.pose"),
+                where=f"{where}.pose",
+                value=name,
+                expected="one of: " + (", ".join(poses) or "none is declared under poses"),
+            )
+        return None if name is None else str(name)
+
+    joints = {}
+    for name, entry in data.get("joints", {}).items():
+        where = f"joints.{name}"
+        positive = entry.get("positive")
+        limits = entry.get("range")
+        joints[name] = JointEvidence(
+            at(where),
+            entry.get("source", common),
+            None if limits is None else (float(limits[0]), float(limits[1])),
+            entry.get("velocity"),
+            entry.get("effort"),
+            None
+            if positive is None
+            else (
+                positive["frame"],
+                np.array(positive["along"], dtype=np.float64),
+                pose(positive, f"{where}.positive"),
+            ),
+            entry.get("zero"),
+        )
+    frames = tuple(
+        FrameEvidence(
+            at(f"frames.{index}"),
+            entry.get("source", common),
+            entry["frame"],
+            pose(entry, f"frames.{index}"),
+            np.array(entry["position"], dtype=np.float64),
+            float(entry.get("tolerance", 1e-3)),
+        )
+        for index, entry in enumerate(data.get("frames", []))
+    )
+    commands = {
+        name: f"{entry['means']} [{entry['unit']}] ({entry.get('source', common)})"
+        for name, entry in data.get("commands", {}).items()
+    }
+    mass = data.get("mass")
+    return Evidence(
+        joints,
+        frames,
+        commands,
+        {name: {j: float(v) for j, v in values.items()} for name, values in poses.items()},
+        None
+        if mass is None
+        else (
+            float(mass["value"]),
+            float(mass.get("tolerance", 0.05 * mass["value"])),
+            at("mass"),
+            mass.get("source", common),
+        ),
+        data.get("tcp"),
+        path,
+    )
+
+
+def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
+    """Where the file and the declared evidence disagree."""
+    for name, known in evidence.joints.items():
+        joint = asset.joint.get(name)
+        if joint is None:
+            yield _unknown_name("joints.evidence_unused", known.place, f"joint '{name}'")
+            continue
+        yield from _numbers(joint, known)
+        if known.direction is not None:
+            yield from _direction(asset, joint, known, evidence)
+    for measured in evidence.frames:
+        yield from _frame(asset, measured, evidence)
+    for name, values in evidence.poses.items():
+        for joint_name in values:
+            if joint_name not in asset.joint:
+                yield _unknown_name(
+                    "joints.evidence_unused",
+                    Place(_path(evidence)),
+                    f"joint '{joint_name}' of pose '{name}'",
+                )
+    if evidence.mass is not None:
+        yield from _mass(asset, *evidence.mass)
+
+
+def frame_position(asset: Asset, frame: str, values: Mapping[str, float]) -> Vector | None:
+    """(3,) origin of a body or site in the base, m; None where there is no such frame."""
+    body, offset = frame, np.zeros(3)
+    if frame in asset.sites:
+        body, offset, _ = asset.sites[frame]
+    found = asset.at(values).get(body)
+    return None if found is None else found[0] + found[1] @ offset
+
+
+def _path(evidence: Evidence) -> Path:
+    return evidence.path or Path()
+
+
+def _unknown_name(code: str, place: Place, element: str) -> Finding:
+    return Finding(
+        code,
+        "warning",
+        place,
+        element,
+        "the evidence names what the asset lacks",
+        None,
+        None,
+        "a name of the asset",
+        "evidence under another name proves nothing",
+        "the name in the asset",
+    )
+
+
+def _numbers(joint: Joint, known: JointEvidence) -> Iterator[Finding]:
+    said = f"as declared by {known.source}"
+    element = f"joint '{joint.name}'"
+    if known.limits is not None and joint.lower is not None and joint.upper is not None:
+        off = max(abs(joint.lower - known.limits[0]), abs(joint.upper - known.limits[1]))
+        beyond = joint.lower < known.limits[0] - 1e-3 or joint.upper > known.limits[1] + 1e-3
+        if off > 1e-3:
+            yield Finding(
+                "joints.range_contradicted",
+                "critical" if beyond else "warning",
+                joint.place,
+                element,
+                "its range goes beyond the real one"
+                if beyond
+                else "its range is narrower than the real one",
+                f"{joint.lower:.5g} .. {joint.upper:.5g}",
+                joint.unit,
+                f"{known.limits[0]:.5g} .. {known.limits[1]:.5g}, {said}",
+                "plans pass in simulation and hit a stop",
+                "the two stops, approached slowly",
+            )
+    for name, value, declared, unit in (
+        ("velocity", joint.velocity, known.velocity, f"{joint.unit}/s"),
+        ("effort", joint.effort, known.effort, joint.effort_unit),
+    ):
+        if value and declared and abs(value - declared) > 0.01 * declared:
+            yield Finding(
+                f"joints.{name}_contradicted",
+                "critical" if value > declared else "warning",
+                joint.place,
+                element,
+                f"its largest {name} is not the declared one",
+                value,
+                unit,
+                f"{declared:g}, {said}",
+                "a simulated drive that can do more than the real one makes every plan optimistic",
+                "the datasheet of the drive",
+            )
+
+
+def _direction(
+    asset: Asset, joint: Joint, known: JointEvidence, evidence: Evidence
+) -> Iterator[Finding]:
+    assert known.direction is not None
+    frame, along, pose = known.direction
+    values = dict(evidence.poses.get(pose, {})) if pose is not None else {}
+    here = values.get(joint.name, joint.reference)
+    before = frame_position(asset, frame, values | {joint.name: here - _STEP})
+    after = frame_position(asset, frame, values | {joint.name: here + _STEP})
+    element = f"joint '{joint.name}'"
+    if before is None or after is None:
+        yield _unknown_name("joints.evidence_unused", known.place, f"frame '{frame}' of {element}")
+        return
+    speed = (after - before) / (2 * _STEP)
+    norm = float(np.linalg.norm(speed) * np.linalg.norm(along))
+    cosine = float(speed @ along) / norm if norm > 1e-9 else 0.0
+    if abs(cosine) < _PLAIN:
+        yield Finding(
+            "joints.sign_unclear",
+            "unknown",
+            known.place,
+            element,
+            f"'{frame}' does not move along the declared direction, one way or the other",
+            cosine,
+            "1",
+            "a frame and a direction that the joint moves plainly",
+            "the declared evidence does not settle the sign",
+            "the direction in which another frame moves, or another pose",
+        )
+    elif cosine < 0:
+        yield Finding(
+            "joints.sign_contradicted",
+            "critical",
+            joint.place,
+            element,
+            f"a positive step moves '{frame}' against the declared direction",
+            cosine,
+            "1",
+            f"a positive cosine, as declared by {known.source}",
+            "a flipped axis looks right at zero and runs away under feedback",
+            "jog the joint by +0.05 rad (or 10 mm) and watch which way it goes",
+        )
+
+
+def _frame(asset: Asset, measured: FrameEvidence, evidence: Evidence) -> Iterator[Finding]:
+    values = evidence.poses.get(measured.pose, {}) if measured.pose is not None else {}
+    found = frame_position(asset, measured.frame, values)
+    element = f"frame '{measured.frame}'"
+    if found is None:
+        yield _unknown_name("frames.evidence_unused", measured.place, element)
+        return
+    off = float(np.linalg.norm(found - measured.position))
+    if off > measured.tolerance:
+        pose = "as drawn" if measured.pose is None else f"at pose '{measured.pose}'"
+        place = asset.body[measured.frame].place if measured.frame in asset.body else measured.place
+        yield Finding(
+            "frames.position_contradicted",
+            "critical",
+            place,
+            element,
+            f"{pose} it is not where it was measured",
+            off,
+            "m",
+            f"within {measured.tolerance:g} m of "
+            + " ".join(f"{v:.5g}" for v in measured.position)
+            + f", {measured.source}",
+            "an origin, an axis, or the zero of a joint on the way to it is wrong",
+            "the same frame measured at poses that move one joint at a time",
+        )
+
+
+def _mass(
+    asset: Asset, value: float, tolerance: float, place: Place, source: str
+) -> Iterator[Finding]:
+    total = sum(body.mass or 0.0 for body in asset.bodies)
+    if abs(total - value) > tolerance:
+        yield Finding(
+            "inertia.mass_contradicted",
+            "critical",
+            asset.place,
+            f"robot '{asset.name}'",
+            "its links do not weigh together what the robot weighs",
+            total,
+            "kg",
+            f"{value:g} kg within {tolerance:g} kg, {source}",
+            "gravity torque and every acceleration are off by as much",
+            "the robot on a scale",
+        )

@@ -1,0 +1,125 @@
+"""One result of the audit: what stands where, why it matters, and what would settle it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pytest_twin.errors import TwinError
+
+Severity = Literal["critical", "warning", "info", "unknown"]
+SEVERITIES: tuple[Severity, ...] = get_args(Severity)
+LAYERS: tuple[str, ...] = (
+    "tree",
+    "joints",
+    "coupling",
+    "transmissions",
+    "meshes",
+    "inertia",
+    "frames",
+    "commands",
+    "controllers",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in which file."""
+
+    path: Path
+    line: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A fault, a doubt, a fact, or what the asset leaves unknown.
+
+    Attributes:
+        code: ``layer.what``, the same for every element with the same fault.
+        severity: ``critical`` no robot can have it, or every simulator is misled by it;
+            ``warning`` it can be meant so and seldom is; ``info`` a fact; ``unknown`` the asset
+            does not say.
+        place: file and line.
+        element: as people name it, ``link 'wrist'``.
+        title: what stands there, one sentence without a final stop.
+        value: as stated or computed, with ``unit``.
+        expected: what would have been right.
+        why: why it matters.
+        settle: the evidence, source or bounded test that would settle it.
+    """
+
+    code: str
+    severity: Severity
+    place: Place | None
+    element: str
+    title: str
+    value: float | str | None = None
+    unit: str | None = None
+    expected: str | None = None
+    why: str = ""
+    settle: str = ""
+
+    @property
+    def layer(self) -> str:
+        """The layer that found it."""
+        return self.code.partition(".")[0]
+
+    def to_json(self, identifier: str) -> dict[str, Any]:
+        """Plain data; ``identifier`` is unique within one audit."""
+        return {
+            "id": identifier,
+            "code": self.code,
+            "layer": self.layer,
+            "severity": self.severity,
+            "file": None if self.place is None else str(self.place.path),
+            "line": None if self.place is None else self.place.line,
+            "element": self.element,
+            "title": self.title,
+            "value": self.value,
+            "unit": self.unit,
+            "expected": self.expected,
+            "why": self.why,
+            "settle": self.settle,
+        }
+
+
+def from_error(
+    error: TwinError, code: str, element: str, *, severity: Severity = "critical", why: str = ""
+) -> Finding:
+    """The finding that an error of a reader amounts to."""
+    value = error.value
+    return Finding(
+        code,
+        severity,
+        None if error.path is None else Place(error.path, error.line),
+        error.where or element,
+        error.problem,
+        value if isinstance(value, int | float | str | None) else str(value),
+        error.unit,
+        error.expected,
+        why or "it cannot be read as what it claims to be, so nothing can be built from it",
+        "the supplier's own file, or the drawing that it was made from",
+    )
+
+
+def to_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Findings by severity, layer and place, each with an id of its own."""
+    ordered = sorted(
+        findings,
+        key=lambda f: (
+            SEVERITIES.index(f.severity),
+            LAYERS.index(f.layer),
+            f.code,
+            -1 if f.place is None or f.place.line is None else f.place.line,
+            f.element,
+        ),
+    )
+    seen: dict[str, int] = {}
+    rows = []
+    for finding in ordered:
+        name = f"{finding.code}:{finding.element}"
+        seen[name] = seen.get(name, 0) + 1
+        rows.append(finding.to_json(name if seen[name] == 1 else f"{name}#{seen[name]}"))
+    return rows

@@ -1,0 +1,186 @@
+"""Shapes as solids: how large a body is, what it would weigh, and how its mass would lie.
+
+Round primitives count as polyhedra of many sides (2 % too small at most); a mesh counts as its
+convex hull, which is closed whatever the mesh is, and never smaller than the body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.audit.asset import Asset, Shape, Vector
+from pytest_twin.realization.inertia import of_point
+from pytest_twin.realization.shapes import hull, polyhedron
+
+Faces = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """A body of uniform density, in the body's frame.
+
+    Attributes:
+        volume: m^3.
+        centroid: (3,) m.
+        inertia: (3, 3) about the centroid, per unit mass, m^2.
+        lower, upper: (3,) corners of the box around it, m.
+        points: (n, 3) corners of its hulls, m.
+    """
+
+    volume: float
+    centroid: Vector
+    inertia: Vector
+    lower: Vector
+    upper: Vector
+    points: Vector
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box around it, m."""
+        return float(np.linalg.norm(self.upper - self.lower))
+
+    @property
+    def gyration(self) -> float:
+        """Radius of gyration about the centroid, sqrt(tr(I) / 2 m), m."""
+        return float(np.sqrt(np.trace(self.inertia) / 2))
+
+    def reach(self, point: Vector) -> float:
+        """Distance from ``point`` to the corner farthest from it, m."""
+        return float(np.linalg.norm(self.points - point, axis=1).max())
+
+    def outside(self, point: Vector) -> float:
+        """Distance from ``point`` to the box around it, 0 inside, m."""
+        beyond = np.maximum(np.maximum(self.lower - point, point - self.upper), 0.0)
+        return float(np.linalg.norm(beyond))
+
+
+def triangles(shape: Shape) -> tuple[Vector, Faces] | None:
+    """(n, 3) vertices in the body's frame, m, and (m, 3) faces; None where there is no surface."""
+    found = _local(shape)
+    if found is None:
+        return None
+    vertices, faces = found
+    return vertices @ shape.rotation.T + shape.position, faces
+
+
+def _local(shape: Shape) -> tuple[Vector, Faces] | None:
+    if shape.triangles is not None:
+        return shape.triangles.vertices, shape.triangles.faces
+    if shape.kind == "mesh" or not shape.size or min(shape.size) <= 0:
+        return None
+    import trimesh
+
+    size = shape.size
+    if shape.kind == "box":
+        made = trimesh.creation.box(extents=size)
+    elif shape.kind == "sphere":
+        made = trimesh.creation.icosphere(subdivisions=3, radius=size[0])
+    elif shape.kind == "ellipsoid":
+        made = trimesh.creation.icosphere(subdivisions=3)
+        made.apply_scale(size)
+    elif shape.kind == "cylinder":
+        made = trimesh.creation.cylinder(radius=size[0], height=size[1], sections=48)
+    elif shape.kind == "capsule":
+        made = trimesh.creation.capsule(radius=size[0], height=size[1], count=[24, 24])
+    else:
+        return None
+    return np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int32)
+
+
+class Geometry:
+    """Solids of an asset's shapes and bodies, each computed once."""
+
+    def __init__(self, asset: Asset) -> None:
+        self.asset = asset
+        self._shapes: dict[int, Solid | None] = {}
+        self._bodies: dict[tuple[str, str | None], Solid | None] = {}
+        self._hulls: dict[tuple[object, ...], tuple[Vector, Faces] | None] = {}
+
+    def shape(self, shape: Shape) -> Solid | None:
+        """A shape's convex hull as a solid; None where it has no volume."""
+        if id(shape) not in self._shapes:
+            self._shapes[id(shape)] = self._solid(shape)
+        return self._shapes[id(shape)]
+
+    def body(self, name: str, role: str | None = None) -> Solid | None:
+        """All shapes of a body together; the visual ones where it has any, or those of ``role``.
+
+        Overlapping shapes count twice.
+        """
+        key = (name, role)
+        if key not in self._bodies:
+            shapes = self.asset.shapes_of(name)
+            if role is not None:
+                chosen = [self.shape(shape) for shape in shapes if shape.role == role]
+            else:
+                chosen = [self.shape(s) for s in shapes if s.role == "visual"]
+                if not any(chosen):
+                    chosen = [self.shape(s) for s in shapes if s.role == "collision"]
+            self._bodies[key] = together(solid for solid in chosen if solid is not None)
+        return self._bodies[key]
+
+    def hull_volume(self, shape: Shape) -> float:
+        """Of the convex hull, m^3, 0 where there is none."""
+        solid = self.shape(shape)
+        return 0.0 if solid is None else solid.volume
+
+    def _solid(self, shape: Shape) -> Solid | None:
+        found = self._hull(shape)
+        if found is None:
+            return None
+        vertices, faces = found
+        vertices = vertices @ shape.rotation.T + shape.position
+        properties = polyhedron(vertices, faces)
+        if properties is None:
+            return None
+        volume, centroid, inertia = properties
+        return Solid(
+            volume, centroid, inertia, vertices.min(axis=0), vertices.max(axis=0), vertices
+        )
+
+    def _hull(self, shape: Shape) -> tuple[Vector, Faces] | None:
+        """Corners and faces of the convex hull in the shape's own frame."""
+        key = (
+            (shape.file, *shape.scale.tolist())
+            if shape.file is not None
+            else (shape.kind, shape.size, id(shape.triangles))
+        )
+        if key not in self._hulls:
+            self._hulls[key] = _hull_of(_local(shape))
+        return self._hulls[key]
+
+
+def _hull_of(found: tuple[Vector, Faces] | None) -> tuple[Vector, Faces] | None:
+    if found is None:
+        return None
+    vertices, _ = found
+    faces = hull(vertices)
+    if faces is None:
+        return None
+    used, inverse = np.unique(faces, return_inverse=True)
+    return vertices[used], inverse.reshape(-1, 3).astype(np.int32)
+
+
+def together(solids: Iterable[Solid]) -> Solid | None:
+    """Several solids of one density as one; None where there is none."""
+    found = list(solids)
+    if not found:
+        return None
+    volume = sum(solid.volume for solid in found)
+    centroid = sum((solid.volume * solid.centroid for solid in found), np.zeros(3)) / volume
+    inertia = np.zeros((3, 3))
+    for solid in found:
+        share = solid.volume / volume
+        inertia += share * (solid.inertia + of_point(1.0, solid.centroid - centroid))
+    return Solid(
+        float(volume),
+        centroid,
+        inertia,
+        np.min([solid.lower for solid in found], axis=0),
+        np.max([solid.upper for solid in found], axis=0),
+        np.vstack([solid.points for solid in found]),
+    )

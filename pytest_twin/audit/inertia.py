@@ -1,0 +1,367 @@
+"""Mass and inertia: what no body can have, what few have, and what nobody measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pytest_twin.audit.asset import Asset, Body, Vector
+from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.geometry import Geometry, Solid
+from pytest_twin.realization.inertia import MASS_FLOOR, ROUNDING, of_point, violation
+
+_DENSITY = (20.0, 12_000.0)
+"""kg/m^3: of the hull, from a hollow cover to solid lead."""
+_FACTOR = 30.0
+"""Between stated and geometry-derived moments: beyond, one of the two is of something else."""
+_CAD = "the CAD model's mass properties about the centre of mass, with their units"
+
+
+def principal(inertia: Vector) -> Vector:
+    """(3,) principal moments, ascending."""
+    return np.asarray(np.linalg.eigvalsh((inertia + inertia.T) / 2))
+
+
+def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
+    """What is wrong with, or doubtful in, masses and inertias."""
+    seen: dict[tuple[float, ...], Body] = {}
+    for body in asset.body.values():
+        if not body.stated:
+            continue
+        yield from _possible(body)
+        if body.mass and body.inertia is not None and body.mass > 0:
+            solid = geometry.body(body.name)
+            yield from _default(body)
+            yield from _copied(asset, body, seen)
+            if solid is not None and solid.size > 0:
+                yield from _against(body, body.mass, body.inertia, solid)
+        elif body.mass is None and body.inertial is not None and body.inertia is not None:
+            yield Finding(
+                "inertia.no_mass",
+                "warning",
+                body.inertial,
+                _element(body),
+                "it has an inertia and no mass",
+                None,
+                "kg",
+                "a mass",
+                "readers make it massless, or refuse it",
+                _CAD,
+            )
+    yield from _moving(asset, geometry)
+
+
+def _element(body: Body) -> str:
+    return f"link '{body.name}'"
+
+
+def _possible(body: Body) -> Iterator[Finding]:
+    if body.mass is not None and body.mass < 0:
+        yield Finding(
+            "inertia.negative_mass",
+            "critical",
+            body.inertial,
+            _element(body),
+            "its mass is negative",
+            body.mass,
+            "kg",
+            "more than 0",
+            "it falls upwards, and the equations of motion have no solution",
+            "the part on a scale",
+        )
+    if body.inertia is None or np.abs(body.inertia).max() < MASS_FLOOR:
+        return
+    moments = principal(body.inertia)
+    text = ", ".join(f"{value:.6g}" for value in moments)
+    scale = float(np.abs(moments).max())
+    # Eigenvalues of a sum that cancels are not better than its digits.
+    if moments[0] < -1e-12 * scale and moments[0] < -ROUNDING * scale:
+        yield Finding(
+            "inertia.negative_moment",
+            "critical",
+            body.inertial,
+            _element(body),
+            "a principal moment of its inertia is negative",
+            float(moments[0]),
+            "kg*m^2",
+            f"three positive moments; its own are {text}",
+            "no mass distribution has it; turned about that axis it gains energy from nothing",
+            _CAD,
+        )
+        return
+    share = violation(body.inertia)
+    if share > ROUNDING:
+        # tr(I)/2 - I_max is the least eigenvalue of the pseudo-inertia's 3 x 3 block.
+        lowest = float(moments.sum() / 2 - moments[2])
+        yield Finding(
+            "inertia.triangle",
+            "critical",
+            body.inertial,
+            _element(body),
+            "its principal moments break the triangle inequality "
+            f"({moments[2]:.4g} > {moments[0]:.4g} + {moments[1]:.4g}): "
+            f"the pseudo-inertia has the eigenvalue {lowest:.3g} kg*m^2",
+            text,
+            "kg*m^2",
+            "no moment above the sum of the other two",
+            "mass would have to be negative somewhere; simulators refuse it or change it silently",
+            _CAD,
+        )
+    elif share > 1e-9:
+        yield Finding(
+            "inertia.triangle_rounded",
+            "info",
+            body.inertial,
+            _element(body),
+            "its principal moments break the triangle inequality within their rounded digits",
+            text,
+            "kg*m^2",
+            "no moment above the sum of the other two",
+            "a strict simulator refuses it",
+            "the same numbers with more digits",
+        )
+
+
+def _default(body: Body) -> Iterator[Finding]:
+    assert body.inertia is not None
+    diagonal = np.diag(body.inertia)
+    off = np.abs(body.inertia - np.diag(diagonal)).max()
+    mass = float(body.mass or 0.0)
+    alike = float(np.ptp(diagonal)) < 1e-9 * float(diagonal.max()) and off < 1e-12
+    round_value = alike and diagonal[0] > 0 and _one_digit(float(diagonal[0]))
+    if round_value and (_one_digit(mass) or not body.com.any()):
+        yield Finding(
+            "inertia.default",
+            "warning",
+            body.inertial,
+            _element(body),
+            f"three equal round moments beside {mass:g} kg: a default value, not a measured one",
+            float(diagonal[0]),
+            "kg*m^2",
+            "three moments of the body itself",
+            "its dynamics are those of a ball that is not there",
+            _CAD,
+        )
+
+
+def _one_digit(value: float) -> bool:
+    """Whether a number has one significant digit."""
+    return value > 0 and float(f"{value:.0e}") == value
+
+
+def _copied(asset: Asset, body: Body, seen: dict[tuple[float, ...], Body]) -> Iterator[Finding]:
+    assert body.inertia is not None
+    key = (float(body.mass or 0.0), *body.com.tolist(), *body.inertia.ravel().tolist())
+    first = seen.setdefault(key, body)
+    if first is body:
+        return
+    shapes = [
+        [(s.kind, s.size, str(s.file), *s.scale.tolist()) for s in asset.shapes_of(b.name)]
+        for b in (first, body)
+    ]
+    if shapes[0] == shapes[1]:
+        return
+    yield Finding(
+        "inertia.copied",
+        "warning",
+        body.inertial,
+        _element(body),
+        f"mass, centre of mass and inertia are those of link '{first.name}', its shape is not",
+        float(body.mass or 0.0),
+        "kg",
+        "values of its own",
+        "two different bodies do not weigh the same to the last digit",
+        _CAD,
+    )
+
+
+def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator[Finding]:
+    """Held against the hull of its shapes, of uniform density."""
+    element = _element(body)
+    outside = solid.outside(body.com)
+    if outside > 0.1 * solid.size:
+        yield Finding(
+            "inertia.com_outside",
+            "critical" if outside > 10 * solid.size else "warning",
+            body.inertial,
+            element,
+            "its centre of mass lies outside its shape",
+            outside,
+            "m",
+            f"in or near a box of {solid.size:.3g} m",
+            "gravity pulls with a lever that the body does not have",
+            "the body balanced on an edge in two directions; the drawing, with its unit",
+        )
+    density = mass / solid.volume
+    if not _DENSITY[0] <= density <= _DENSITY[1]:
+        yield Finding(
+            "inertia.density",
+            "warning",
+            body.inertial,
+            element,
+            "its mass over the hull of its shape is "
+            + ("lighter than a foam" if density < _DENSITY[0] else "heavier than lead"),
+            density,
+            "kg/m^3",
+            f"{_DENSITY[0]:g} .. {_DENSITY[1]:g} kg/m^3",
+            "the mass or the size is of another body or another unit",
+            "the part on a scale; one length of it",
+        )
+    stated = float(np.trace(inertia)) / 2
+    uniform = mass * float(np.trace(solid.inertia)) / 2
+    if stated <= 0 or uniform <= 0:
+        return
+    reach = solid.reach(body.com)
+    # No mass within the hull has more about the centre of mass: all of it at the farthest corner.
+    most = mass * reach**2
+    shifted = of_point(mass, body.com)
+    about_origin = inertia - shifted
+    if _about_origin(inertia, about_origin, mass * solid.inertia, shifted):
+        yield Finding(
+            "inertia.wrong_origin",
+            "warning",
+            body.inertial,
+            element,
+            "its inertia seems to be about the link's origin, not about the centre of mass",
+            stated,
+            "kg*m^2",
+            f"half the trace near {uniform:.3g} kg*m^2, as its shape has it; less by "
+            f"{float(np.trace(shifted)) / 2:.3g} kg*m^2 it fits",
+            "the lever of the centre of mass then counts twice",
+            _CAD,
+        )
+    elif stated > most * 1.05:
+        ratio = stated / uniform
+        yield Finding(
+            "inertia.too_large",
+            "critical" if ratio > 1000 else "warning",
+            body.inertial,
+            element,
+            "its inertia is larger than its mass could have anywhere in its shape"
+            + _unit_guess(ratio),
+            stated,
+            "kg*m^2",
+            f"half the trace at most {most:.3g}, about {uniform:.3g} kg*m^2",
+            "the joint accelerates too slowly under every torque",
+            _CAD,
+        )
+    elif stated < uniform / _FACTOR:
+        ratio = stated / uniform
+        yield Finding(
+            "inertia.too_small",
+            "warning",
+            body.inertial,
+            element,
+            "its inertia is that of a far smaller body" + _unit_guess(ratio),
+            stated,
+            "kg*m^2",
+            f"half the trace about {uniform:.3g} kg*m^2",
+            "the joint accelerates too fast under every torque, and small steps are needed",
+            _CAD,
+        )
+
+
+def _about_origin(stated: Vector, shifted_back: Vector, uniform: Vector, shift: Vector) -> bool:
+    """Whether moving the inertia to the centre of mass makes it fit its shape, and only that."""
+    size = float(np.linalg.norm(uniform))
+    if float(np.linalg.norm(shift)) < 1.0 * size or violation(shifted_back) > 0.05:
+        return False
+    before = float(np.linalg.norm(stated - uniform)) / size
+    after = float(np.linalg.norm(shifted_back - uniform)) / size
+    return after < 0.6 and before > 2 * after and principal(shifted_back)[0] > 0
+
+
+def _unit_guess(ratio: float) -> str:
+    for factor, unit in ((1e6, "kg*mm^2"), (1e9, "g*mm^2"), (1e4, "kg*cm^2"), (1e7, "g*cm^2")):
+        if factor / 5 < ratio < factor * 5:
+            return f" by about {ratio:.0e}: {unit} taken for kg*m^2?"
+    return ""
+
+
+def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
+    """Bodies that move and have nothing to move."""
+    members: dict[str, list[Body]] = {}
+    for name, top in asset.group.items():
+        members.setdefault(top, []).append(asset.body[name])
+    unreadable = {fault.element for fault in asset.faults if fault.layer == "inertia"}
+    for top in sorted(asset.moving):
+        bodies = members[top]
+        if any(_element(body) in unreadable for body in bodies) or not all(
+            body.stated for body in bodies
+        ):
+            continue
+        mass, inertia = _together(bodies, asset)
+        body = asset.body[top]
+        place = body.inertial or body.place
+        joint = asset.joints_of[top][0]
+        if mass > MASS_FLOOR and principal(inertia)[0] > 1e-9 * float(np.trace(inertia)):
+            continue
+        shaped = any(asset.shapes_of(b.name) for b in bodies)
+        carried = _mass_beyond(asset, top)
+        if mass <= MASS_FLOOR:
+            virtual = not shaped and carried > MASS_FLOOR
+            yield Finding(
+                "inertia.moving_without",
+                "warning" if virtual else "critical",
+                place,
+                _element(body),
+                f"joint '{joint.name}' moves it, and it has no mass"
+                + (": a joint of two axes told as two, perhaps" if virtual else ""),
+                mass,
+                "kg",
+                "mass and inertia, of its own or of what is fixed to it",
+                "its acceleration is a force over nothing: simulators refuse it, invent a mass, "
+                "or blow up",
+                _CAD,
+            )
+        else:
+            moments = principal(inertia)
+            yield Finding(
+                "inertia.zero_moment",
+                "critical",
+                place,
+                _element(body),
+                f"joint '{joint.name}' moves it, and a principal moment of its inertia is zero: "
+                "it is not positive definite",
+                ", ".join(f"{value:.6g}" for value in moments),
+                "kg*m^2",
+                "three positive moments",
+                "about that axis its acceleration is a torque over nothing",
+                _CAD,
+            )
+
+
+def _together(bodies: list[Body], asset: Asset) -> tuple[float, Vector]:
+    """Mass, and inertia about the common centre of mass, of bodies fixed to each other."""
+    parts = []
+    for body in bodies:
+        if not body.mass or body.mass < 0:
+            if body.inertia is not None and body.name in asset.drawn:
+                axes = asset.drawn[body.name][1]
+                parts.append((0.0, np.zeros(3), axes @ body.inertia @ axes.T))
+            continue
+        position, axes = asset.drawn[body.name]
+        tensor = np.zeros((3, 3)) if body.inertia is None else axes @ body.inertia @ axes.T
+        parts.append((body.mass, position + axes @ body.com, tensor))
+    mass = sum(part[0] for part in parts)
+    if not parts:
+        return 0.0, np.zeros((3, 3))
+    if mass <= 0:
+        return 0.0, np.asarray(sum((part[2] for part in parts), np.zeros((3, 3))))
+    com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / mass
+    inertia = sum((part[2] + of_point(part[0], part[1] - com) for part in parts), np.zeros((3, 3)))
+    return mass, np.asarray(inertia)
+
+
+def _mass_beyond(asset: Asset, body: str) -> float:
+    """Mass of everything that a body carries, kg."""
+    total, waiting, seen = 0.0, [body], set()
+    while waiting:
+        name = waiting.pop()
+        if name in seen or name not in asset.body:
+            continue
+        seen.add(name)
+        total += asset.body[name].mass or 0.0
+        waiting.extend(edge.child for edge in asset.below.get(name, ()))
+    return total

@@ -1,0 +1,54 @@
+"""Mesh files of an asset, each read once and all of them bounded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pytest_twin.errors import LimitError, TwinError
+from pytest_twin.realization import mesh
+from pytest_twin.realization.limits import ModelLimits
+
+
+class MeshFiles:
+    """Reads meshes and remembers them, and what went wrong with them."""
+
+    def __init__(self, limits: ModelLimits) -> None:
+        self.limits = limits
+        self.found: dict[Path, mesh.Triangles | TwinError] = {}
+        self.bytes = 0
+        self.faces = 0
+
+    def read(self, path: Path) -> mesh.Triangles:
+        """The triangles of a file, in m.
+
+        Raises:
+            FormatError: not a mesh that can be read; the same each time.
+            LimitError: beyond the bounds of one mesh or of all together.
+        """
+        if path not in self.found:
+            self.found[path] = self._read(path)
+        result = self.found[path]
+        if isinstance(result, TwinError):
+            raise result
+        return result
+
+    def _read(self, path: Path) -> mesh.Triangles | TwinError:
+        try:
+            self.bytes += path.stat().st_size
+            self._bound("bytes", self.bytes, self.limits.total_asset_bytes, path)
+            result = mesh.read(path, self.limits)
+            self.faces += len(result.faces)
+            self._bound("triangles", self.faces, self.limits.total_mesh_faces, path)
+        except TwinError as error:
+            return error
+        return result
+
+    @staticmethod
+    def _bound(what: str, count: int, most: int, path: Path) -> None:
+        if count > most:
+            raise LimitError(
+                f"the meshes together have too many {what}",
+                path=path,
+                value=count,
+                expected=f"at most {most}",
+            )

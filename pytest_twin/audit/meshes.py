@@ -1,0 +1,280 @@
+"""Visual and collision shapes: there, of the right size, closed, convex, and what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.audit.asset import Asset, Shape
+from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.geometry import Geometry, Solid
+from pytest_twin.realization.mesh import Triangles
+from pytest_twin.realization.shapes import polyhedron
+
+_MANY_FACES = 20_000
+"""Triangles of one collision mesh beyond which loading and contact take their time."""
+_HOLLOW = 1.5
+"""Hull over mesh: beyond, the hull that simulators collide with fills what is hollow."""
+_TOO_LARGE, _TOO_SMALL = 100.0, 0.01
+"""Against another length of the same body: beyond, one of them is in another unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeshFacts:
+    """One mesh file as it is used.
+
+    Attributes:
+        extents: (3,) sides of the box around it, scaled, m.
+        watertight: every edge has two faces.
+        volume: m^3, None where it is not watertight; hull: of its convex hull, m^3.
+    """
+
+    file: Path
+    faces: int
+    extents: tuple[float, float, float]
+    watertight: bool
+    volume: float | None
+    hull: float
+    uses: tuple[str, ...]
+
+    @property
+    def convexity(self) -> float | None:
+        """Volume over that of the hull, 1 for a convex mesh; None where it is not closed."""
+        return None if self.volume is None or self.hull <= 0 else self.volume / self.hull
+
+
+def facts(asset: Asset, geometry: Geometry) -> list[MeshFacts]:
+    """Every mesh, each file and scale once."""
+    found: dict[tuple[Path, tuple[float, ...]], list[Shape]] = {}
+    for shape in asset.shapes:
+        if shape.file is not None and shape.triangles is not None:
+            found.setdefault((shape.file, tuple(shape.scale.tolist())), []).append(shape)
+    result = []
+    for (file, _), shapes in found.items():
+        mesh = shapes[0].triangles
+        assert mesh is not None
+        closed = watertight(mesh)
+        volume = polyhedron(mesh.vertices, mesh.faces) if closed else None
+        extents = np.ptp(mesh.vertices, axis=0)
+        result.append(
+            MeshFacts(
+                file,
+                len(mesh.faces),
+                (float(extents[0]), float(extents[1]), float(extents[2])),
+                closed,
+                None if volume is None else volume[0],
+                geometry.hull_volume(shapes[0]),
+                tuple(f"{shape.role} of {shape.body}" for shape in shapes),
+            )
+        )
+    return result
+
+
+def watertight(mesh: Triangles) -> bool:
+    """Whether every edge has one face on each side, both turned the same way."""
+    faces = mesh.faces.astype(np.int64)
+    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    count = len(mesh.vertices)
+    forward = np.sort(edges[:, 0] * count + edges[:, 1])
+    backward = np.sort(edges[:, 1] * count + edges[:, 0])
+    return len(forward) > 0 and bool(np.array_equal(forward, backward))
+
+
+def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
+    """What is wrong with, or costly in, shapes."""
+    for shape in asset.shapes:
+        yield from _size(shape)
+    yield from _units(asset, geometry)
+    yield from _roles(asset, geometry)
+    first: dict[tuple[Path, tuple[float, ...]], Shape] = {}
+    for shape in asset.shapes:
+        if shape.file is not None and shape.triangles is not None:
+            first.setdefault((shape.file, tuple(shape.scale.tolist())), shape)
+    for fact, shape in zip(facts(asset, geometry), first.values(), strict=True):
+        yield from _quality(fact, shape, [s for s in asset.shapes if s.file == shape.file])
+
+
+def _element(shape: Shape) -> str:
+    return f"{shape.role} of link '{shape.body}'"
+
+
+def _size(shape: Shape) -> Iterator[Finding]:
+    if shape.size and min(shape.size) <= 0:
+        critical = min(shape.size) < 0
+        yield Finding(
+            "meshes.no_size",
+            "critical" if critical else "warning",
+            shape.place,
+            _element(shape),
+            f"a {shape.kind} with a negative size" if critical else f"a {shape.kind} without size",
+            " ".join(f"{value:g}" for value in shape.size),
+            "m",
+            "sizes above 0",
+            "it collides with nothing, or the simulator refuses it",
+            "the size from the drawing",
+        )
+    if (shape.scale < 0).any():
+        yield Finding(
+            "meshes.mirrored",
+            "info",
+            shape.place,
+            _element(shape),
+            "its mesh is mirrored by a negative scale",
+            " ".join(f"{value:g}" for value in shape.scale),
+            "1",
+            None,
+            "some loaders turn its faces inside out, others take the absolute value",
+            "a mirrored copy of the mesh in its own file",
+        )
+    scale = np.abs(shape.scale)
+    if scale.min() > 0 and scale.max() / scale.min() > 1.001:
+        yield Finding(
+            "meshes.stretched",
+            "info",
+            shape.place,
+            _element(shape),
+            "its mesh is scaled differently along its axes",
+            " ".join(f"{value:g}" for value in shape.scale),
+            "1",
+            "one factor for all axes",
+            "right for a stretched primitive, wrong for a scanned or drawn part",
+            "one length of the part along each axis",
+        )
+
+
+def _units(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
+    """Meshes in millimetres: held against inertia, the other role's shape, and the robot."""
+    for name, body in asset.body.items():
+        for role in ("collision", "visual"):
+            shapes = [s for s in asset.shapes_of(name) if s.role == role and s.kind == "mesh"]
+            for shape in shapes:
+                solid = geometry.shape(shape)
+                if solid is None or solid.size <= 0:
+                    continue
+                votes: list[tuple[str, float]] = []
+                if body.stated and body.mass and body.inertia is not None and body.mass > 0:
+                    gyration = np.sqrt(max(float(np.trace(body.inertia)) / 2 / body.mass, 0.0))
+                    if gyration > 1e-6:
+                        votes.append(("its radius of gyration", solid.gyration / float(gyration)))
+                other = geometry.body(name, "visual" if role == "collision" else "collision")
+                if other is not None:
+                    votes.append(("its other shape", solid.size / other.size))
+                if asset.span > 0:
+                    votes.append(("the robot's reach", _span_ratio(solid, asset.span)))
+                yield from _verdict(shape, solid, votes)
+
+
+def _span_ratio(solid: Solid, span: float) -> float:
+    """Size over the robot's reach; a part may be small beside its robot, never far larger."""
+    ratio = solid.size / span
+    return ratio * 5 if ratio > 20 else min(max(ratio, 1.0), 20.0)
+
+
+def _verdict(shape: Shape, solid: Solid, votes: list[tuple[str, float]]) -> Iterator[Finding]:
+    for words, beyond in (
+        ("large", [vote for vote in votes if vote[1] > _TOO_LARGE]),
+        ("small", [vote for vote in votes if vote[1] < _TOO_SMALL]),
+    ):
+        if not beyond:
+            continue
+        against = ", ".join(f"{ratio:.3g} times {what}" for what, ratio in beyond)
+        agreed = len(beyond) > len(votes) / 2
+        yield Finding(
+            "meshes.units",
+            "critical" if agreed else "warning",
+            shape.place,
+            _element(shape),
+            f"its mesh is far too {words}: {against}"
+            + ("; millimetres taken for metres?" if words == "large" else "; scaled twice?"),
+            solid.size,
+            "m",
+            f"a size like that of {beyond[0][0]}",
+            "it collides with everything, or with nothing",
+            "one length of the part, with its unit; the unit of the CAD export",
+        )
+
+
+def _roles(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
+    for name, body in asset.body.items():
+        roles = {shape.role for shape in asset.shapes_of(name)}
+        if roles == {"visual"} and (body.mass or 0) > 0:
+            yield Finding(
+                "meshes.no_collision",
+                "info",
+                body.place,
+                f"link '{name}'",
+                "it is seen and has mass, and nothing collides with it",
+                None,
+                None,
+                "a collision shape",
+                "it passes through the world and through the robot",
+                "whether it can touch anything",
+            )
+        seen, felt = geometry.body(name, "visual"), geometry.body(name, "collision")
+        if seen is None or felt is None:
+            continue
+        off = float(np.linalg.norm(seen.centroid - felt.centroid))
+        if off > max(seen.size, felt.size):
+            yield Finding(
+                "meshes.roles_apart",
+                "warning",
+                body.place,
+                f"link '{name}'",
+                "what is seen and what collides lie apart",
+                off,
+                "m",
+                "one within the other",
+                "contact happens where nothing is seen",
+                "both shapes drawn together",
+            )
+
+
+def _quality(fact: MeshFacts, shape: Shape, uses: list[Shape]) -> Iterator[Finding]:
+    collides = any(use.role == "collision" for use in uses)
+    element = f"mesh '{fact.file.name}'"
+    if not collides:
+        return
+    if fact.faces > _MANY_FACES:
+        yield Finding(
+            "meshes.cost",
+            "info",
+            shape.place,
+            element,
+            f"a collision mesh of {fact.faces} triangles",
+            float(fact.faces),
+            "triangles",
+            f"at most {_MANY_FACES}",
+            "loading, convex hulls and contact take their time with each",
+            "a decimated mesh, and its largest distance from this one",
+        )
+    if not fact.watertight:
+        yield Finding(
+            "meshes.open",
+            "info",
+            shape.place,
+            element,
+            "a collision mesh that is not closed",
+            None,
+            None,
+            "two faces at each edge",
+            "its volume and its inside are undefined; simulators take its convex hull",
+            "a closed export from CAD",
+        )
+    elif fact.convexity is not None and 0 < fact.convexity < 1 / _HOLLOW:
+        yield Finding(
+            "meshes.not_convex",
+            "info",
+            shape.place,
+            element,
+            "a collision mesh that is not convex: its hull is "
+            f"{1 / fact.convexity:.2g} times as large",
+            fact.convexity,
+            "1",
+            "volume over hull near 1, or several convex pieces",
+            "simulators collide with the hull: holes and notches are filled",
+            "a convex decomposition, and the distances of both at the poses that matter",
+        )

@@ -1,0 +1,37 @@
+"""From a file to an :class:`Asset`, by what the file is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pytest_twin.audit import read_urdf
+from pytest_twin.audit.asset import Asset
+from pytest_twin.errors import ModelError
+from pytest_twin.formats import xml
+from pytest_twin.formats.paths import Roots
+from pytest_twin.realization.loading import urdf_roots
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+
+
+def read(path: Path) -> Asset:
+    """Read a URDF, MJCF or USD file for the audit.
+
+    Raises:
+        TwinError: no robot that can be looked at.
+    """
+    path = path.parent.resolve() / path.name
+    if path.suffix.lower() in USD_SUFFIXES:
+        from pytest_twin.audit import read_usd
+
+        return read_usd.read(path)
+    tag = xml.parse(path).tag
+    if tag == "robot":
+        return read_urdf.read(path, urdf_roots(path))
+    if tag == "mujoco":
+        from pytest_twin.audit import read_mjcf
+
+        return read_mjcf.read(path, Roots(path.parent))
+    raise ModelError(
+        "not a robot model", path=path, line=1, value=str(tag), expected="<robot> or <mujoco>"
+    )

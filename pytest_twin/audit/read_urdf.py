@@ -1,0 +1,380 @@
+"""A URDF as the audit sees it: what cannot be read is a finding, the rest is still looked at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.audit.asset import (
+    Asset,
+    Body,
+    Controlled,
+    Edge,
+    Joint,
+    JointKind,
+    Mimic,
+    Sensor,
+    Shape,
+    Transmission,
+)
+from pytest_twin.audit.finding import Finding, Place, from_error
+from pytest_twin.audit.mesh_files import MeshFiles
+from pytest_twin.errors import FormatError, ModelError, TwinError
+from pytest_twin.formats.paths import Roots
+from pytest_twin.realization import urdf
+from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.node import Node
+from pytest_twin.realization.urdf_spec import mesh_file
+
+KNOWN = frozenset(
+    {
+        "link",
+        "joint",
+        "transmission",
+        "material",
+        "gazebo",
+        "sensor",
+        "ros2_control",
+        "transmission_interface",
+    }
+)
+_KINDS: Mapping[str, JointKind] = {
+    "revolute": "hinge",
+    "continuous": "hinge",
+    "prismatic": "slide",
+    "planar": "planar",
+    "floating": "free",
+}
+
+
+def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
+    """Read a URDF file and its meshes.
+
+    Raises:
+        FormatError: not well-formed, or beyond a bound.
+        ModelError: no URDF, or one without a link.
+    """
+    root = urdf.document(path, limits=limits)
+    if not root.all("link"):
+        raise root.error("a robot without links", expected="at least one <link>")
+    return _Reader(root, path, roots, limits).asset()
+
+
+class _Reader:
+    def __init__(self, root: Node, path: Path, roots: Roots, limits: ModelLimits) -> None:
+        self.root = root
+        self.roots = roots
+        self.meshes = MeshFiles(limits)
+        self.out = Asset("urdf", path, root.attributes.get("name", ""), root)
+        self.out.files = [path]
+
+    def asset(self) -> Asset:
+        for node in self.root.all("link"):
+            self._link(node)
+        for node in self.root.all("joint"):
+            self._joint(node)
+        for node in self.root.all("transmission"):
+            self._transmission(node)
+        for node in self.root.all("ros2_control"):
+            self._ros2_control(node)
+        for node in self.root.children:
+            if node.tag not in KNOWN:
+                self.out.custom.setdefault(node.tag, []).append(_place(node))
+        self._sensors()
+        self.out.files += sorted({s.file for s in self.out.shapes if s.file is not None})
+        return self.out
+
+    def fault(
+        self, error: TwinError, code: str, element: str, node: Node | None = None, why: str = ""
+    ) -> None:
+        if error.path is None and node is not None:
+            error.path, error.line = node.path, node.line
+        self.out.faults.append(from_error(error, code, element, why=why))
+
+    # -- links
+
+    def _link(self, node: Node) -> None:
+        name = node.attributes.get("name", "")
+        place = _place(node)
+        if not name.strip():
+            self.fault(node.error("no name", "name", expected="a name"), "tree.unreadable", "link")
+            return
+        self.out.named.append(("link", name, place))
+        inertial = node.find("inertial")
+        body = Body(name, place, inertial=None if inertial is None else _place(inertial))
+        if inertial is not None:
+            try:
+                link = urdf.link_of(node)
+            except (ModelError, FormatError) as error:
+                self.fault(error, "inertia.unreadable", node.label)
+            else:
+                body.mass, body.com, body.inertia = link.mass, link.com, link.inertia
+                if inertial.find("mass") is None:
+                    body.mass = None
+                if inertial.find("inertia") is None:
+                    body.inertia = None
+        self.out.bodies.append(body)
+        for tag in ("visual", "collision"):
+            for child in node.all(tag):
+                self._shape(name, tag, child)
+        for child in node.children:
+            if child.tag not in ("inertial", "visual", "collision", "sensor", "self_collision"):
+                self.out.custom.setdefault(f"link/{child.tag}", []).append(_place(child))
+
+    def _shape(self, link: str, role: str, node: Node) -> None:
+        element = f"{role} of link '{link}'"
+        try:
+            shape = self._geometry(link, role, node)
+        except (ModelError, FormatError) as error:
+            self.fault(error, "meshes.unreadable", element)
+            return
+        if shape.kind == "mesh":
+            geometry = node.find("geometry")
+            mesh_node = None if geometry is None else geometry.find("mesh")
+            assert mesh_node is not None
+            self._mesh(shape, mesh_node, element)
+        self.out.shapes.append(shape)
+
+    def _geometry(self, link: str, role: str, node: Node) -> Shape:
+        geometry = node.find("geometry")
+        kinds = [] if geometry is None else geometry.children
+        if len(kinds) != 1:
+            raise node.error(f"{len(kinds)} shapes in one geometry", expected="one")
+        position, rotation = urdf.origin(node)
+        found = kinds[0]
+        size: tuple[float, ...]
+        scale = np.ones(3)
+        if found.tag == "box":
+            size = tuple(found.numbers("size", None, size=3, unit="m"))
+        elif found.tag in ("cylinder", "capsule"):
+            size = (
+                found.number("radius", None, unit="m"),
+                found.number("length", None, unit="m"),
+            )
+        elif found.tag == "sphere":
+            size = (found.number("radius", None, unit="m"),)
+        elif found.tag == "mesh":
+            size = ()
+            scale = found.numbers("scale", (1.0, 1.0, 1.0))
+        else:
+            raise found.error("no known shape", expected="box, cylinder, capsule, sphere or mesh")
+        return Shape(
+            _place(found),
+            link,
+            "visual" if role == "visual" else "collision",
+            found.tag,
+            position,
+            rotation,
+            tuple(float(value) for value in size),
+            scale=scale,
+        )
+
+    def _mesh(self, shape: Shape, node: Node, element: str) -> None:
+        try:
+            shape.file = mesh_file(node, self.roots, {})
+        except TwinError as error:
+            escapes = "leaves the declared roots" in error.problem or "URL" in error.problem
+            self.out.faults.append(
+                from_error(
+                    error,
+                    "meshes.escapes" if escapes else "meshes.missing",
+                    element,
+                    severity="critical" if escapes or shape.role == "collision" else "warning",
+                    why="a body without its shape collides with nothing"
+                    if shape.role == "collision"
+                    else "viewers refuse the robot or show it without this part",
+                )
+            )
+            return
+        try:
+            if (shape.scale == 0).any():
+                raise node.error("a mesh without size", "scale", expected="factors other than 0")
+            shape.triangles = self.meshes.read(shape.file).scaled(shape.scale)
+        except TwinError as error:
+            self.out.faults.append(
+                Finding(
+                    "meshes.unreadable",
+                    "critical" if shape.role == "collision" else "warning",
+                    _place(node),
+                    element,
+                    f"{shape.file.name}: {error.problem}",
+                    None if error.value is None else str(error.value),
+                    error.unit,
+                    error.expected,
+                    "a shape that cannot be read is not what any simulator will use",
+                    f"a file that opens, from the same CAD as {shape.file.name}",
+                )
+            )
+
+    # -- joints
+
+    def _joint(self, node: Node) -> None:
+        name = node.attributes.get("name", "")
+        place = _place(node)
+        if name.strip():
+            self.out.named.append(("joint", name, place))
+        try:
+            joint = urdf.joint_of(node)
+        except (ModelError, FormatError) as error:
+            self.fault(error, "joints.unreadable", node.label)
+            self._edge_alone(node, name, place)
+            return
+        origin = node.find("origin")
+        rpy = np.zeros(3) if origin is None else origin.numbers("rpy", (0.0, 0.0, 0.0))
+        self.out.edges.append(
+            Edge(name, place, joint.parent, joint.child, joint.position, joint.rotation, rpy)
+        )
+        if joint.type == "fixed":
+            return
+        axis_node = node.find("axis")
+        stated = None if axis_node is None else axis_node.numbers("xyz", (1.0, 0.0, 0.0))
+        lower, upper = joint.limits or (None, None)
+        dynamics, safety = node.find("dynamics"), node.find("safety_controller")
+        stated_dynamics = set() if dynamics is None else set(dynamics.attributes)
+        made = Joint(
+            name,
+            place,
+            _KINDS[joint.type],
+            joint.child,
+            joint.axis,
+            axis_stated=stated,
+            lower=lower,
+            upper=upper,
+            limited=joint.limits is not None,
+            continuous=joint.type == "continuous",
+            velocity=joint.velocity,
+            effort=joint.effort,
+            damping=joint.damping if "damping" in stated_dynamics else None,
+            friction=joint.friction if "friction" in stated_dynamics else None,
+        )
+        if safety is not None:
+            self._safety(safety, made)
+        self.out.joints.append(made)
+        if joint.mimic is not None:
+            self.out.mimics.append(
+                Mimic(
+                    _place(joint.mimic.node),
+                    name,
+                    joint.mimic.joint,
+                    joint.mimic.multiplier,
+                    joint.mimic.offset,
+                )
+            )
+
+    def _edge_alone(self, node: Node, name: str, place: Place) -> None:
+        """The tree of a joint whose numbers cannot be read."""
+        ends = [node.find(end) for end in ("parent", "child")]
+        links = ["" if end is None else end.attributes.get("link", "") for end in ends]
+        if all(links):
+            try:
+                position, rotation = urdf.origin(node)
+            except ModelError:
+                position, rotation = np.zeros(3), np.eye(3)
+            self.out.edges.append(Edge(name, place, links[0], links[1], position, rotation))
+
+    def _safety(self, node: Node, joint: Joint) -> None:
+        joint.soft_place = _place(node)
+        keys = ("soft_lower_limit", "soft_upper_limit")
+        if not set(keys) <= set(node.attributes):
+            return
+        try:
+            low, high = (node.number(key, None, unit=joint.unit, most=math.inf) for key in keys)
+        except ModelError as error:
+            self.fault(error, "controllers.unreadable", f"joint '{joint.name}'", node)
+            return
+        joint.soft = (low, high)
+
+    # -- what drives and senses
+
+    def _transmission(self, node: Node) -> None:
+        name = node.attributes.get("name", "")
+        place = _place(node)
+        if name:
+            self.out.named.append(("transmission", name, place))
+        kind = node.find("type")
+        joints, actuators = node.all("joint"), node.all("actuator")
+        reductions: list[float] = []
+        for part in (*joints, *actuators, node):
+            # Old and new forms: an attribute of the joint, or an element of the actuator.
+            for child in part.children:
+                if child.tag == "mechanicalReduction":
+                    reductions += self._text_number(child, name)
+        interfaces = tuple(
+            child.text for part in (*joints, *actuators) for child in part.all("hardwareInterface")
+        )
+        self.out.transmissions.append(
+            Transmission(
+                place,
+                name,
+                node.attributes.get("type", "") if kind is None else kind.text,
+                tuple(joint.attributes.get("name", "") for joint in joints),
+                tuple(actuator.attributes.get("name", "") for actuator in actuators),
+                tuple(reductions),
+                tuple(interface for interface in interfaces if interface),
+            )
+        )
+
+    def _text_number(self, node: Node, name: str) -> list[float]:
+        try:
+            value = float(node.text)
+        except ValueError:
+            value = math.nan
+        if math.isfinite(value):
+            return [value]
+        self.fault(
+            node.error("no number", value=node.text, expected="a finite reduction"),
+            "transmissions.unreadable",
+            f"transmission '{name}'",
+        )
+        return []
+
+    def _ros2_control(self, node: Node) -> None:
+        system = node.attributes.get("name", "")
+        for joint in node.all("joint"):
+            self.out.controlled.append(
+                Controlled(
+                    _place(joint),
+                    system,
+                    joint.attributes.get("name", ""),
+                    tuple(c.attributes.get("name", "") for c in joint.all("command_interface")),
+                    tuple(c.attributes.get("name", "") for c in joint.all("state_interface")),
+                )
+            )
+
+    def _sensors(self) -> None:
+        for top in self.root.children:
+            for node in top.walk():
+                if node.tag != "sensor":
+                    continue
+                parent = node.find("parent")
+                bearer = top.attributes.get("reference", "")
+                if top.tag == "link":
+                    bearer = top.attributes.get("name", "")
+                elif parent is not None:
+                    bearer = parent.attributes.get("link", "") or parent.attributes.get("joint", "")
+                rate_node = node.find("update_rate")
+                text = (
+                    node.attributes.get("update_rate", "")
+                    if rate_node is None
+                    else (rate_node.text)
+                )
+                try:
+                    rate = float(text) if text else None
+                except ValueError:
+                    rate = None
+                self.out.sensors.append(
+                    Sensor(
+                        _place(node),
+                        node.attributes.get("name", ""),
+                        node.attributes.get("type", ""),
+                        bearer,
+                        rate if rate is None or math.isfinite(rate) else None,
+                    )
+                )
+
+
+def _place(node: Node) -> Place:
+    return Place(node.path, node.line)

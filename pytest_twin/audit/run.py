@@ -1,0 +1,112 @@
+"""The whole audit of one file: what the child process is asked for."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.audit import (
+    commands,
+    controllers,
+    coupling,
+    evidence,
+    finding,
+    frames,
+    inertia,
+    joints,
+    meshes,
+    transmissions,
+    tree,
+)
+from pytest_twin.audit.asset import Asset
+from pytest_twin.audit.evidence import Evidence
+from pytest_twin.audit.finding import LAYERS, SEVERITIES, Finding
+from pytest_twin.audit.geometry import Geometry
+from pytest_twin.audit.read import read
+
+SCHEMA = 1
+
+
+def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
+    """Every finding of the layers that need no simulator."""
+    return [
+        *asset.faults,
+        *tree.check(asset),
+        *joints.check(asset, known),
+        *evidence.check(asset, known),
+        *coupling.check(asset),
+        *transmissions.check(asset),
+        *meshes.check(asset, geometry),
+        *inertia.check(asset, geometry),
+        *frames.check(asset, known),
+        *commands.check(asset, known),
+        *controllers.check(asset),
+    ]
+
+
+def audit_file(
+    path: str, evidence_path: str | None = None, progress: Callable[[float], None] | None = None
+) -> dict[str, Any]:
+    """Read and audit a file; what stands in its JSON, and renders as base64 under ``renders``.
+
+    Raises:
+        TwinError: no robot that can be looked at.
+    """
+    say = progress or (lambda fraction: None)
+    known = Evidence() if evidence_path is None else evidence.load(Path(evidence_path))
+    asset = read(Path(path))
+    say(0.4)
+    geometry = Geometry(asset)
+    findings = audit(asset, known, geometry)
+    say(0.6)
+    return report(asset, geometry, findings)
+
+
+def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[str, Any]:
+    """What an audit says, as plain data."""
+    rows = finding.to_json(findings)
+    counts = Counter(row["severity"] for row in rows)
+    free = coupling.freedom(asset)
+    return {
+        "schema": SCHEMA,
+        "asset": str(asset.path),
+        "kind": asset.kind,
+        "robot": asset.name,
+        "verdict": "critical" if counts["critical"] else "clean",
+        "counts": {severity: counts[severity] for severity in SEVERITIES},
+        "layers": {
+            layer: {
+                s: sum(r["layer"] == layer and r["severity"] == s for r in rows) for s in SEVERITIES
+            }
+            for layer in LAYERS
+        },
+        "facts": {
+            "bodies": len(asset.bodies),
+            "frames_without_mass": len(frames.marks(asset)),
+            "joints": len(asset.joints),
+            "degrees_of_freedom": free.total,
+            "independent": free.independent,
+            "followers": list(free.follower),
+            "passive": list(free.passive),
+            "sensed": list(free.sensed),
+            "mass": {"value": sum(body.mass or 0.0 for body in asset.bodies), "unit": "kg"},
+            "reach": {"value": asset.span, "unit": "m"},
+            "files": [str(file) for file in asset.files],
+        },
+        "findings": rows,
+        "meshes": [
+            {
+                "file": str(fact.file),
+                "triangles": fact.faces,
+                "extents": {"value": list(fact.extents), "unit": "m"},
+                "watertight": fact.watertight,
+                "volume": {"value": fact.volume, "unit": "m^3"},
+                "hull_volume": {"value": fact.hull, "unit": "m^3"},
+                "convexity": fact.convexity,
+                "uses": list(fact.uses),
+            }
+            for fact in meshes.facts(asset, geometry)
+        ],
+    }

@@ -1,0 +1,75 @@
+"""``pytest-twin audit``: what a robot's file says, held against what a robot can be."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from pytest_twin.errors import TwinError
+from pytest_twin.formats import atomic
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report.audit import render, table
+
+HELP = "audit a URDF, MJCF or USD file, layer by layer: what is wrong, doubtful, or unknown"
+CLEAN, CRITICAL = 0, 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("asset", metavar="ASSET", type=Path, help="URDF, MJCF or USD file")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path(),
+        help="where NAME.audit.json and NAME.audit.html go, NAME that of the asset (default: the "
+        "working directory)",
+    )
+    parser.add_argument(
+        "--evidence",
+        metavar="FILE",
+        type=Path,
+        help="YAML with what is known from elsewhere: signs, zeros, ranges, poses, commands",
+    )
+    parser.add_argument(
+        "--all", action="store_true", help="list every finding, not one line for each kind"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 nothing critical, 1 something is.
+
+    Raises:
+        TwinError: an asset that cannot be looked at.
+    """
+    asset: Path = args.asset
+    out: Path = args.out
+    if not asset.exists():
+        raise TwinError("no such file", path=asset, expected="a URDF, MJCF or USD file")
+    if not asset.is_file():
+        raise TwinError("no file", path=asset, expected="a URDF, MJCF or USD file")
+    with Sandbox() as sandbox:
+        found = sandbox.call(
+            "pytest_twin.audit.run:audit_file",
+            {
+                "path": str(asset.absolute()),
+                "evidence_path": None if args.evidence is None else str(args.evidence.absolute()),
+            },
+            progress=_say_progress,
+        )
+    renders = found.pop("renders", [])
+    out.mkdir(parents=True, exist_ok=True)
+    name = f"{asset.name}.audit"
+    atomic.write_text(out / f"{name}.json", json.dumps(found, indent=2) + "\n")
+    atomic.write_text(out / f"{name}.html", render(found, renders))
+    print(table(found, every=args.all))
+    print(f"report: {out / name}.html, {out / name}.json")
+    return CRITICAL if found["counts"]["critical"] else CLEAN
+
+
+def _say_progress(fraction: float) -> None:
+    if sys.stderr.isatty():
+        end = "\n" if fraction >= 1.0 else ""
+        print(f"\rauditing {100 * fraction:3.0f} %", end=end, file=sys.stderr, flush=True)
