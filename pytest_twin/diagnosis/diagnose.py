@@ -143,6 +143,7 @@ def diagnose(
     selected = Selection(problem, say).run()
     progress(0.82)
     explained = explain(prepared, selected, everything)
+    notes += explained.notes
     progress(0.9)
     everywhere = np.arange(len(problem.simulator.segments))
     before, after = problem.residuals([EMPTY, explained.hypothesis], everywhere)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.locate import Where, blame_windows, motions, place_of
@@ -24,6 +24,12 @@ _REFIT = 4
 # Without recordings to predict, no name is surer than this.
 _UNTESTED = 0.8
 _CORRELATED = 0.9
+# A finding takes some signal down by this factor at least, from at least this many floors.
+_WORSE = 1.05
+_STANDS_OUT = 2.0
+# With more than this share of its joint's squared mismatch left a name is not given.
+_SURE = 0.9
+_LEFT_SURE, _LEFT_UNSURE = 0.7, 0.5
 # A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
 _OPEN = 1e3
 
@@ -98,7 +104,6 @@ def explain(
     prepared: Prepared,
     selected: Selected,
     trials: Sequence[Trial],
-    say: Callable[[str], None] = lambda text: None,
 ) -> Explained:
     """Turn the selected structure into findings.
 
@@ -106,25 +111,16 @@ def explain(
         prepared: the problem.
         selected: its best structure.
         trials: fit, then held-out, as ``prepared`` numbers them.
-        say: told what is being done.
     """
     problem = prepared.problem
-    best = selected.best
-    hypothesis = best.hypothesis
+    pruned = _prune(problem, selected)
+    hypothesis = pruned.fitted.hypothesis
     if not hypothesis.terms:
-        return Explained((), hypothesis)
-    say("intervals")
-    width = spread(problem, best.fitted)
-    say("gains")
-    tested = problem.held_out if len(problem.held_out) else problem.fit
-    weights = 1.0 / np.sqrt(np.mean(best.fitted.residual**2, axis=0) + problem.signal_floor**2)
-    starts = [hypothesis.without(t) for t in hypothesis.terms]
-    refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
-    rests = [f.hypothesis for f in refitted]
+        return Explained((), hypothesis, notes=pruned.notes)
+    width = spread(problem, pruned.fitted)
     everywhere = np.arange(len(problem.simulator.segments))
-    residuals = problem.residuals([hypothesis, EMPTY, *rests], everywhere)
-    lengths = problem.lengths(everywhere)
-    in_test = np.repeat(np.isin(everywhere, tested), lengths)
+    residuals = problem.residuals([hypothesis, EMPTY, *pruned.rests], everywhere)
+    in_test = _tested(problem)
 
     def error(residual: FloatArray) -> float:
         return float(np.nansum((residual[in_test] / problem.signal_floor) ** 2))
@@ -161,7 +157,92 @@ def explain(
             )
         )
     found.sort(key=lambda f: -f.share)
-    return Explained(tuple(found), hypothesis, width)
+    return Explained(tuple(found), hypothesis, width, pruned.notes)
+
+
+@dataclass(slots=True)
+class _Pruned:
+    """A fit, and for each of its terms the rest refitted without it."""
+
+    fitted: Fitted
+    rests: list[Hypothesis]
+    notes: list[str]
+
+
+def _prune(problem: Problem, selected: Selected) -> _Pruned:
+    """Take back what explains nothing above the floor, and what explains too little to be right.
+
+    A term stays where some signal of the tested recordings, refitted without it, stands above
+    the floor: what lies under it may be noise and the simulator's own error, and has no name. A
+    term goes as well where most of its joint's mismatch is left with it: something else is at work
+    there, and the nearest name in the catalogue would be a wrong one.
+    """
+    notes: list[str] = []
+    fitted = selected.best.fitted
+    tested = problem.held_out if len(problem.held_out) else problem.fit
+    before = _in_floors(problem.residuals([EMPTY], tested)[0], problem.signal_floor)
+    while fitted.hypothesis.terms:
+        terms = fitted.hypothesis.terms
+        weights = 1.0 / np.sqrt(np.mean(fitted.residual**2, axis=0) + problem.signal_floor**2)
+        starts = [fitted.hypothesis.without(t) for t in terms]
+        refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
+        rests = [f.hypothesis for f in refitted]
+        with_it, *without = problem.residuals([fitted.hypothesis, *rests], tested)
+        base = _in_floors(with_it, problem.signal_floor)
+        levels = [_in_floors(residual, problem.signal_floor) for residual in without]
+        height = [float(v[v > _WORSE * base].max(initial=0.0)) for v in levels]
+        least = int(np.argmin(height))
+        if height[least] <= _STANDS_OUT:
+            notes.append(
+                f"{_label(problem, terms[least])} would fit what is within {_STANDS_OUT:g} floors; "
+                "it is not claimed"
+            )
+            fitted = refitted[least]
+            continue
+        weak = [
+            (_too_little(problem, t, before, base, selected.confidence.get(t, 1.0)), i)
+            for i, t in enumerate(terms)
+        ]
+        share, worst = max(weak)
+        if share <= 0.0:
+            return _Pruned(fitted, rests, notes)
+        notes.append(
+            f"nearest in the catalogue is {_label(problem, terms[worst])}, but with it "
+            f"{100 * share:.0f} % of the squared mismatch is left; it is not claimed"
+        )
+        fitted = refitted[worst]
+    return _Pruned(fitted, [], notes)
+
+
+def _too_little(
+    problem: Problem, term: Term, before: FloatArray, after: FloatArray, confidence: float
+) -> float:
+    """Share of the squared mismatch that is left where a term acts, if it is too much, else 0."""
+    joints = len(problem.joints)
+    columns = slice(None) if term.joint < 0 else slice(term.joint, None, joints)
+    mismatch = float(np.maximum(before[columns] ** 2 - 1.0, 0.0).sum())
+    left = float(np.maximum(after[columns] ** 2 - 1.0, 0.0).sum())
+    share = left / mismatch if mismatch > 0.0 else 0.0
+    bound = _LEFT_SURE if confidence >= _SURE else _LEFT_UNSURE
+    return share if share > bound and after[columns].max() > _STANDS_OUT else 0.0
+
+
+def _label(problem: Problem, term: Term) -> str:
+    joint = _joint(problem, term)
+    return term.effect if joint is None else f"{term.effect} at {joint}"
+
+
+def _in_floors(residual: FloatArray, floor: FloatArray) -> FloatArray:
+    level: FloatArray = np.sqrt(np.nanmean(residual**2, axis=0)) / floor
+    return level
+
+
+def _tested(problem: Problem) -> NDArray[np.bool_]:
+    """(samples,) over all segments: held out, or all that was fitted where nothing is."""
+    tested = problem.held_out if len(problem.held_out) else problem.fit
+    everywhere = np.arange(len(problem.simulator.segments))
+    inside: NDArray[np.bool_] = np.repeat(np.isin(everywhere, tested), problem.lengths(everywhere))
+    return inside
 
 
 def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) -> FloatArray:

@@ -86,8 +86,7 @@ def read_trials(
         notes.append(said)
     elif not aside:
         notes.append("no held-out recording could be used: confidence is limited")
-    for t in [*trials, *aside]:
-        notes += _doubts(t)
+    notes += _doubts([*trials, *aside])
     return TrialSet(tuple(trials), tuple(aside), tuple(notes))
 
 
@@ -119,16 +118,21 @@ def _names(trials: Sequence[Trial]) -> str:
     return ", ".join(t.path.name for t in trials)
 
 
-def _doubts(trial: Trial) -> list[str]:
-    """One line per kind of doubt and joint."""
-    found: dict[tuple[str, str | None], list[str]] = {}
-    for mark in trial.marks:
-        found.setdefault((mark.kind, mark.joint), []).append(
-            f"{mark.start:.3g} to {mark.end:.3g} s: {mark.text}"
-        )
+def _doubts(trials: Sequence[Trial]) -> list[str]:
+    """One line per kind of doubt and joint over all recordings."""
+    found: dict[tuple[str, str | None, str], list[str]] = {}
+    for trial in trials:
+        for mark in trial.marks:
+            # The file's own words for what other marks say of its stamps.
+            if mark.kind == "damage" and "stamps" in mark.text:
+                continue
+            place = f"{trial.path.name} at {mark.start:.3g} s"
+            found.setdefault((mark.kind, mark.joint, mark.topic or ""), []).append(
+                f"{place}: {mark.text}"
+            )
     lines = []
-    for (kind, joint), texts in found.items():
-        who = "" if joint is None else f" {joint}:"
-        more = f" (and {len(texts) - 1} more)" if len(texts) > 1 else ""
-        lines.append(f"{trial.path.name}:{who} {kind.replace('_', ' ')}, {texts[0]}{more}")
+    for (kind, joint, topic), texts in found.items():
+        who = " ".join(part for part in (topic, joint) if part)
+        more = f", and {len(texts) - 1} more like it" if len(texts) > 1 else ""
+        lines.append(f"{kind.replace('_', ' ')} in {who or 'a file'}: {texts[0]}{more}")
     return lines

@@ -13,8 +13,6 @@ AT_FLOOR = 3.0
 joint's micro-slip and a simulator's contact law leave a few of it."""
 LEFT = 0.02
 """Share of the squared mismatch that may be left and still count as explained."""
-EARNS = 0.2
-"""Findings that together take less than this share of the squared held-out error name nothing."""
 
 
 @dataclass(frozen=True, slots=True)

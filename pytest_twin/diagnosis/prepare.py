@@ -1,0 +1,183 @@
+"""From trials to a problem: segments, floor, scales."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.hypothesis import EMPTY, Scales, effect_values
+from pytest_twin.diagnosis.problem import Problem, joint_scales, sensor_noise, smooth_state
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import RowSimulator, Segment
+from pytest_twin.errors import RecordingError
+from pytest_twin.realization import Realization
+from pytest_twin.replay import calibration_of
+from pytest_twin.trial import Trial
+
+# Under an effort command errors integrate twice: a simulation is held to the recording for this
+# long, then starts anew from the measured state.
+_EFFORT_WINDOW = 1.0
+_REFINE = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A problem and where it came from.
+
+    Attributes:
+        problem: to explain.
+        segment_trial: trial index of each segment.
+        floor_parts: name of a source -> (joints,) deviations, SI units.
+    """
+
+    problem: Problem
+    segment_trial: tuple[int, ...]
+    floor_parts: dict[str, FloatArray]
+
+
+def prepare(
+    realization: Realization,
+    fit: Sequence[Trial],
+    held_out: Sequence[Trial],
+    *,
+    threads: int = 0,
+) -> Prepared:
+    """Build the problem of explaining ``fit`` and predicting ``held_out``.
+
+    Raises:
+        RecordingError: no joint that the model and every recording share.
+        SpecError: a controller, payload or actuator that the model lacks.
+    """
+    trials = [*fit, *held_out]
+    joints = _shared_joints(realization, trials)
+    segments: list[Segment] = []
+    owner: list[int] = []
+    for i, trial in enumerate(trials):
+        made = _segments(realization, trial, i, joints)
+        segments += made
+        owner += [i] * len(made)
+    simulator = RowSimulator(segments, joints, threads=threads)
+    is_fit = np.array(owner) < len(fit)
+    noise = np.max([sensor_noise(s.position) for s in segments], axis=0)
+    steps = discretization(segments, joints, threads)
+    floor = np.sqrt(noise**2 + steps**2)
+    effort_floor: FloatArray | None = None
+    if all(s.effort is not None for s in segments):
+        efforts = [s.effort for s in segments if s.effort is not None]
+        if all(np.isfinite(e).all() and (e < 0).any() for e in efforts):
+            effort_floor = np.max([sensor_noise(e) for e in efforts], axis=0)
+    scales = joint_scales(simulator, segments)
+    problem = Problem(
+        simulator, np.flatnonzero(is_fit), np.flatnonzero(~is_fit), floor, scales, effort_floor
+    )
+    parts = {"sensor noise and quantization": noise, "discretization of the simulator": steps}
+    return Prepared(problem, tuple(owner), parts)
+
+
+def discretization(
+    segments: Sequence[Segment], joints: Sequence[str], threads: int
+) -> FloatArray:
+    """(joints,) root mean square of what a finer step changes, rad or m.
+
+    The difference of the model's own step to one ``_REFINE`` times finer, on the nominal model;
+    an integrator of first order is off by that much and a third more.
+    """
+    few = [s for s in segments if s.trial == segments[0].trial]
+    rows = np.arange(len(few))
+    values = effect_values([EMPTY] * len(few), len(joints), Scales({}))
+    coarse = RowSimulator(few, joints, threads=threads).simulate(rows, values)
+    fine = RowSimulator(few, joints, threads=threads, refine=_REFINE).simulate(rows, values)
+    change = np.concatenate([a.position - b.position for a, b in zip(coarse, fine, strict=True)])
+    error: FloatArray = np.sqrt(np.nanmean(change**2, axis=0)) * _REFINE / (_REFINE - 1)
+    return np.nan_to_num(error)
+
+
+def _shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[str, ...]:
+    scalar = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    model = realization.model
+    joints = tuple(
+        j
+        for j in realization.joints
+        if int(model.jnt_type[realization.joint_index(j)]) in scalar
+        and all(j in t.joints for t in trials)
+    )
+    if not joints:
+        raise RecordingError(
+            "no joint of the model is in every recording",
+            path=trials[0].path,
+            value=", ".join(trials[0].joints),
+            expected=", ".join(realization.joints),
+        )
+    return joints
+
+
+def _segments(
+    realization: Realization, trial: Trial, index: int, joints: Sequence[str]
+) -> list[Segment]:
+    columns = [trial.joints.index(j) for j in joints]
+    calibration = calibration_of(realization)
+    sign = np.array([calibration[j].sign if j in calibration else 1.0 for j in joints])
+    offset = np.array([calibration[j].offset if j in calibration else 0.0 for j in joints])
+    model = _variant(realization, trial).model
+    keep = np.concatenate([[True], np.diff(trial.time) > 0])
+    time = trial.time[keep]
+    position = sign * trial.position[keep][:, columns] + offset
+    velocity = _columns(trial.velocity, keep, columns, sign)
+    effort = _columns(trial.effort, keep, columns, sign)
+    command = np.full((len(trial.command_time), len(joints)), np.nan)
+    for j, joint in enumerate(joints):
+        if joint in trial.command_joints:
+            command[:, j] = sign[j] * trial.command[:, trial.command_joints.index(joint)]
+            if trial.command_mode == "position":
+                command[:, j] += offset[j]
+    ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
+    common = {
+        "trial": index,
+        "model": model,
+        "mode": trial.command_mode,
+        "command_time": trial.command_time[ascending],
+        "command": command[ascending],
+    }
+    if trial.command_mode != "effort":
+        first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])
+        return [
+            Segment(start=0.0, time=time, position=position, velocity=velocity, effort=effort,
+                    initial_position=position[0], initial_velocity=first, **common)  # type: ignore[arg-type]
+        ]  # fmt: skip
+    out = []
+    count = max(1, round(time[-1] / _EFFORT_WINDOW))
+    edges = np.linspace(0.0, time[-1], count + 1)
+    interval = float(np.median(np.diff(time)))
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        inside = (time >= start) & (time <= end)
+        if inside.sum() < 8:
+            continue
+        q, v = smooth_state(time, position, float(start), 12 * interval)
+        out.append(
+            Segment(start=float(start), time=time[inside], position=position[inside],
+                    velocity=None if velocity is None else velocity[inside],
+                    effort=None if effort is None else effort[inside],
+                    initial_position=q, initial_velocity=v, **common)  # type: ignore[arg-type]
+        )  # fmt: skip
+    return out
+
+
+def _columns(
+    values: FloatArray | None, keep: NDArray[np.bool_], columns: list[int], sign: FloatArray
+) -> FloatArray | None:
+    return None if values is None else sign * values[keep][:, columns]
+
+
+def _variant(realization: Realization, trial: Trial) -> Realization:
+    twin = realization.twin
+    if twin is None:
+        return realization
+    controller, payload = (trial.metadata.get(key) for key in ("controller", "payload"))
+    return realization.variant(
+        controller if controller in twin.controllers else None,
+        payload if payload in twin.payloads else None,
+    )

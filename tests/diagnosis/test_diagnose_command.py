@@ -1,0 +1,156 @@
+"""pytest-twin diagnose, end to end, on a reality that shares no code with it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from two_pendulums import JOINTS, case, record
+
+from pytest_twin import cli
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.formats.mcap import read_recording
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a diagnosis where one joint's commands come 20 ms late."""
+    folder = tmp_path_factory.mktemp("late")
+    arguments = ["diagnose", *case(folder, delay=0.02, joint=1)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert cli.main([*arguments, "--out", str(folder / "out")]) == 0
+    return folder
+
+
+def said(folder: Path) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text())
+    return loaded
+
+
+def test_a_late_command_is_named_on_its_joint_with_the_delay_in_the_interval(late: Path) -> None:
+    found = said(late)
+    assert (found["schema"], found["verdict"]) == (1, "explained")
+    (finding,) = found["findings"]
+    assert (finding["effect"], finding["joint"]) == ("command_delay", "right")
+    delay = finding["parameters"]["delay"]
+    assert delay["unit"] == "s"
+    assert delay["ci95"][0] <= 0.02 <= delay["ci95"][1]
+    assert delay["ci95"][1] - delay["ci95"][0] < 0.005
+    assert delay["value"] == pytest.approx(0.02, abs=0.0015)
+    assert finding["held_out_gain"] > 0.98
+    assert 0.0 < finding["confidence"] <= 1.0
+    assert set(finding["where"]["windows"]) <= {"fit1.mcap", "fit2.mcap", "held_out3.mcap"}
+    assert isinstance(finding["next_test"], str)
+
+
+def test_errors_are_of_the_recording_that_no_fit_saw(late: Path) -> None:
+    found = said(late)
+    assert set(found["held_out"]) == set(JOINTS)
+    right, left = found["held_out"]["right"], found["held_out"]["left"]
+    assert right["unit"] == "rad"
+    assert right["rms_before"] > 10 * right["floor"] > right["rms_after"]
+    assert left["rms_before"] == pytest.approx(left["rms_after"], rel=0.2)
+    assert found["unexplained"] == {}
+    assert found["trials"]["held_out"] == ["held_out3.mcap"]
+
+
+def test_the_patched_model_is_plain_mjcf_and_the_asset_stays(late: Path) -> None:
+    folder = late / "out" / said(late)["realization"]
+    model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    delay = said(late)["findings"][0]["parameters"]["delay"]["value"]
+    assert model.actuator_delay.tolist() == pytest.approx([0.0, delay], rel=1e-5)
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 0.3
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+    assert np.isfinite(data.qpos).all()
+    nominal = mujoco.MjModel.from_xml_path(str(late / "model.xml"))
+    assert nominal.actuator_delay.tolist() == [0.0, 0.0]
+
+
+def test_replay_of_the_folder_is_what_the_diagnosis_predicted(late: Path) -> None:
+    out = late / "predicted.mcap"
+    assert cli.main(["replay", str(late / "out"), str(late / "held_out3.mcap"),
+                     "--out", str(out)]) == 0  # fmt: skip
+    position = read_recording(out).series["state"].position
+    measured = read_recording(late / "held_out3.mcap").series["state"].position
+    assert position is not None
+    assert measured is not None
+    rms = np.sqrt(np.mean((position - measured) ** 2, axis=0))
+    for joint, value in zip(JOINTS, rms, strict=True):
+        error = said(late)["held_out"][joint]
+        assert abs(value - error["rms_after"]) < 0.02 * error["floor"]
+
+
+def test_the_report_needs_nothing_but_itself(late: Path) -> None:
+    page = (late / "out" / "report.html").read_text()
+    assert "command delay at right" in page
+    assert page.count("data:image/svg+xml;base64,") == 2
+    assert not re.search(r"(src|href)=\"(?!data:)", page)
+    assert "<script" not in page
+    assert page.index("Explained") < page.index("Findings")
+
+
+def test_nothing_else_is_left_where_the_user_stands(late: Path) -> None:
+    assert {p.name for p in late.iterdir()} - {"predicted.mcap", "predicted.json"} == {
+        "model.xml", "fit1.mcap", "fit2.mcap", "held_out3.mcap", "out",
+    }  # fmt: skip
+
+
+def test_diagnosing_the_patched_model_finds_nothing_more(
+    late: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["diagnose", str(late / "out"), str(late / "fit1.mcap"), str(late / "held_out3.mcap")]
+    assert cli.main([*words, "--out", str(late / "again")]) == 0
+    found = json.loads((late / "again" / "diagnosis.json").read_text())
+    assert found["verdict"] == "no_mismatch"
+    kept = json.loads((late / "again" / "realization" / "effects.json").read_text())
+    assert [(e["effect"], e["joint"]) for e in kept["effects"]] == [("command_delay", "right")]
+    assert "No mismatch" in capsys.readouterr().out
+    for path in (late / "again").rglob("*"):
+        if path.is_file():
+            path.unlink()
+    for folder in sorted((late / "again").rglob("*"), reverse=True):
+        folder.rmdir()
+    (late / "again").rmdir()
+
+
+def test_viscous_friction_is_named_with_its_coefficient(tmp_path: Path) -> None:
+    arguments = case(tmp_path, joints=("left",), viscous=0.12)
+    assert cli.main(["diagnose", *arguments, "--out", str(tmp_path / "out")]) == 0
+    (finding,) = said(tmp_path)["findings"]
+    assert (finding["effect"], finding["joint"]) == ("viscous_friction", "left")
+    coefficient = finding["parameters"]["coefficient"]
+    assert coefficient["unit"] == "N*m*s/rad"
+    assert coefficient["ci95"][0] <= 0.12 <= coefficient["ci95"][1]
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "realization" / "model.xml"))
+    assert model.dof_damping[0] == pytest.approx(0.05 + coefficient["value"], rel=1e-4)
+
+
+def test_nothing_hidden_is_no_mismatch(tmp_path: Path) -> None:
+    arguments = case(tmp_path, joints=("left",))
+    assert cli.main(["diagnose", *arguments, "--out", str(tmp_path / "out")]) == 0
+    found = said(tmp_path)
+    assert (found["verdict"], found["findings"], found["unexplained"]) == ("no_mismatch", [], {})
+
+
+def test_one_recording_alone_is_said_to_be_untested(tmp_path: Path) -> None:
+    (tmp_path / "model.xml").write_text(case(tmp_path, joints=("left",)) and (
+        tmp_path / "model.xml").read_text())  # fmt: skip
+    only = record(tmp_path / "only.mcap", 5, joints=("left",), viscous=0.12)
+    loaded = load_model(tmp_path / "model.xml")
+    trials = read_trials([only], [], loaded.topics, loaded.realization.structure)
+    assert trials.held_out == ()
+    assert any("one recording only" in note for note in trials.notes)
+    found = diagnose(loaded.realization, trials)
+    assert found.explained.findings[0].effect == "viscous_friction"
+    assert found.explained.findings[0].confidence <= 0.8
+    assert any("of the recordings that were fitted" in note for note in found.notes)

@@ -1,0 +1,132 @@
+"""Reality for the tests: two pendulums side by side, each with a position servo, in closed form.
+
+Nothing here comes from the package but the writer of recordings. The equations are integrated at
+10 kHz; the model that is diagnosed steps at 2 ms.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.formats.mcap import JointSeries, write_recording
+
+JOINTS = ("left", "right")
+STEP = 1e-4
+START_NS = 1_700_000_000_000_000_000
+MASS, LENGTH, INERTIA, ARMATURE = 0.5, 0.1, 0.002, 0.003
+KP, KV, DAMPING, LIMIT = 6.0, 0.15, 0.05, 5.0
+
+_BODY = f"""
+    <body name="{{0}}_link" pos="{{1}} 0 0">
+      <inertial pos="0 0 {LENGTH}" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} 5e-4"/>
+      <joint name="{{0}}" axis="0 1 0" damping="{DAMPING}" armature="{ARMATURE}"/>
+    </body>"""
+_SERVO = (
+    f'<position name="{{0}}" joint="{{0}}" kp="{KP}" kv="{KV}" forcerange="-{LIMIT} {LIMIT}"/>'
+)
+
+
+def mjcf(joints: tuple[str, ...] = JOINTS) -> str:
+    """The nominal model."""
+    bodies = "".join(_BODY.format(name, at) for at, name in enumerate(joints))
+    servos = "".join(_SERVO.format(name) for name in joints)
+    return (
+        '<mujoco model="pendulums"><compiler angle="radian"/>'
+        '<option timestep="0.002" integrator="implicitfast"/>'
+        f"<worldbody>{bodies}</worldbody><actuator>{servos}</actuator></mujoco>"
+    )
+
+
+def reference(seed: int, seconds: float, joints: int) -> np.ndarray:
+    """(steps, joints) rad, a smooth multisine that is sampled and held at 100 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds / STEP)) * STEP
+    f, phase = rng.uniform(0.3, 1.8, (3, joints)), rng.uniform(0, 2 * np.pi, (3, joints))
+    wave = sum(0.3 * np.sin(2 * np.pi * t[:, None] * a + b) for a, b in zip(f, phase, strict=True))
+    held = (np.arange(len(t)) // 100) * 100
+    return (wave * np.minimum(t / 0.5, 1.0)[:, None])[held]
+
+
+def swing(
+    wanted: np.ndarray, *, delay: float = 0.0, viscous: float = 0.0, joint: int = 0
+) -> np.ndarray:
+    """(steps, joints) rad under (steps, joints) setpoints; what is hidden acts on one joint."""
+    joints = wanted.shape[1]
+    inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
+    late = np.zeros(joints, int)
+    late[joint] = round(delay / STEP)
+    damping = np.full(joints, DAMPING)
+    damping[joint] += viscous
+    q, v = np.zeros(joints), np.zeros(joints)
+    out = np.empty_like(wanted)
+    columns = np.arange(joints)
+    for k in range(len(wanted)):
+        out[k] = q
+        sent = wanted[np.maximum(k - late, 0), columns]
+        effort = np.clip(KP * (sent - q) - KV * v, -LIMIT, LIMIT)
+        effort += -damping * v + MASS * 9.81 * LENGTH * np.sin(q)
+        v = v + STEP * effort / inertia
+        q = q + STEP * v
+    return out
+
+
+def record(
+    path: Path,
+    seed: int,
+    *,
+    role: str | None = None,
+    seconds: float = 3.0,
+    joints: tuple[str, ...] = JOINTS,
+    noise: float = 1e-4,
+    **hidden: float,
+) -> Path:
+    """Write one recording: commands at 100 Hz, positions at 200 Hz with noise."""
+    wanted = reference(seed, seconds, len(joints))
+    moved = swing(wanted, **hidden)
+    rng = np.random.default_rng([seed, 1])
+    sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+    measured = moved[seen] + noise * rng.standard_normal((len(seen), len(joints)))
+    write(path, joints, sent * STEP, wanted[sent], seen * STEP, measured, role)
+    return path
+
+
+def write(
+    path: Path,
+    joints: tuple[str, ...],
+    sent_at: np.ndarray,
+    sent: np.ndarray,
+    seen_at: np.ndarray,
+    seen: np.ndarray,
+    role: str | None = None,
+    velocity: np.ndarray | None = None,
+) -> None:
+    """Write commands and states, times in s."""
+
+    def stamps(time: np.ndarray) -> np.ndarray:
+        return START_NS + np.rint(time * 1e9).astype(np.int64)
+
+    write_recording(
+        path,
+        [
+            JointSeries(
+                "/joint_commands", joints, stamps(sent_at), stamps(sent_at), sent, None, None
+            ),
+            JointSeries(
+                "/joint_states", joints, stamps(seen_at), stamps(seen_at), seen, velocity, None
+            ),
+        ],
+        {} if role is None else {"role": role},
+    )
+
+
+def case(folder: Path, joints: tuple[str, ...] = JOINTS, **hidden: float) -> list[str]:
+    """A model and three recordings, one held out; the words of a command line for them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "model.xml").write_text(mjcf(joints))
+    files = [
+        record(folder / f"{role}{seed}.mcap", seed, role=role, joints=joints, **hidden)
+        for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
+    ]
+    return [str(folder / "model.xml"), *map(str, files)]
