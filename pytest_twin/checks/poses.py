@@ -23,12 +23,15 @@ from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
+    import mujoco
+
     from pytest_twin.realization import Realization
 
 FloatArray = NDArray[np.float64]
 
 REFERENCE = "reference"
 _DRAWS = 200  # redraws of a coupled group before a seed is given up
+_GRID = 65  # values of a joint that others follow that are looked at
 _CLOSED = 1e-10  # residual of a closed loop, m or rad
 
 POSE_SCHEMA: Mapping[str, Any] = {
@@ -122,7 +125,7 @@ def resolve_poses(
             of one name, or no pose that satisfies the couplings.
     """
     recorded = (golden.expected or {}).get("poses", {})
-    solver = _Coupled(realization)
+    solver = _Coupled(realization.model)
     poses: list[Pose] = []
     for number, entry in enumerate(golden.stimulus["poses"]):
         place = f"{field}.{number}"
@@ -148,12 +151,37 @@ def resolve_poses(
 
 def resolve_pose(golden: Golden, realization: Realization, entry: object, field: str) -> Pose:
     """One pose, as ``POSE_SCHEMA`` says; raises as ``resolve_poses`` does."""
-    return _given(golden, field, entry, 0, _Coupled(realization))
+    return _given(golden, field, entry, 0, _Coupled(realization.model))
 
 
 def configuration(realization: Realization, values: Mapping[str, float]) -> FloatArray:
     """(nq,) with ``values`` (rad or m), the joints coupled to them following."""
-    return _Coupled(realization).configuration(values)
+    return _Coupled(realization.model).configuration(values)
+
+
+class Configurations:
+    """What a model's limits and couplings leave to be chosen.
+
+    Attributes:
+        independent: joint that follows no other -> (lower, upper) of the values with which it and
+            all that follow it stay within their limits, rad or m. One that couplings leave no
+            such value is left out, and stands at the reference.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._solver = _Coupled(model)
+        found = ((root, self._solver.span(root)) for root in self._solver.roots())
+        self.independent: Mapping[str, tuple[float, float]] = {
+            root: span for root, span in found if span is not None
+        }
+
+    def complete(self, values: Mapping[str, float]) -> dict[str, float] | None:
+        """All hinge and slide joints, rad or m: ``values``, and what follows from them.
+
+        Returns:
+            None where a closed loop of the model does not close, or a joint leaves its limits.
+        """
+        return self._solver.complete(values)
 
 
 def recorded_poses(poses: list[Pose]) -> dict[str, dict[str, float]]:
@@ -191,11 +219,11 @@ def _given(golden: Golden, place: str, entry: object, number: int, solver: _Coup
 class _Coupled:
     """Joint values of a model that satisfy its equality constraints."""
 
-    def __init__(self, realization: Realization) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         import mujoco
 
         self._mujoco = mujoco
-        self._model = model = realization.model
+        self._model = model
         types = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
         self._joint = {
             name: i
@@ -304,14 +332,43 @@ class _Coupled:
             value = min(max(round(lower + (upper - lower) * stream.random(), 6), lower), upper)
             qpos[self._address(root)] = value
             self._follow(qpos)
-            within = True
-            for member in members:
-                low, high = self._range(member)
-                slack = 1e-6 + 1e-3 * (high - low)
-                within &= low - slack <= qpos[self._address(member)] <= high + slack
-            if within:
+            if self._within(qpos, members):
                 break
         return value
+
+    def roots(self) -> list[str]:
+        """Joints that follow no other, in model order."""
+        return [joint for joint in self._joint if self._root(joint) == joint]
+
+    def span(self, root: str) -> tuple[float, float] | None:
+        """Values of ``root`` with which it and all that follow it stay within their limits."""
+        lower, upper = self._range(root)
+        members = [joint for joint in self._joint if self._root(joint) == root]
+        if len(members) == 1:
+            return lower, upper
+        fitting = [
+            value
+            for value in np.linspace(lower, upper, _GRID).tolist()
+            if self._within(self.configuration({root: value}), members)
+        ]
+        return (fitting[0], fitting[-1]) if fitting else None
+
+    def complete(self, values: Mapping[str, float]) -> dict[str, float] | None:
+        qpos = self.configuration(values)
+        if self._loops and self._close(qpos, frozenset()):
+            return None
+        chosen = [joint for joint in self._joint if self._root(joint) in values]
+        if not self._within(qpos, chosen):
+            return None
+        return {joint: float(qpos[self._address(joint)]) for joint in self._joint}
+
+    def _within(self, qpos: FloatArray, joints: Iterable[str]) -> bool:
+        for joint in joints:
+            low, high = self._range(joint)
+            slack = 1e-6 + 1e-3 * (high - low)
+            if not low - slack <= qpos[self._address(joint)] <= high + slack:
+                return False
+        return True
 
     def _range(self, joint: str) -> tuple[float, float]:
         i = self._joint[joint]
