@@ -1,0 +1,36 @@
+"""Inertias at the edge of what a body can have: floats add up differently from decimals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from model_texts import ARM, written
+
+from pytest_twin.realization import inertia, load
+
+
+@pytest.mark.parametrize("moments", [(0.1, 0.7, 0.8), (1e-7, 7e-7, 8e-7)])
+def test_a_flat_plate_is_a_body(moments: tuple[float, ...], tmp_path: Path) -> None:
+    stated = "ixx='{}' iyy='{}' izz='{}' ixy='0'".format(*moments)
+    text = ARM.replace('ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001"', stated)
+    assert stated in text
+    realization = load(written(tmp_path, text, "arm.urdf"))
+    index = realization.frame_index("upper")[1]
+    found = np.sort(realization.model.body_inertia[index])
+    np.testing.assert_allclose(found, sorted(moments), rtol=1e-14)
+
+
+def test_a_repair_stated_in_nine_digits_is_still_a_body() -> None:
+    random = np.random.default_rng(7)
+    for _ in range(300):
+        axes, _ = np.linalg.qr(random.normal(size=(3, 3)))
+        broken = axes @ np.diag(random.uniform(1e-4, 1e-3, 3) * [1, 1, 5]) @ axes.T
+        stated = [float(f"{value:.9g}") for value in inertia.six(inertia.consistent(broken))]
+        spec = mujoco.MjSpec()
+        body = spec.worldbody.add_body()
+        body.add_joint()
+        inertia.write(body, 1.0, np.zeros(3), inertia.tensor(tuple(stated)))
+        spec.compile()  # MuJoCo refuses what breaks the triangle inequality by one bit
