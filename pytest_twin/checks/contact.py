@@ -278,9 +278,10 @@ def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
     from pytest_twin.realization import simulate
 
     structure = realization.structure
+    given, colliding = realization.names("body"), structure.collision_bodies
     # The robot and its base are no table.
     robot = {b for body in structure.body_tree for b in structure.ancestors(body)}
-    furniture = structure.collision_bodies - robot
+    furniture = colliding.intersection(given) - robot
     named = [geom for geom, body in structure.geom_body.items() if body in furniture]
     standing = [*named, *sorted(furniture - {"world", *(structure.geom_body[g] for g in named)})]
     pose = {"pose": simulate.first_pose(realization)}
@@ -317,7 +318,7 @@ def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
         ]  # fmt: skip
         return [release, slide]
     free = [joint for joint, kind in structure.joint_type.items() if kind == "free"]
-    touching = [body for body in structure.body_tree if body in structure.collision_bodies]
+    touching = [body for body in given if body in structure.body_tree.keys() & colliding]
     if free:
         return [
             [

@@ -168,7 +168,7 @@ def end_frames(realization: Realization) -> list[str]:
     twin = realization.twin
     if twin is not None and twin.tcp is not None:
         frames.add(twin.tcp)
-    return sorted(frames & set(structure.frame_body))
+    return sorted(frames.intersection((*realization.names("body"), *realization.names("site"))))
 
 
 def _errors(found: list[float], expected: list[float]) -> tuple[float, float]:

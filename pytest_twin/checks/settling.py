@@ -117,9 +117,11 @@ class Settling(Check):
 
         stimulus = golden.stimulus
         structure = realization.structure
-        wanted = golden.target.get("joints", list(structure.joint_body))
+        wanted = golden.target.get("joints", realization.joints)
         for i, joint in enumerate(golden.target.get("joints", ())):
             known_name(golden, f"target.joints.{i}", joint, structure.joint_body, "joint")
+        if not wanted:
+            raise spec_error(golden, "target.joints", "no joint with a name that could settle")
         duration = _positive(golden, "stimulus.duration", stimulus["duration"])
         pose = resolve_pose(golden, realization, stimulus.get("pose", REFERENCE), "stimulus.pose")
         model = simulate.bench(
@@ -207,14 +209,14 @@ class Settling(Check):
         from pytest_twin.realization import simulate
 
         model = realization.model
-        if model.nv == 0:
+        if not realization.joints:
             return []
         structure = realization.structure
         held = {
             joint
-            for i in range(model.nactuator)
-            if simulate.command_kind(model, i) == "position"
-            for joint in simulate.driven_joints(realization, str(model.actuator(i).name))
+            for actuator in realization.actuators
+            if simulate.command_kind(model, realization.actuator_index(actuator)) == "position"
+            for joint in simulate.driven_joints(realization, actuator)
         }
         # What nothing holds falls and swings: after a while, no two machines agree on where.
         loose = set(structure.joint_body) - {

@@ -47,6 +47,11 @@ def run(args: argparse.Namespace) -> int:
         )
     if (folder / FILE_NAME).exists():
         raise SpecError("there is a twin already", path=folder / FILE_NAME, expected="a new folder")
+    with writing.all_or_nothing(folder):
+        return _set_up(robot, folder)
+
+
+def _set_up(robot: Path, folder: Path) -> int:
     with Sandbox(cwd=None) as sandbox:
         seen = sandbox.call("pytest_twin.setup.inspection:look", {"model": str(robot)})
         folder.mkdir(parents=True, exist_ok=True)
@@ -76,11 +81,14 @@ def run(args: argparse.Namespace) -> int:
         "goldens": recorded,
         "failing": failing,
         "left_out": left_out | found["silent"],
+        "nothing_to_propose": found["none"],
         "notes": seen["notes"],
     }
     atomic.write_text(folder / ".twin" / "init.json", json.dumps(summary, indent=2) + "\n")
     kinds = sorted({Path(golden).parts[1] for golden in recorded})
     print(f"{twin_file}: {len(recorded)} goldens of {len(kinds)} kinds: {', '.join(kinds)}")
+    if found["none"]:
+        print(f"nothing to propose for: {', '.join(found['none'])}")
     for where, why in summary["left_out"].items():
         print(f"left out: {where}: {why}")
     for where, why in failing.items():

@@ -26,7 +26,7 @@ def look(model: str) -> dict[str, Any]:
     source = realization.source
     return {
         "files": [str(path) for path in source.files],
-        "notes": list(realization.notes),
+        "notes": [*realization.notes, *_nameless(realization)],
         "inertia_repairs": {
             link: [float(value) for value in values]
             for link, values in source.inertia_repairs.items()
@@ -35,22 +35,40 @@ def look(model: str) -> dict[str, Any]:
     }
 
 
+def _nameless(realization: Realization) -> list[str]:
+    """What no golden can speak of."""
+    model = realization.model
+    counts = {"joint": model.njnt, "body": model.nbody, "actuator": model.nactuator}
+    return [
+        f"{realization.path}: {count - named} of {count} {kind}s have no name: "
+        "no golden can speak of them"
+        for kind, count in counts.items()
+        if (named := len(realization.names(kind))) < count
+    ]
+
+
 def first_specs(twin: str, progress: Any) -> dict[str, Any]:
-    """First specs of every installed kind, and why a kind has none where it could not say."""
+    """First specs of every installed kind, kinds without one, and why where one could not say."""
     loaded = load_twin(Path(twin))
     name, reference = next(iter(loaded.realizations.items()))
     realization = load(reference.file, twin=loaded, name=name)
     specs: list[dict[str, Any]] = []
     silent: dict[str, str] = {}
+    none: list[str] = []
     for done, kind in enumerate(kinds()):
         try:
             found = check_of(kind).first(realization)
         except TwinError as error:
             silent[kind] = str(error)
             continue
+        except Exception as error:  # anyone's code: it costs its own kind only
+            silent[kind] = f"{type(error).__name__}: {error}"
+            continue
+        if not found:
+            none.append(kind)
         specs += [{"kind": kind, **_plain(spec)} for spec in found]
         progress((done + 1) / len(kinds()))
-    return {"specs": specs, "silent": silent}
+    return {"specs": specs, "silent": silent, "none": none}
 
 
 def _last_frame(realization: Realization) -> str | None:
@@ -70,7 +88,8 @@ def _last_frame(realization: Realization) -> str | None:
             depth[link] = count
         return count
 
-    order = list(structure.frame_body)
+    given = {*realization.names("body")[1:], *realization.names("site")}
+    order = [frame for frame in structure.frame_body if frame in given]
     return max(
         order,
         key=lambda frame: (

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,9 @@ from pytest_twin.twin import FILE_NAME
 
 _ASSET = "asset"
 _SCHEMAS = "schemas"
+_GOLDEN = "golden"
+_IGNORED = ".gitignore"
+_OWN = (FILE_NAME, _ASSET, _SCHEMAS, _GOLDEN, ".twin", _IGNORED)
 _RULES = """\
 # What no file shows. Change an id when the thing changes: the goldens that it affects are stale.
 # parts:
@@ -27,6 +31,33 @@ _RULES = """\
 #   table: {id: steel-2024, affects: {kinds: [contact]}}
 # controllers, payloads, calibration and fit: see docs/twin.md
 """
+
+
+@contextmanager
+def all_or_nothing(folder: Path) -> Iterator[None]:
+    """Take back what was written of a twin in ``folder`` where the block does not end well."""
+    there = folder.is_dir()
+    before = frozenset(_written(folder))
+    try:
+        yield
+    except BaseException:
+        for path in _written(folder):
+            if path not in before:
+                with suppress(OSError):  # A folder that holds something of somebody else's.
+                    path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
+        if not there:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+def _written(folder: Path) -> Iterator[Path]:
+    """Everything at the places that this module writes to, what is inside before its folder."""
+    for name in _OWN:
+        for here, folders, files in os.walk(folder / name, topdown=False):
+            yield from (Path(here) / inner for inner in (*files, *folders))
+        if (folder / name).exists():
+            yield folder / name
 
 
 def bring_in(robot: Path, files: Sequence[Path], folder: Path) -> tuple[Path, list[Path]]:
@@ -104,10 +135,16 @@ def write_twin_file(
 
 
 def write_spec(folder: Path, spec: Mapping[str, Any]) -> Path:
-    """One first golden, ``golden/<kind>/<name>.yaml``; returns its path."""
+    """One first golden, ``golden/<kind>/<name>.yaml``; returns its path.
+
+    Raises:
+        SpecError: there is one already.
+    """
     body = {"schema": 1, **spec}
     name = str(body.pop("name"))
-    path = folder / "golden" / str(spec["kind"]) / f"{name}.yaml"
+    path = folder / _GOLDEN / str(spec["kind"]) / f"{name}.yaml"
+    if path.exists():
+        raise SpecError("the golden's place is taken", path=path, expected="a new folder")
     path.parent.mkdir(parents=True, exist_ok=True)
     head = modeline(f"../../{_SCHEMAS}/golden.schema.json")
     atomic.write_text(path, f"{head}\n{_dump(body)}")
@@ -125,7 +162,7 @@ def write_schemas(folder: Path) -> None:
 
 def ignore_scratch(folder: Path) -> None:
     """Keep what the gate writes for itself out of version control."""
-    path = folder / ".gitignore"
+    path = folder / _IGNORED
     if not path.exists():
         atomic.write_text(path, ".twin/\n")
 

@@ -1,0 +1,108 @@
+"""Robots that few people have: nameless, sliding, free, with words of other alphabets."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+BIN = Path(sys.executable).parent
+NAMELESS = """\
+<mujoco><worldbody><body><joint type="slide" axis="1 0 0"/><geom size=".1" mass="95"/></body>
+</worldbody></mujoco>
+"""
+FREE = """\
+<mujoco model="quad"><worldbody><geom name="floor" type="plane" size="5 5 .1"/>
+<body name="trunk" pos="0 0 .4"><freejoint name="root"/><geom type="box" size=".2 .1 .05" mass="6"/>
+<body name="leg" pos=".1 0 0"><joint name="hip" axis="0 1 0" range="-60 60" damping=".2"
+armature=".01"/><geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".4"/></body></body>
+</worldbody><actuator><position joint="hip" kp="30" kv="1"/></actuator></mujoco>
+"""
+UMLAUTS = """\
+<mujoco><worldbody><geom name="Boden plan" type="plane" size="2 2 .1"/>
+<body name="Wagen eins" pos="0 0 .5"><joint name="Schiene 1" type="slide" axis="1 0 0"
+range="-1 1"/><geom type="box" size=".1 .1 .1" mass="2"/><site name="Spitze/ü" pos="0 0 .3"/></body>
+</worldbody><actuator><motor name="Antrieb é" joint="Schiene 1" ctrlrange="-5 5"/></actuator>
+</mujoco>
+"""
+
+
+def environment(tmp_path: Path) -> dict[str, str]:
+    state = {"XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_STATE_HOME": str(tmp_path / "state")}
+    return {**os.environ, **state}
+
+
+def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(BIN / command[0]), *command[1:]],
+        cwd=cwd, env=environment(cwd.parent), capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("text", [NAMELESS, FREE, UMLAUTS], ids=["nameless", "free", "umlauts"])
+def test_a_gate_around_it_signs(text: str, tmp_path: Path) -> None:
+    folder = tmp_path / "mein Zwilling ü"
+    folder.mkdir()
+    (folder / "robot eins.xml").write_text(text)
+    made = run("pytest-twin", "init", "robot eins.xml", cwd=folder)
+    assert made.returncode == 0, made.stdout + made.stderr
+    told = json.loads((folder / ".twin" / "init.json").read_text())
+    assert told["failing"] == told["left_out"] == {}
+    released = run("pytest", "--twin-release", cwd=folder)
+    assert released.returncode == 0, released.stdout[-3000:]
+    assert "release 0001 signed" in released.stdout
+
+
+def test_what_has_no_name_is_said(tmp_path: Path) -> None:
+    folder = tmp_path / "twin"
+    folder.mkdir()
+    (folder / "robot.xml").write_text(NAMELESS)
+    made = run("pytest-twin", "init", "robot.xml", cwd=folder)
+    assert f"note: {folder}/robot.xml: 1 of 1 joints have no name: no golden can speak" in (
+        made.stdout
+    )
+    assert "nothing to propose for: " in made.stdout
+    assert "tcp" not in (folder / "twin.yaml").read_text()
+
+
+@pytest.mark.parametrize("stage", ["twin.yaml", "golden", ".twin"])
+def test_an_interrupt_leaves_the_folder_as_it_was(stage: str, tmp_path: Path) -> None:
+    folder = tmp_path / "twin"
+    (folder / "golden").mkdir(parents=True)
+    (folder / "robot.xml").write_text(UMLAUTS)
+    (folder / "golden" / "notes.txt").write_text("mine")
+    child = subprocess.Popen(
+        [str(BIN / "pytest-twin"), "init", "robot.xml"],
+        cwd=folder, env=environment(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, start_new_session=True,
+    )  # fmt: skip
+    sign = folder / "golden" / "fk" if stage == "golden" else folder / stage
+    end = time.monotonic() + 120
+    while not sign.exists() and child.poll() is None and time.monotonic() < end:
+        time.sleep(0.005)
+    os.killpg(child.pid, signal.SIGINT)  # as Ctrl-C: the whole group gets it
+    _, said = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert said == "pytest-twin init: interrupted; nothing was half written\n"
+    assert sorted(path.name for path in folder.rglob("*")) == ["golden", "notes.txt", "robot.xml"]
+
+
+def test_a_spec_that_is_there_is_never_overwritten(tmp_path: Path) -> None:
+    folder = tmp_path / "twin"
+    (folder / "golden" / "fk").mkdir(parents=True)
+    (folder / "robot.xml").write_text(UMLAUTS)
+    mine = folder / "golden" / "fk" / "frames.yaml"
+    mine.write_text("# mine\n")
+    made = run("pytest-twin", "init", "robot.xml", cwd=folder)
+    assert made.returncode == 2
+    assert made.stderr == (
+        f"pytest-twin init: {mine}: the golden's place is taken (expected a new folder)\n"
+    )
+    assert mine.read_text() == "# mine\n"
+    assert sorted(path.name for path in folder.iterdir()) == ["golden", "robot.xml"]
