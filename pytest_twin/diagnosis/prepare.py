@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.hypothesis import EMPTY, Scales, effect_values
+from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.problem import Problem, joint_scales, sensor_noise, smooth_state
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
@@ -21,7 +22,8 @@ from pytest_twin.trial import Trial
 # Under an effort command errors integrate twice: a simulation is held to the recording for this
 # long, then starts anew from the measured state.
 _EFFORT_WINDOW = 1.0
-_REFINE = 4
+REFINE = 4
+_LEFT_BY_CORRECTION = 0.125
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +65,7 @@ def prepare(
     simulator = RowSimulator(segments, joints, threads=threads)
     is_fit = np.array(owner) < len(fit)
     noise = np.max([sensor_noise(s.position) for s in segments], axis=0)
-    steps = discretization(segments, joints, threads)
-    floor = np.sqrt(noise**2 + steps**2)
+    refined = RowSimulator(segments, joints, threads=threads, refine=REFINE)
     effort_floor: FloatArray | None = None
     if all(s.effort is not None for s in segments):
         efforts = [s.effort for s in segments if s.effort is not None]
@@ -72,28 +73,29 @@ def prepare(
             effort_floor = np.max([sensor_noise(e) for e in efforts], axis=0)
     scales = joint_scales(simulator, segments)
     problem = Problem(
-        simulator, np.flatnonzero(is_fit), np.flatnonzero(~is_fit), floor, scales, effort_floor
+        simulator,
+        np.flatnonzero(is_fit),
+        np.flatnonzero(~is_fit),
+        noise,
+        scales,
+        effort_floor,
+        refined,
     )
+    problem.refine_at(EMPTY)
+    steps = discretization(problem)
+    # What the correction leaves of the step's error, at most an eighth as measured on arms.
+    problem.floor = np.sqrt(noise**2 + (_LEFT_BY_CORRECTION * steps) ** 2)
     parts = {"sensor noise and quantization": noise, "discretization of the simulator": steps}
     return Prepared(problem, tuple(owner), parts)
 
 
-def discretization(
-    segments: Sequence[Segment], joints: Sequence[str], threads: int
-) -> FloatArray:
-    """(joints,) root mean square of what a finer step changes, rad or m.
-
-    The difference of the model's own step to one ``_REFINE`` times finer, on the nominal model;
-    an integrator of first order is off by that much and a third more.
-    """
-    few = [s for s in segments if s.trial == segments[0].trial]
-    rows = np.arange(len(few))
-    values = effect_values([EMPTY] * len(few), len(joints), Scales({}))
-    coarse = RowSimulator(few, joints, threads=threads).simulate(rows, values)
-    fine = RowSimulator(few, joints, threads=threads, refine=_REFINE).simulate(rows, values)
-    change = np.concatenate([a.position - b.position for a, b in zip(coarse, fine, strict=True)])
-    error: FloatArray = np.sqrt(np.nanmean(change**2, axis=0)) * _REFINE / (_REFINE - 1)
-    return np.nan_to_num(error)
+def discretization(problem: Problem) -> FloatArray:
+    """(joints,) root mean square of what the model's own step changes, rad or m."""
+    changes = [add.position for add in problem.defect.values()]
+    if not changes:
+        return np.zeros(len(problem.joints))
+    error: FloatArray = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0))
+    return error
 
 
 def _shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[str, ...]:
@@ -146,13 +148,13 @@ def _segments(
         first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])
         return [
             Segment(start=0.0, time=time, position=position, velocity=velocity, effort=effort,
-                    initial_position=position[0], initial_velocity=first, **common)  # type: ignore[arg-type]
+                    initial_position=position[0], initial_velocity=first, **common)
         ]  # fmt: skip
     out = []
     count = max(1, round(time[-1] / _EFFORT_WINDOW))
     edges = np.linspace(0.0, time[-1], count + 1)
     interval = float(np.median(np.diff(time)))
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
+    for start, end in itertools.pairwise(edges):
         inside = (time >= start) & (time <= end)
         if inside.sum() < 8:
             continue
@@ -161,7 +163,7 @@ def _segments(
             Segment(start=float(start), time=time[inside], position=position[inside],
                     velocity=None if velocity is None else velocity[inside],
                     effort=None if effort is None else effort[inside],
-                    initial_position=q, initial_velocity=v, **common)  # type: ignore[arg-type]
+                    initial_position=q, initial_velocity=v, **common)
         )  # fmt: skip
     return out
 

@@ -78,8 +78,8 @@ def responses(
             p.starts if p.neutral is None or len(switches) == 1 else p.starts[:1]
             for p in term.parameters
         ]
-        for start in itertools.product(*grids):
-            full = np.array(start)
+        for sizes in itertools.product(*grids):
+            full = np.array(sizes)
             plan.append((term, full, switches))
             for s in switches:
                 alone = full.copy()

@@ -1,10 +1,10 @@
 """Choose the structure: which effects earn their place.
 
-Forward: the best-screened candidates are fitted side by side, together with what is already named,
-and judged by evidence: log-likelihood on the fit recordings less half a log of the effective samples
-for each parameter (Schwarz 1978), plus log-likelihood on recordings that no fit has seen. Then
-backward: a term that no longer pays is dropped. Then sideways: each term is held against the rivals
-that could stand in its place.
+Forward: the best-screened candidates are fitted side by side, together with what is already
+named, and judged by evidence: log-likelihood on the fit recordings less half a log of the effective
+samples for each parameter (Schwarz 1978), plus log-likelihood on recordings that no fit has seen.
+Then backward: a term that no longer pays is dropped. Then sideways: each term is held against the
+rivals that could stand in its place.
 """
 
 from __future__ import annotations
@@ -149,14 +149,19 @@ class Selection:
         for r in rivals[:5]:
             t = r.hypothesis.terms[-1]
             self.say(f"  {t.effect} {t.joint} evidence {r.evidence:.1f} held {r.held_gain:.1f}")
-        top = rivals[0]
-        if top.evidence < _EARNS or (self.has_held and top.held_gain <= 0.0):
+        earning = [
+            r for r in rivals if r.evidence >= _EARNS and (r.held_gain > 0.0 or not self.has_held)
+        ]
+        if not earning:
             return None
-        refined = self._rivals([top.hypothesis], self._weights(top), _LONG)[0]
-        self._judge([refined], best)
-        better = refined if refined.evidence >= top.evidence else top
-        self.say(f"+ {better.hypothesis.terms[-1]} evidence {better.evidence:.1f}")
-        return better
+        top = self._settled(earning[0])
+        self.say(f"+ {top.hypothesis.terms[-1]} evidence {earning[0].evidence:.1f}")
+        return top
+
+    def _settled(self, rival: Rival) -> Rival:
+        """The rival fitted to the end, with the simulator's step corrected where it now stands."""
+        self.problem.refine_at(rival.hypothesis)
+        return self._rivals([rival.hypothesis], self._weights(rival), _LONG)[0]
 
     def _backward(self, best: Rival) -> Rival:
         while len(best.hypothesis.terms) > 1:
@@ -205,8 +210,7 @@ class Selection:
         if rivals:
             top = max(rivals, key=lambda r: r.evidence)
             if top.evidence > 1.0:
-                refined = self._rivals([top.hypothesis], self._weights(top), _LONG)[0]
                 self.say(f"~ {top.hypothesis.terms} evidence {top.evidence:.1f}")
-                selected.best = self._backward(refined)
+                selected.best = self._backward(self._settled(top))
                 return True
         return False

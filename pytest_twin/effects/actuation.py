@@ -45,7 +45,7 @@ class RateLimit(Effect):
         # Absent at infinity: the parameter is the reciprocal of the rate.
         Parameter(
             "inverse_rate", "one", 0.0, 0.0, 20.0, (0.3, 1.0), "slowness", ("rate", "velocity")
-        ),  # fmt: skip
+        ),
     )
     modes = ("position", "velocity")
     confused_with: ClassVar = {

@@ -61,8 +61,8 @@ class Parameter:
             tried with the sign that the data ask for.
         reference: the joint's own scale that bounds and starts are multiples of: ``one``,
             ``effort`` (root mean square of the drive's effort), ``velocity``, ``position``,
-            ``time`` (1 s), ``inertia`` (reflected), ``damping`` (effort / velocity), ``stiffness``
-            (effort / position).
+            ``twelfth`` (of the longest trial, s), ``inertia`` (reflected), ``damping`` (effort /
+            velocity), ``stiffness`` (effort / position).
         reciprocal_of: name and quantity of what is reported in its place: a law that is absent at
             infinity is fitted by its reciprocal.
     """
@@ -203,6 +203,12 @@ class Effect:
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
         """What sensors read of (rows, samples, joints) trajectories."""
+        return position, velocity
+
+    def unsense(
+        self, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        """The (rows, joints) state behind a measured one: the inverse of ``sense``."""
         return position, velocity
 
     def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:

@@ -18,8 +18,8 @@ class ExternalForce(Effect):
     source = "Haddadin, De Luca, Albu-Schaeffer, IEEE T-RO 33 (2017): collision detection"
     parameters = (
         Parameter("effort", "effort", 0.0, -20.0, 20.0, (0.3,), "effort"),
-        Parameter("start", "time", None, 0.0, 1e4, (0.0,)),
-        Parameter("duration", "time", None, 0.01, 1e4, (1.0,)),
+        Parameter("start", "time", None, 0.0, 12.0, tuple(float(k) for k in range(12)), "twelfth"),
+        Parameter("duration", "time", None, 0.02, 12.0, (1.0,), "twelfth"),
     )
     confused_with: ClassVar = {"thermal_friction": "the same motion twice"}
 

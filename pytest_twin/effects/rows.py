@@ -7,6 +7,7 @@ steps on arrays of all rows.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -168,8 +169,6 @@ class RowSimulator:
         """The segment's model with every force range in force, so that rows can narrow it."""
         key = id(self.segments[segment].model)
         if key not in self._models:
-            import copy
-
             model = copy.copy(self.segments[segment].model)
             free = model.actuator_forcelimited == 0
             model.actuator_forcelimited[free] = 1
@@ -188,15 +187,18 @@ class RowSimulator:
         """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i."""
         values = _with_fixed(values, self.fixed, len(rows))
         found: list[Predicted | None] = [None] * len(rows)
-        order = np.argsort(self.steps[rows], kind="stable")
+        stepwise = _between_steps(values, len(rows))
+        order = np.lexsort((self.steps[rows], stepwise))
         begin = 0
         while begin < len(order):
-            # Rows of like length step together; none waits for one more than a tenth longer.
-            shortest = self.steps[rows[order[begin]]]
+            # Rows of like length step together; none waits for one more than a tenth longer, and
+            # none that the engine steps alone waits for laws between steps.
+            shortest, kind = self.steps[rows[order[begin]]], stepwise[order[begin]]
             end = begin
             while (
                 end < len(order)
                 and end - begin < _MAX_ROWS
+                and stepwise[order[end]] == kind
                 and self.steps[rows[order[end]]] <= 1.1 * shortest + 8
             ):
                 end += 1
@@ -214,6 +216,8 @@ class RowSimulator:
         models = [self._bounded(int(r)) for r in rows]
         batch = Batch(base, len(rows), nthread=self.threads)
         world = self._world(rows, models)
+        for effect, v in reversed(effects):
+            world.position, world.velocity = effect.unsense(world.position, world.velocity, v)
         self._write_fields(batch, rows, models, effects, world)
         commands = self._row_commands(rows, effects, steps)
         self.stepped += len(rows) * steps
@@ -563,6 +567,18 @@ def _with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectV
 
 def _hooks(effect: Effect, name: str) -> bool:
     return getattr(type(effect), name) is not getattr(Effect, name)
+
+
+def _between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
+    """(rows,) whether a row has an effect that acts between steps."""
+    found = np.zeros(count, dtype=bool)
+    for name, v in values.items():
+        effect = catalogue()[name]
+        if any(_hooks(effect, hook) for hook in _BETWEEN_STEPS):
+            for p in effect.parameters:
+                if p.neutral is not None:
+                    found |= (v[p.name] != p.neutral).any(axis=1)
+    return found
 
 
 def _any_hook(effects: list[tuple[Effect, Values]], name: str) -> bool:

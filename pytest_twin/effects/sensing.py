@@ -28,6 +28,11 @@ class EncoderBias(Effect):
     ) -> tuple[FloatArray, FloatArray]:
         return position + values["bias"][:, None], velocity
 
+    def unsense(
+        self, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        return position - values["bias"], velocity
+
 
 class EncoderScale(Effect):
     """Counts per turn, or the gear ratio behind them, differ from what is assumed."""
@@ -47,6 +52,12 @@ class EncoderScale(Effect):
     ) -> tuple[FloatArray, FloatArray]:
         factor = 1.0 + values["scale_error"][:, None]
         return position * factor, velocity * factor
+
+    def unsense(
+        self, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        factor = 1.0 + values["scale_error"]
+        return position / factor, velocity / factor
 
 
 class EncoderEccentricity(Effect):
@@ -72,6 +83,24 @@ class EncoderEccentricity(Effect):
         measured = position + sine * np.sin(position) + cosine * (np.cos(position) - 1.0)
         rate = 1.0 + sine * np.cos(position) - cosine * np.sin(position)
         return measured, velocity * rate
+
+    def unsense(
+        self, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        true = position
+        for _ in range(20):
+            # A contraction: the error's slope is below one within its bounds.
+            measured, _ = self._read(true, velocity, values)
+            true = true + position - measured
+        _, faster = self._read(true, np.ones_like(velocity), values)
+        return true, velocity / faster
+
+    def _read(
+        self, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        one = np.zeros((1, 1))
+        read = self.sense(one, position[:, None], velocity[:, None], values)
+        return read[0][:, 0], read[1][:, 0]
 
 
 class EffortBias(Effect):
