@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,25 @@ from pytest_twin.diagnosis.findings import Explained, explain, finding_json, joi
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.diagnosis.realize import Patched, fixed_values, stepped_beside, without_delays
+from pytest_twin.diagnosis.realize import (
+    AppliedEffect,
+    Patched,
+    fixed_values,
+    stepped_beside,
+    without_delays,
+)
 from pytest_twin.diagnosis.select import Selected, Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 
 # A joint whose missing force stands out this much less than the clearest one only shows it.
 _CAUSE = 0.4
+# The floor, rad or m, of a joint whose encoder says nothing.
+_UNSEEN = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,15 +129,17 @@ def diagnose(
         RecordingError: no joint that the model and every recording share.
         SpecError: a controller, payload or actuator that the model lacks.
     """
-    everything = (*trials.fit, *trials.held_out)
     notes = list(trials.notes)
     if inherited is not None:
         realization = without_delays(realization, inherited)
     progress(0.02)
-    prepared = prepare(realization, trials.fit, trials.held_out, threads=threads)
+    fixed = () if inherited is None else stepped_beside(inherited)
+    prepared, trials = _prepared(realization, trials, fixed, threads, notes)
+    everything = (*trials.fit, *trials.held_out)
     problem = prepared.problem
-    if inherited is not None:
-        problem.simulator.fixed = fixed_values(stepped_beside(inherited), problem.joints, 1)
+    for joint in trials.unseen:
+        # So far off the floor nothing stands out of it, and no fit heeds it.
+        problem.floor[problem.joints.index(joint)] = _UNSEEN
     notes += _left_out_joints(realization, everything, problem.joints)
     progress(0.06)
     steps = 0
@@ -158,6 +169,48 @@ def diagnose(
     )
 
 
+def _prepared(
+    realization: Realization,
+    trials: TrialSet,
+    fixed: tuple[AppliedEffect, ...],
+    threads: int,
+    notes: list[str],
+) -> tuple[Prepared, TrialSet]:
+    """The problem, without recordings on which the model itself diverges.
+
+    Raises:
+        SimulationError: it diverges on all of them.
+    """
+    while True:
+        prepared = prepare(realization, trials.fit, trials.held_out, threads=threads)
+        problem = prepared.problem
+        if fixed:
+            problem.simulator.fixed = fixed_values(fixed, problem.joints, 1)
+        everything = (*trials.fit, *trials.held_out)
+        everywhere = np.arange(len(problem.simulator.segments))
+        predicted = problem.predict([EMPTY], everywhere)[0]
+        lost = {
+            prepared.segment_trial[s]
+            for s, p in enumerate(predicted)
+            if not np.isfinite(p.position).all()
+        }
+        if not lost:
+            return prepared, trials
+        for i in sorted(lost):
+            notes.append(f"left out: {everything[i].path}: the model as it came diverges there")
+        fit = tuple(t for i, t in enumerate(everything[: len(trials.fit)]) if i not in lost)
+        aside = tuple(
+            t for i, t in enumerate(trials.held_out, start=len(trials.fit)) if i not in lost
+        )
+        if not fit:
+            raise SimulationError(
+                "the model as it came diverges under the recorded commands",
+                path=everything[min(lost)].path,
+                expected="a model that can be stepped through at least one recording",
+            )
+        trials = replace(trials, fit=fit, held_out=aside)
+
+
 def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[str, JointError]:
     problem = prepared.problem
     tested = problem.held_out if len(problem.held_out) else problem.fit
@@ -165,6 +218,8 @@ def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[s
     inside = np.repeat(np.isin(everywhere, tested), problem.lengths(everywhere))
     found = {}
     for j, joint in enumerate(problem.joints):
+        if problem.floor[j] >= _UNSEEN:
+            continue
         rms = [float(np.sqrt(np.nanmean(r[inside, j] ** 2))) for r in (before, after)]
         floor, unit = float(problem.floor[j]), joint_unit(problem, j)
         found[joint] = JointError(rms[0], rms[1], floor, unit)
@@ -186,7 +241,7 @@ def _left(
     found: dict[str, Left] = {}
     for j in sorted(np.flatnonzero(cause), key=lambda j: -strength[j]):
         joint = problem.joints[j]
-        if errors[joint].fraction <= 0.0:
+        if joint not in errors or errors[joint].fraction <= 0.0:
             continue
         blame = np.maximum((force.force[:, j] / force.noise[j]) ** 2 - 1.0, 0.0)
         where = place_of(paths, blame, int(j), errors[joint].unit)

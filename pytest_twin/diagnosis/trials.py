@@ -15,6 +15,12 @@ from pytest_twin.trial import Trial, make_trial
 
 # Of this many whole recordings one is held out where nobody says which.
 _ONE_HELD_OUT_OF = 4
+# States follow commands with this correlation before their ratio is called one of units.
+_FOLLOWS = 0.9
+_LIKE = 0.15
+_COUNTS = 100.0
+# Share of messages with the very same greatest speed.
+_CLIPPED = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +31,13 @@ class TrialSet:
         fit: parameters are fitted on these.
         held_out: no fit sees them; may be empty.
         notes: how roles were decided, what was left out and what is doubtful, one line each.
+        unseen: joints whose encoder is stuck; what they read is held against nothing.
     """
 
     fit: tuple[Trial, ...]
     held_out: tuple[Trial, ...]
     notes: tuple[str, ...]
+    unseen: frozenset[str] = frozenset()
 
 
 def read_trials(
@@ -55,7 +63,9 @@ def read_trials(
     for path in dict.fromkeys([*recordings, *held_out]):
         try:
             known[path] = make_trial(read(path, topics), structure)
+            _refuse_other_unit(known[path])
         except TwinError as error:
+            known.pop(path, None)
             first_error = first_error or error
             notes.append(f"left out: {error}")
     trials = [known[p] for p in recordings if p in known and p not in set(held_out)]
@@ -81,13 +91,14 @@ def read_trials(
                 )
         trials = [t for t in trials if t.command_mode == kept]
         aside = [t for t in aside if t.command_mode == kept]
+    unseen = _unseen(trials, aside, notes)
     if not held_out:
         trials, aside, said = _by_role(trials)
         notes.append(said)
     elif not aside:
         notes.append("no held-out recording could be used: confidence is limited")
     notes += _doubts([*trials, *aside])
-    return TrialSet(tuple(trials), tuple(aside), tuple(notes))
+    return TrialSet(tuple(trials), tuple(aside), tuple(notes), unseen)
 
 
 def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
@@ -114,6 +125,94 @@ def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
     )  # fmt: skip
 
 
+def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozenset[str]:
+    """Leave out recordings with a stuck encoder where others remain, else the joint itself."""
+
+    def stuck(trial: Trial) -> set[str]:
+        return {m.joint for m in trial.marks if m.kind == "stuck" and m.joint is not None}
+
+    bad = [t for t in [*trials, *aside] if stuck(t)]
+    sound_fit = [t for t in trials if not stuck(t)]
+    sound_aside = [t for t in aside if not stuck(t)]
+    if not bad:
+        return frozenset()
+    if sound_fit and (sound_aside or not aside):
+        for t in bad:
+            notes.append(
+                f"left out: {t.path}: the encoder of {', '.join(sorted(stuck(t)))} is stuck"
+            )
+        trials[:], aside[:] = sound_fit, sound_aside
+        return frozenset()
+    joints = frozenset(j for t in bad for j in stuck(t))
+    if all(j in joints for t in [*trials, *aside] for j in t.joints):
+        raise RecordingError(
+            "every encoder is stuck while its command moves",
+            path=bad[0].path,
+            value=", ".join(sorted(joints)),
+            expected="positions that follow",
+        )
+    notes += [f"joint {j!r}: its encoder is stuck; nothing is held against it" for j in
+              sorted(joints)]  # fmt: skip
+    return joints
+
+
+def _refuse_other_unit(trial: Trial) -> None:
+    """Positions many times what is commanded, in a constant ratio, are in another unit.
+
+    Raises:
+        RecordingError: the ratio is that of degrees, or far from one.
+    """
+    if trial.command_mode != "position":
+        return
+    for column, joint in enumerate(trial.joints):
+        if joint not in trial.command_joints:
+            continue
+        sent = trial.command[:, trial.command_joints.index(joint)]
+        held = np.searchsorted(trial.command_time, trial.time, side="right") - 1
+        sent = sent[np.maximum(held, 0)]
+        sent, seen = (
+            sent - sent.mean(),
+            trial.position[:, column] - trial.position[:, column].mean(),
+        )
+        power = float(sent @ sent)
+        both = np.sqrt(power * float(seen @ seen))
+        if both <= 0.0 or float(sent @ seen) / both < _FOLLOWS:
+            continue
+        ratio = float(sent @ seen) / power
+        for factor, name in ((np.degrees(1.0), "degrees"), (np.radians(1.0), "radians")):
+            if abs(np.log(ratio / factor)) < _LIKE:
+                raise RecordingError(
+                    f"states move {ratio:.3g} times as far as commands, as if in {name}",
+                    path=trial.path,
+                    where=f"joint '{joint}'",
+                    expected="one unit, rad (m where it slides)",
+                )
+        if ratio > _COUNTS or ratio < 1.0 / _COUNTS:
+            raise RecordingError(
+                f"states move {ratio:.3g} times as far as commands, as if in encoder counts",
+                path=trial.path,
+                where=f"joint '{joint}'",
+                expected="one unit, rad (m where it slides)",
+            )
+
+
+def _clipped(trial: Trial) -> list[str]:
+    """Joints whose measured velocity stands at its own greatest value for a while."""
+    lines: list[str] = []
+    if trial.velocity is None:
+        return lines
+    for column, joint in enumerate(trial.joints):
+        speed = np.abs(trial.velocity[:, column])
+        top = float(np.nanmax(speed, initial=0.0))
+        share = float(np.mean(speed == top))
+        if top > 0.0 and share > _CLIPPED:
+            lines.append(
+                f"{trial.path.name}: velocity of {joint} stands at {top:.4g} in "
+                f"{100 * share:.0f} % of the messages, as if clipped; positions are what counts"
+            )
+    return lines
+
+
 def _names(trials: Sequence[Trial]) -> str:
     return ", ".join(t.path.name for t in trials)
 
@@ -130,7 +229,7 @@ def _doubts(trials: Sequence[Trial]) -> list[str]:
             found.setdefault((mark.kind, mark.joint, mark.topic or ""), []).append(
                 f"{place}: {mark.text}"
             )
-    lines = []
+    lines = [line for trial in trials for line in _clipped(trial)]
     for (kind, joint, topic), texts in found.items():
         who = " ".join(part for part in (topic, joint) if part)
         more = f", and {len(texts) - 1} more like it" if len(texts) > 1 else ""

@@ -39,7 +39,8 @@ def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
         warnings.simplefilter("ignore")
         figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
         (FigureCanvasSVG if image == "svg" else FigureCanvasAgg)(figure)
-        course, drivers, slices = figure.subfigures(3, 1, height_ratios=[2.7, 1.35, 1.7])
+        rows = figure.subfigures(3, 1, squeeze=False, height_ratios=[2.7, 1.35, 1.7])
+        course, drivers, slices = rows[:, 0]
         overlay, left = course.subplots(2, 1, sharex=True, height_ratios=[1.4, 1.1])
         _overlay(overlay, view)
         _left_over_time(left, view)

@@ -156,7 +156,9 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
     owners = sorted({prepared.segment_trial[s] for s in tested})
     views = []
     for j, joint in enumerate(problem.joints):
-        error = found.errors[joint]
+        error = found.errors.get(joint)
+        if error is None:
+            continue
         left = [r[inside, j] for r in (found.before, found.after)]
         worst = max(
             owners,

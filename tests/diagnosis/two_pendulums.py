@@ -23,9 +23,7 @@ _BODY = f"""
       <inertial pos="0 0 {LENGTH}" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} 5e-4"/>
       <joint name="{{0}}" axis="0 1 0" damping="{DAMPING}" armature="{ARMATURE}"/>
     </body>"""
-_SERVO = (
-    f'<position name="{{0}}" joint="{{0}}" kp="{KP}" kv="{KV}" forcerange="-{LIMIT} {LIMIT}"/>'
-)
+_SERVO = f'<position name="{{0}}" joint="{{0}}" kp="{KP}" kv="{KV}" forcerange="-{LIMIT} {LIMIT}"/>'
 
 
 def mjcf(joints: tuple[str, ...] = JOINTS) -> str:

@@ -1,0 +1,181 @@
+"""Recordings that cannot be used, wholly or in part: what is said, and that the rest goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import JOINTS, STEP, mjcf, record, reference, swing, write
+
+from pytest_twin import cli
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.errors import RecordingError
+
+
+class Bench:
+    """A folder with the nominal model, and recordings made to order."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "model.xml").write_text(mjcf())
+        self.loaded = load_model(folder / "model.xml")
+        wanted = reference(7, 1.5, 2)
+        moved = swing(wanted)
+        at, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+        noise = 1e-4 * np.random.default_rng(0).standard_normal((len(seen), 2))
+        self.sent_at, self.sent = at * STEP, wanted[at]
+        self.seen_at, self.seen = seen * STEP, moved[seen] + noise
+
+    def put(
+        self,
+        name: str,
+        *,
+        sent_at: np.ndarray | None = None,
+        seen: np.ndarray | None = None,
+        velocity: np.ndarray | None = None,
+        joints: tuple[str, ...] = JOINTS,
+        role: str | None = None,
+    ) -> Path:
+        path = self.folder / name
+        write(
+            path,
+            joints,
+            self.sent_at if sent_at is None else sent_at,
+            self.sent[:, : len(joints)],
+            self.seen_at,
+            (self.seen if seen is None else seen)[:, : len(joints)],
+            role,
+            velocity,
+        )
+        return path
+
+    def read(self, *recordings: Path, held_out: tuple[Path, ...] = ()) -> TrialSet:
+        structure = self.loaded.realization.structure
+        return read_trials(recordings, held_out, self.loaded.topics, structure)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def names(trials: tuple[object, ...]) -> list[str]:
+    return [t.path.name for t in trials]  # type: ignore[attr-defined]
+
+
+def test_a_role_is_what_the_command_line_says_then_the_metadata_then_a_split(bench: Bench) -> None:
+    a, b, c = bench.put("a.mcap"), bench.put("b.mcap", role="held_out"), bench.put("c.mcap")
+    said = bench.read(a, b, held_out=(c,))
+    assert (names(said.fit), names(said.held_out)) == (["a.mcap", "b.mcap"], ["c.mcap"])
+    own = bench.read(a, b, c)
+    assert (names(own.fit), names(own.held_out)) == (["a.mcap", "c.mcap"], ["b.mcap"])
+    assert own.notes[0] == "held out by their own metadata: b.mcap"
+    split = bench.read(a, c)
+    assert len(split.fit) == len(split.held_out) == 1
+    assert "whole recordings were split, held out: c.mcap" in split.notes[0]
+    # A recording given twice plays one role.
+    assert names(bench.read(a, c, held_out=(c,)).fit) == ["a.mcap"]
+
+
+def test_one_recording_has_nothing_to_hold_out(bench: Bench) -> None:
+    only = bench.read(bench.put("a.mcap"))
+    assert only.held_out == ()
+    assert "one recording only: nothing is held out" in only.notes[0]
+
+
+def test_everything_held_out_leaves_nothing_to_fit(bench: Bench) -> None:
+    path = bench.put("a.mcap")
+    with pytest.raises(RecordingError, match="nothing left to fit"):
+        bench.read(path, held_out=(path,))
+
+
+def test_a_recording_that_cannot_be_used_is_left_out_with_its_reason(bench: Bench) -> None:
+    holes = bench.seen.copy()
+    holes[40:43, 1] = np.nan
+    good = bench.put("good.mcap")
+    later = bench.put("later.mcap", sent_at=bench.sent_at + 60.0)
+    torn = bench.put("torn.mcap", seen=holes)
+    found = bench.read(good, later, torn)
+    assert names(found.fit) == ["good.mcap"]
+    assert any("later.mcap" in n and "do not overlap in time" in n for n in found.notes)
+    assert any("torn.mcap" in n and "not finite" in n and "right" in n for n in found.notes)
+    with pytest.raises(RecordingError, match="do not overlap"):
+        bench.read(later)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(np.degrees(1.0), "as if in degrees"), (4096 / (2 * np.pi), "as if in encoder counts")],
+)
+def test_another_unit_is_not_taken_for_physics(bench: Bench, factor: float, words: str) -> None:
+    odd = bench.put("odd.mcap", seen=bench.seen * factor)
+    with pytest.raises(RecordingError, match=words):
+        bench.read(odd)
+    assert names(bench.read(bench.put("a.mcap"), odd).fit) == ["a.mcap"]
+
+
+def test_a_clipped_velocity_is_said_and_does_not_matter(bench: Bench) -> None:
+    speed = np.clip(np.gradient(bench.seen, bench.seen_at, axis=0), -1.0, 1.0)
+    found = bench.read(bench.put("a.mcap", velocity=speed))
+    assert any("velocity of left stands at 1" in note for note in found.notes)
+
+
+def stuck(bench: Bench) -> np.ndarray:
+    held = bench.seen.copy()
+    held[20:, 0] = held[20, 0]
+    return held
+
+
+def test_a_stuck_encoder_costs_its_recording_where_others_remain(bench: Bench) -> None:
+    found = bench.read(bench.put("a.mcap"), bench.put("stuck.mcap", seen=stuck(bench)))
+    assert (names(found.fit), found.unseen) == (["a.mcap"], frozenset())
+    assert any("encoder of left is stuck" in note for note in found.notes)
+
+
+def test_a_stuck_encoder_everywhere_costs_its_joint_alone(bench: Bench) -> None:
+    trials = bench.read(bench.put("stuck.mcap", seen=stuck(bench)))
+    assert trials.unseen == {"left"}
+    found = diagnose(bench.loaded.realization, trials)
+    assert set(found.errors) == {"right"}
+    assert found.explained.findings == ()
+    assert found.verdict == "no_mismatch"
+    assert any("nothing is held against it" in note for note in found.notes)
+
+
+def test_a_joint_that_one_recording_lacks_is_left_out(bench: Bench) -> None:
+    both = bench.put("both.mcap")
+    one = bench.put("one.mcap", joints=("left",))
+    found = diagnose(bench.loaded.realization, bench.read(both, one))
+    assert set(found.errors) == {"left"}
+    assert any("'right' is left out: one.mcap lack" in note for note in found.notes)
+
+
+def test_unusable_input_is_one_line_and_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = Bench(tmp_path)
+    later = bench.put("later.mcap", sent_at=bench.sent_at + 60.0)
+    arguments = ["diagnose", str(tmp_path / "model.xml"), str(later)]
+    assert cli.main([*arguments, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert "later.mcap" in said.err
+    assert "expected one clock" in said.err
+    assert {p.name for p in tmp_path.iterdir()} == {"model.xml", "later.mcap"}
+
+
+def test_a_folder_with_other_things_is_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years of work")
+    record(tmp_path / "a.mcap", 1, seconds=1.0)
+    (tmp_path / "model.xml").write_text(mjcf())
+    words = ["diagnose", str(tmp_path / "model.xml"), str(tmp_path / "a.mcap")]
+    assert cli.main([*words, "--out", str(tmp_path / "mine")]) == 2
+    assert "is not replaced" in capsys.readouterr().err
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
