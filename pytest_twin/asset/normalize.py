@@ -204,7 +204,8 @@ class _Normalizer:
             if link.inertial is None:
                 continue
             share = inertia.violation(link.inertia)
-            if share <= inertia.ROUNDING:
+            # What is left of a zero after a change of frame is no inertia at all.
+            if share <= inertia.ROUNDING or np.abs(link.inertia).max() < inertia.MASS_FLOOR:
                 continue
             patch = f"{INERTIA_REPAIR}:{link.name}"
             self.known_patches.add(patch)

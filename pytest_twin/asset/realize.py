@@ -21,7 +21,15 @@ from pytest_twin.asset.normalize import Normalized, normalize, source_roots
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import Roots
-from pytest_twin.realization import inertia, mjcf_file, urdf, urdf_spec, usd
+from pytest_twin.realization import (
+    inertia,
+    mjcf_file,
+    urdf,
+    urdf_extras,
+    urdf_sites,
+    urdf_spec,
+    usd,
+)
 
 CHANGES = "changes"
 LOSS = "loss"
@@ -55,8 +63,9 @@ def realize(
     say(0.3)
     told = _repaired(urdf.read(path), made)
     robot = urdf.read(made.urdf)
-    before = from_urdf.describe(told, made.collision_points)
-    forms = [_mjcf(made, robot, told, before)]
+    extras = urdf_extras.read(told)
+    before = from_urdf.describe(told, extras, made.collision_points)
+    forms = [_mjcf(made, robot, told, before, extras)]
     say(0.6)
     forms.append(_usd(made, told, before))
     say(0.8)
@@ -125,10 +134,17 @@ def _repaired(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
 _Form = tuple[Conversion, Path | None]
 
 
-def _mjcf(made: Normalized, robot: urdf.Robot, told: urdf.Robot, before: Description) -> _Form:
+def _mjcf(
+    made: Normalized,
+    robot: urdf.Robot,
+    told: urdf.Robot,
+    before: Description,
+    extras: urdf_extras.Extras,
+) -> _Form:
     path = made.urdf.with_suffix(".xml")
     try:
         converted = urdf_spec.convert(robot, Roots(path.parent), {})
+        urdf_sites.add(converted.spec, robot, extras)
         model = mjcf_file.write(converted.spec, path, converted.mesh_paths)
         after = from_mujoco.describe(model, robot.root)
     except TwinError as error:

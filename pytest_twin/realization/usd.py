@@ -10,8 +10,12 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pytest_twin.errors import ModelError, TwinError
+
+if TYPE_CHECKING:
+    from pytest_twin.realization.urdf import Joint
 
 INSTALL = "pip install 'pytest-twin[usd]'"
 
@@ -60,6 +64,7 @@ def convert(urdf: Path, target: Path) -> None:
 
     The converter writes orientations of links with single precision; they are stated again with
     double precision from the same text, so that the stage stands as exactly as its schema lets it.
+    A frame that it merged into its parent, for its mass, is put back as a frame.
 
     Raises:
         UsdMissingError: as :func:`require`.
@@ -79,7 +84,7 @@ def convert(urdf: Path, target: Path) -> None:
             words = " ".join(str(error).split())[:300]
             raise ModelError(f"the USD converter refuses it: {words}", path=urdf) from None
         layer = Sdf.Layer.FindOrOpen(made.path)
-        _state_orientations(made.path, urdf)
+        _state_frames(made.path, urdf)
         # Where and when it was made is not of the robot, and would change its digest.
         layer.documentation = ""
         layer.comment = ""
@@ -87,7 +92,7 @@ def convert(urdf: Path, target: Path) -> None:
         layer.Export(str(target))
 
 
-def _state_orientations(stage_path: str, urdf: Path) -> None:
+def _state_frames(stage_path: str, urdf: Path) -> None:
     from pxr import Gf, Sdf, Usd
     from scipy.spatial.transform import Rotation
 
@@ -97,8 +102,11 @@ def _state_orientations(stage_path: str, urdf: Path) -> None:
     robot = urdf_text.read(urdf)
     stage = Usd.Stage.Open(stage_path)
     prims = link_prims(stage)
-    for joint in robot.joints.values():
+    for joint in robot.in_order():
         prim = prims.get(joint.child)
+        if prim is None and joint.parent in prims:
+            prim = _frame(prims[joint.parent], joint)
+            prims[joint.child] = prim
         if prim is None or not prim.HasAttribute("xformOp:orient"):
             continue
         prim.RemoveProperty("xformOp:orient")
@@ -106,6 +114,23 @@ def _state_orientations(stage_path: str, urdf: Path) -> None:
         x, y, z, w = Rotation.from_matrix(joint.rotation).as_quat()
         made.Set(Gf.Quatd(w, x, y, z))
     stage.GetRootLayer().Save()
+
+
+def _frame(parent: Any, joint: Joint) -> Any:
+    """A prim for the child link of a fixed joint that has none."""
+    from pxr import Gf, Tf, UsdGeom
+
+    stem, count = Tf.MakeValidIdentifier(joint.child), 1
+    name = stem
+    while parent.GetChild(name):
+        name, count = f"{stem}_{count}", count + 1
+    made = UsdGeom.Xform.Define(parent.GetStage(), parent.GetPath().AppendChild(name))
+    made.AddTranslateOp().Set(Gf.Vec3d(*joint.position.tolist()))
+    made.AddOrientOp()
+    made.AddScaleOp().Set(Gf.Vec3f(1.0))
+    if name != joint.child:
+        made.GetPrim().SetDisplayName(joint.child)
+    return made.GetPrim()
 
 
 @contextlib.contextmanager

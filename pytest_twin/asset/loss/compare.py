@@ -53,7 +53,7 @@ def compare(
         _shapes(source, target),
         _disabled(source, target),
         _contact(source, target),
-        _present("sensors", source.sensors, target.sensors, "sensors of the compiled model"),
+        _sensors(source, target),
         _frames(source, target),
         _present(
             "custom tags",
@@ -299,10 +299,9 @@ def _table(
 
 
 def _links(source: Description, target: Description) -> Row:
-    """Mass, centre and inertia, body by body."""
+    """Mass, centre and inertia, body by body; what that does as a whole is measured elsewhere."""
     massive = {name for name, link in source.links.items() if link.mass or link.inertia.any()}
     items = []
-    wrong = False
     for name in sorted(massive | set(target.links)):
         before, after = source.links.get(name), target.links.get(name)
         if before is None or after is None:
@@ -329,7 +328,6 @@ def _links(source: Description, target: Description) -> Row:
         }
         for what, (difference, size, old, new, unit) in apart.items():
             if difference > EXACT * size:
-                wrong |= difference > SINGLE * size
                 told = (f"{what} {_numbers(value)} {unit}" for value in (old, new))
                 items.append(Item(name, "changed", *told))
     return _table(
@@ -338,7 +336,6 @@ def _links(source: Description, target: Description) -> Row:
         f"{len(target.links)} bodies",
         "mass, centre of mass and principal inertia of each body",
         items,
-        critical=wrong,
     )
 
 
@@ -524,6 +521,25 @@ def _present(
     """What the source states and the target has, or has not, whatever it is made of."""
     items = [Item(name, "lost", before[name], None) for name in sorted(before) if name not in after]
     return _table(feature, _some(before), _some(after), comparison, items, empty=not before)
+
+
+def _sensors(source: Description, target: Description) -> Row:
+    items = []
+    for name, kind in source.sensors.items():
+        held = target.sensors.get(name)
+        if held is None:
+            items.append(Item(name, "lost", kind, None))
+        elif held == "site":
+            items.append(Item(name, "changed", kind, "a site: its place, and no signal"))
+    kept = sum(name in target.sensors for name in source.sensors)
+    return _table(
+        "sensors",
+        _some(source.sensors),
+        f"{kept} places",
+        "sites of the compiled model, and the sensors on them",
+        items,
+        empty=not source.sensors,
+    )
 
 
 def _mimics(source: Description, target: Description) -> Row:

@@ -151,12 +151,7 @@ def describe(model: mujoco.MjModel, root: str) -> Description:
                 for geom in of
             )
         ),
-        sensors={
-            _name(model, mujoco.mjtObj.mjOBJ_SENSOR, i): mujoco.mjtSensor(model.sensor_type[i])
-            .name.removeprefix("mjSENS_")
-            .lower()
-            for i in range(model.nsensor)
-        },
+        sensors=_sensors(model),
         transmissions={joint: f"reduction {gear:g}" for joint, gear, _ in actuators.values()},
     )
 
@@ -212,6 +207,19 @@ def _saturated_effort(model: mujoco.MjModel) -> dict[str, float]:
             if force < _OVERDRIVEN / 2:
                 found[joint] = max(found.get(joint, 0.0), force)
     return found
+
+
+def _sensors(model: mujoco.MjModel) -> dict[str, str]:
+    """Site -> the sensors on it; ``site`` alone where MuJoCo measures nothing there."""
+    found: dict[str, list[str]] = {
+        _name(model, mujoco.mjtObj.mjOBJ_SITE, site): [] for site in range(model.nsite)
+    }
+    for index in range(model.nsensor):
+        if model.sensor_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
+            site = _name(model, mujoco.mjtObj.mjOBJ_SITE, int(model.sensor_objid[index]))
+            kind = mujoco.mjtSensor(model.sensor_type[index]).name
+            found[site].append(kind.removeprefix("mjSENS_").lower())
+    return {site: ", ".join(kinds) or "site" for site, kinds in found.items()}
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, str]:

@@ -178,5 +178,6 @@ def _shape(shape: pin.GeometryObject, link: pin.SE3) -> Shape:
         return shapes.of_round("cylinder", geometry.radius, 2 * geometry.halfLength, pose)
     if isinstance(geometry, coal.Capsule):
         return shapes.of_round("capsule", geometry.radius, 2 * geometry.halfLength, pose)
-    points = np.array(geometry.vertices()).reshape(-1, 3)
-    return shapes.of_points("mesh", points * np.ravel(shape.meshScale), pose)
+    convex = isinstance(geometry, coal.ConvexBase)
+    points = np.array(geometry.points() if convex else geometry.vertices()).reshape(-1, 3)
+    return shapes.of_points("convex hull" if convex else "mesh", points, pose)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -14,18 +13,18 @@ from pytest_twin.asset.loss.shapes import Shape
 from pytest_twin.realization import urdf_tree
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf import Robot, origin
+from pytest_twin.realization.urdf_extras import Extras
 
 Vector = NDArray[np.float64]
 
-_KNOWN = frozenset({"link", "joint", "material", "transmission", "sensor"})
 _KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
-_CONTACT = ("mu1", "mu2", "mu", "kp", "kd", "lateral_friction", "rolling_friction", "stiffness")
 
 
-def describe(robot: Robot, meshes: Mapping[str, Vector]) -> Description:
+def describe(robot: Robot, extras: Extras, meshes: Mapping[str, Vector]) -> Description:
     """Everything that the text states.
 
     Args:
+        extras: what stands beside links and joints in its file.
         meshes: reference of a collision mesh, as written -> its vertices (n, 3), not scaled, m.
     """
     joints = {
@@ -45,7 +44,17 @@ def describe(robot: Robot, meshes: Mapping[str, Vector]) -> Description:
         for joint in robot.joints.values()
         if joint.mimic is not None and joint.type != "fixed"
     }
-    transmissions = _transmissions(robot.node)
+    transmissions = {
+        made.joint: " ".join(
+            word
+            for word in (
+                made.type.rpartition("/")[2],
+                "" if made.reduction is None else f"reduction {made.reduction:g}",
+            )
+            if word
+        )
+        for made in extras.transmissions
+    }
     driven = {
         name: (name, 1.0, None if not facts.effort else (-facts.effort, facts.effort))
         for name, facts in joints.items()
@@ -68,15 +77,15 @@ def describe(robot: Robot, meshes: Mapping[str, Vector]) -> Description:
             for link in robot.links.values()
             if (found := _shapes(link.node, meshes))
         },
-        contact=_contact(robot.node),
-        sensors=_sensors(robot.node),
+        contact=extras.contact,
+        sensors={sensor.name: sensor.type for sensor in extras.sensors},
         transmissions=transmissions,
         safety={
             joint.name: " ".join(f"{key}={value}" for key, value in node.attributes.items())
             for joint in robot.joints.values()
             if (node := joint.node.find("safety_controller")) is not None
         },
-        custom=Counter(child.tag for child in robot.node.children if child.tag not in _KNOWN),
+        custom=extras.custom,
     )
 
 
@@ -99,48 +108,3 @@ def _shapes(link: Node, meshes: Mapping[str, Vector]) -> tuple[Shape, ...]:
                 radius, length = shape.number("radius", None), shape.number("length", None)
                 found.append(shapes.of_round(shape.tag, radius, length, pose))
     return shapes.in_order(found)
-
-
-def _transmissions(root: Node) -> dict[str, str]:
-    found = {}
-    for node in root.walk():
-        if node.tag != "transmission":
-            continue
-        reduction = next(
-            (
-                inner.attributes.get("value") or ""
-                for inner in node.walk()
-                if inner.tag == "mechanicalReduction"
-            ),
-            "",
-        )
-        for joint in node.walk():
-            if joint.tag == "joint" and joint.attributes.get("name"):
-                kind = node.attributes.get("type", "") or _text_of(node, "type")
-                found[joint.attributes["name"]] = (
-                    " ".join(
-                        word
-                        for word in (kind, f"reduction {reduction}" if reduction else "")
-                        if word
-                    )
-                    or "transmission"
-                )
-    return found
-
-
-def _text_of(node: Node, tag: str) -> str:
-    child = node.find(tag)
-    return "" if child is None else child.attributes.get("value", "")
-
-
-def _contact(root: Node) -> dict[str, int]:
-    return dict(Counter(node.tag for node in root.walk() if node.tag in _CONTACT))
-
-
-def _sensors(root: Node) -> dict[str, str]:
-    found = {}
-    for node in root.walk():
-        if node.tag == "sensor":
-            name = node.attributes.get("name") or f"sensor at line {node.line}"
-            found[name] = node.attributes.get("type", "sensor")
-    return found
