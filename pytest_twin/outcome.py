@@ -22,7 +22,8 @@ class Measure:
         tolerance: bound on ``error``, in ``unit``.
         unit: SI unit.
         against: ``golden``, ``pinocchio``, ``coal``, ``declared`` or ``recording``.
-        time: when the worst sample was, in s, or None.
+        time: when the worst sample was, in s, or None; of a mean (``..._rms``) the sample that
+            adds most to it.
     """
 
     name: str
@@ -39,6 +40,14 @@ class Measure:
     def passed(self) -> bool:
         """Whether the error is finite and within the tolerance."""
         return bool(self.error <= self.tolerance) and math.isfinite(self.error)
+
+    @property
+    def when(self) -> str:
+        """``at 1.5 s``; of a mean ``(largest at 1.5 s)``; empty without a time."""
+        if self.time is None:
+            return ""
+        at = f"at {self.time:.4g} s"
+        return f"(largest {at})" if self.name.endswith("_rms") else at
 
     @property
     def margin(self) -> float:

@@ -37,7 +37,7 @@ def failure_text(outcome: Outcome, *, location: str, plot: str | None = None) ->
     worst = outcome.worst
     rows: list[tuple[str, str]] = []
     if outcome.status != "error" and worst is not None:
-        when = "" if worst.time is None else f" at {number(worst.time)} s"
+        when = f" {worst.when}" if worst.when else ""
         rows += [
             ("worst", f"{worst.name} of {worst.subject}{when}"),
             ("measured", quantity(worst.measured, worst.unit)),
@@ -100,11 +100,11 @@ def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list
 
 
 def _when(measure: Measure) -> str:
-    return "" if measure.time is None else quantity(measure.time, "s")
+    return measure.when.removeprefix("at ")
 
 
 def _what(worst: Measure) -> str:
-    when = "" if worst.time is None else f" at {number(worst.time)} s"
+    when = f" {worst.when}" if worst.when else ""
     if worst.margin != worst.margin:  # NaN
         return f"{worst.name} of {worst.subject} is not a number{when}"
     return (

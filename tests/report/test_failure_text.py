@@ -131,3 +131,11 @@ def test_outcomes_survive_json() -> None:
 
     odd = replace(FAILED, measures=(replace(ELBOW, error=math.inf, time=None), WRIST))
     assert Outcome.from_json(json.loads(json.dumps(odd.to_json(), allow_nan=False))) == odd
+
+
+def test_a_mean_has_no_time_of_its_own() -> None:
+    mean = replace(ELBOW, name="position_rms")
+    outcome = replace(FAILED, measures=(mean,))
+    assert headline(outcome).endswith(" by 0.0213 rad (largest at 1.234 s)")
+    text = failure_text(outcome, location="golden/replay/a.yaml:3")
+    assert "position_rms of elbow (largest at 1.234 s)" in text
