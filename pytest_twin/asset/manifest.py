@@ -15,6 +15,8 @@ from pytest_twin.formats.digest import bytes_sha256, file_sha256
 from pytest_twin.formats.paths import decode_text, read_bytes
 
 FILE_NAME = "manifest.json"
+SOURCE_FOLDER = "source"
+"""Where the frozen files lie, beside the manifest."""
 STATES = ("source", "normalized", "realization")
 _MAX_BYTES = 64 * 2**20
 
@@ -131,39 +133,47 @@ def _are_files(files: dict[str, Any]) -> bool:
     return True
 
 
-def differences(folder: Path, state: State, below: str | None = None) -> list[str]:
-    """What differs between a state and the files on the disk, one line each.
+def changes_of_source(path: Path, manifest: Manifest) -> list[str]:
+    """What is not as it was taken in, one line each; nothing where the source lies elsewhere.
 
     Args:
-        folder: that of the manifest.
-        below: a folder whose files all belong to the state: further ones there are named too.
+        path: the manifest's own file.
     """
-    found = []
-    for name, digest in state.files.items():
-        path = folder / name
+    source = manifest.states.get("source")
+    if source is None or source.facts.get("folder") != SOURCE_FOLDER:
+        return []
+    folder, found = path.parent, []
+    for name, digest in source.files.items():
         try:
-            if file_sha256(path) != digest:
+            if file_sha256(folder / name) != digest:
                 found.append(f"{name} was changed")
         except PathError as error:
             found.append(f"{name}: {error.problem}")
-    if below is not None:
-        for path in sorted((folder / below).rglob("*")):
-            name = path.relative_to(folder).as_posix()
-            if (path.is_symlink() or not path.is_dir()) and name not in state.files:
-                found.append(f"{name} was added")
+    for file in sorted((folder / SOURCE_FOLDER).rglob("*")):
+        name = file.relative_to(folder).as_posix()
+        if (file.is_symlink() or not file.is_dir()) and name not in source.files:
+            found.append(f"{name} was added")
     return found
 
 
 def find(path: Path) -> tuple[Path, Manifest] | None:
-    """The manifest that stands above a file and lists it among its sources, if there is one."""
+    """The manifest above a file that lists it in one of its states, if there is one.
+
+    Raises:
+        FormatError: a manifest stands there that cannot be read.
+    """
     for folder in path.parents:
         candidate = folder / FILE_NAME
-        if candidate.is_file() and not candidate.is_symlink():
-            try:
-                manifest = read(candidate)
-            except FormatError:
-                continue
-            state = manifest.states.get("source")
-            if state is not None and path.relative_to(folder).as_posix() in state.files:
-                return candidate, manifest
+        if not candidate.is_file() or candidate.is_symlink():
+            continue
+        try:
+            manifest = read(candidate)
+        except FormatError:
+            if (folder / SOURCE_FOLDER).is_dir():
+                raise
+            # Other tools have files of this name too.
+            continue
+        name = path.relative_to(folder).as_posix()
+        if any(name in state.files for state in manifest.states.values()):
+            return candidate, manifest
     return None

@@ -18,7 +18,7 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pytest_twin.asset import obj
+from pytest_twin.asset import manifest, obj
 from pytest_twin.asset.changes import Change, Flag
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats import atomic, xml
@@ -403,8 +403,15 @@ def digits(values: Any) -> str:
 
 
 def source_roots(source: Path, packages: dict[str, Path] | None = None) -> Roots:
-    """The ROS package that a URDF lies in, or its folder, and the packages that were given."""
+    """Where what a URDF names may lie.
+
+    Its folder and the ROS package around it; the whole source of an asset that was taken in; and
+    the packages that were given.
+    """
     extra = tuple((packages or {}).values())
+    known = manifest.find(source)
+    if known is not None and (known[0].parent / manifest.SOURCE_FOLDER) in source.parents:
+        return Roots(source.parent, (known[0].parent / manifest.SOURCE_FOLDER, *extra))
     for folder in source.resolve().parents:
         if (folder / "package.xml").is_file():
             return Roots(source.parent, (folder, *extra))

@@ -60,9 +60,20 @@ def _written_before(out: Path) -> set[str]:
 
 def _manifest(out: Path, source: Path, made: Mapping[str, Any]) -> Manifest:
     known = manifest.find(source)
-    if known is not None and known[1].states.get("source") is not None:
+    if known is not None and source.is_relative_to(known[0].parent / manifest.SOURCE_FOLDER):
         # An asset that was taken in vouches for all of its files.
-        state = known[1].states["source"]
+        path, taken_in = known
+        changed = manifest.changes_of_source(path, taken_in)
+        if changed:
+            raise PathError(
+                f"the source asset is not what was taken in: {changed[0]}",
+                path=path,
+                expected="the frozen source; take a new one in with `pytest-twin intake`",
+            )
+        state = taken_in.states["source"]
+        if path.parent != out:
+            facts = {key: value for key, value in state.facts.items() if key != "folder"}
+            state = State(state.files, facts)
     else:
         paths = [Path(name) for name in made["source_files"]]
         base = Path(os.path.commonpath([path.parent for path in paths]))

@@ -1,0 +1,111 @@
+"""``pytest-twin intake``: a supplier's files, frozen."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import shutil
+import tempfile
+from pathlib import Path
+
+from pytest_twin.asset import evidence, manifest
+from pytest_twin.asset.manifest import Manifest, State
+from pytest_twin.errors import FormatError, PathError, SpecError
+from pytest_twin.formats import atomic
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.realization.sandbox import Sandbox
+
+HELP = "freeze a supplier's archive or folder: a digest of every file, and what evidence came"
+DONE = 0
+SOURCE = manifest.SOURCE_FOLDER
+_MEMORY_BYTES = 2 * 2**30
+_SECONDS = 1800.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "origin", metavar="ARCHIVE|FOLDER", type=Path, help="a zip, a tar, or a folder"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="the asset's new folder (default: the archive's name, in the working directory)",
+    )
+    parser.add_argument("--supplier", metavar="NAME", help="who it came from")
+    parser.add_argument("--date", metavar="YYYY-MM-DD", help="when it came (default: today, UTC)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once the source is frozen and the manifest stands.
+
+    Raises:
+        TwinError: no archive that could be unpacked, or an asset that is there already.
+    """
+    origin: Path = args.origin
+    if not origin.exists():
+        raise PathError("no such archive or folder", path=origin)
+    name = origin.resolve().name.split(".")[0] if origin.is_file() else origin.resolve().name
+    out: Path = (args.out or Path(name)).resolve()
+    if (out / SOURCE).exists() or (out / manifest.FILE_NAME).exists():
+        raise SpecError(
+            "there is an asset already, and its source is never written again",
+            path=out,
+            expected="a new folder",
+        )
+    if origin.is_dir() and out.is_relative_to(origin.resolve()):
+        raise SpecError("the asset would lie in its own source", path=out)
+    date = _date(args.date)
+    out.mkdir(parents=True, exist_ok=True)
+    staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
+    try:
+        with Sandbox(memory_bytes=_MEMORY_BYTES, seconds=_SECONDS) as sandbox:
+            names = sandbox.call(
+                "pytest_twin.asset.unpack:unpack",
+                {"origin": str(origin.resolve()), "folder": str(staging)},
+            )
+        staging.chmod(0o755)
+        if not atomic.create_directory(staging, out / SOURCE):
+            raise SpecError("the source's place is taken", path=out / SOURCE)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    found = evidence.sort_files(names)
+    lacking = evidence.missing(found) + ([] if args.supplier else ["supplier"])
+    facts = {
+        "folder": SOURCE,
+        "supplier": args.supplier,
+        "received": date,
+        "origin": {
+            "name": origin.resolve().name,
+            "sha256": file_sha256(origin.resolve()) if origin.is_file() else None,
+        },
+        "evidence": {kind: [f"{SOURCE}/{file}" for file in files] for kind, files in found.items()},
+        "missing": lacking,
+    }
+    files = {f"{SOURCE}/{file}": file_sha256(out / SOURCE / file) for file in names}
+    state = State(files, facts)
+    manifest.write(out / manifest.FILE_NAME, Manifest(name, {"source": state}))
+    _tell(out, found, lacking, state)
+    return DONE
+
+
+def _date(text: str | None) -> str:
+    if text is None:
+        return datetime.datetime.now(datetime.UTC).date().isoformat()
+    try:
+        return datetime.date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise FormatError("not a date", where="--date", value=text, expected="YYYY-MM-DD") from None
+
+
+def _tell(out: Path, found: dict[str, list[str]], lacking: list[str], state: State) -> None:
+    print(f"{out / SOURCE}: {len(state.files)} files frozen, {state.digest[:16]}")
+    for kind, files in found.items():
+        shown = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
+        print(f"  {kind}: {len(files)}: {shown}")
+    for kind in lacking:
+        print(f"  missing: {kind}")
+    for file in found.get("model", ()):
+        if file.endswith(".urdf"):
+            print(f"next: pytest-twin realize {out / SOURCE / file} --out {out}")

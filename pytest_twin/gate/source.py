@@ -1,0 +1,35 @@
+"""A source asset that was taken in is never written again: hold it to its manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from pytest_twin.asset import manifest
+from pytest_twin.errors import TwinError
+from pytest_twin.twin import Twin
+
+_NAMED = 3
+
+
+def changed_sources(twin: Twin) -> Iterator[str]:
+    """One line for each asset of the twin whose source is not what its manifest froze."""
+    seen: set[Path] = set()
+    models = (reference.file for reference in twin.realizations.values())
+    for file in dict.fromkeys((*twin.source, *models)):
+        try:
+            found = manifest.find(file)
+            if found is None or found[0] in seen:
+                continue
+            seen.add(found[0])
+            lines = manifest.changes_of_source(*found)
+        except TwinError as error:
+            yield str(error)
+            continue
+        if lines:
+            more = len(lines) - _NAMED
+            listed = "; ".join(lines[:_NAMED]) + (f"; and {more} more" if more > 0 else "")
+            yield (
+                f"{found[0]}: the source asset is not what was taken in: {listed} "
+                "(expected the frozen source; take a new one in with `pytest-twin intake`)"
+            )
