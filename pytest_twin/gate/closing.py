@@ -12,7 +12,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.gate.gate import Gate
-from pytest_twin.gate.plan import NEVER_PROVEN, Task
+from pytest_twin.gate.plan import NEVER_PROVEN, Task, line_of
 from pytest_twin.gate.runner import plot_path
 from pytest_twin.gate.verdict import Facts, Holds, Refused, SessionFacts, Signed, judge
 from pytest_twin.outcome import Outcome
@@ -209,10 +209,11 @@ def _entries(gate: Gate, facts: Facts) -> Iterator[Entry]:
                 error="did not run" if golden.provenance else NEVER_PROVEN,
                 reasons=task.reasons,
             )
+        path = golden.path.relative_to(gate.root).as_posix()
         yield Entry(
             outcome=outcome,
             title=golden.title,
-            location=f"{golden.path.relative_to(gate.root).as_posix()}:{golden.lines.get('', 1)}",
+            location=f"{path}:{line_of(golden, outcome)}",
             release=proof.release if proof else None,
             at=proof.at if proof else "",
             parts=task.parts,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pytest_twin import staleness
 from pytest_twin.dependency import Part
 from pytest_twin.golden import Golden
-from pytest_twin.outcome import Reason
+from pytest_twin.outcome import Outcome, Reason
 
 if TYPE_CHECKING:
     from pytest_twin.release import Proof, Release
@@ -121,3 +121,12 @@ def gone(
         else:
             missing[ident] = None
     return tuple(missing), tuple(dropped)
+
+
+def line_of(golden: Golden, outcome: Outcome) -> int:
+    """The line of the tolerance that was left, or of the golden's kind."""
+    worst = outcome.worst
+    places = ["kind"]
+    if worst is not None and outcome.status == "failed":
+        places[:0] = [f"target.joints.{worst.subject}.{worst.name}", f"tolerance.{worst.name}"]
+    return next((golden.lines[place] for place in places if place in golden.lines), 1)

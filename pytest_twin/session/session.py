@@ -15,6 +15,7 @@ from pytest_twin.checks import kinds
 from pytest_twin.errors import TwinError
 from pytest_twin.gate.closing import Policy, close
 from pytest_twin.gate.gate import Gate
+from pytest_twin.gate.plan import line_of
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update
 from pytest_twin.gate.verdict import SessionFacts
@@ -353,13 +354,6 @@ class TwinSession:
     def pytest_unconfigure(self) -> None:
         """Leave no child behind."""
         self.runner.close()
-
-
-def line_of(golden: Golden, outcome: Outcome) -> int:
-    """The line of the tolerance that was left, or of the golden's kind."""
-    worst = outcome.worst
-    place = f"tolerance.{worst.name}" if worst and outcome.status == "failed" else "kind"
-    return golden.lines.get(place, golden.lines.get("kind", 1))
 
 
 def _is_advisory(report: pytest.CollectReport | pytest.TestReport) -> bool:

@@ -28,6 +28,7 @@ def test_a_failure_says_what_to_do(released) -> None:
         ]
     )
     assert (released.root / ".twin/plots/golden/mass/arm@mujoco.svg").is_file()
+    assert "golden/mass/arm.yaml:10" in (released.root / ".twin/report.html").read_text()
     text = result.stdout.str()
     assert ".py:" not in text.partition("FAILURES")[2]
     case = _junit(released)["arm[mujoco]"]
