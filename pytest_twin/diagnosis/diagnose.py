@@ -157,7 +157,10 @@ def diagnose(
     notes += explained.notes
     progress(0.9)
     everywhere = np.arange(len(problem.simulator.segments))
-    before, after = problem.residuals([EMPTY, explained.hypothesis], everywhere)
+    problem.refine_at(EMPTY)
+    before = problem.residuals([EMPTY], everywhere)[0]
+    problem.refine_at(explained.hypothesis)
+    after = problem.residuals([explained.hypothesis], everywhere)[0]
     errors = _errors(prepared, before, after)
     word = verdict(errors, explained.findings)
     left = _left(prepared, everything, after, errors) if word in ("improved", "unexplained") else {}
@@ -186,6 +189,9 @@ def _prepared(
         problem = prepared.problem
         if fixed:
             problem.simulator.fixed = fixed_values(fixed, problem.joints, 1)
+            if problem.refined is not None:
+                problem.refined.fixed = problem.simulator.fixed
+            problem.refine_at(EMPTY)
         everything = (*trials.fit, *trials.held_out)
         everywhere = np.arange(len(problem.simulator.segments))
         predicted = problem.predict([EMPTY], everywhere)[0]

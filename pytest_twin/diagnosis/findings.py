@@ -119,16 +119,19 @@ def explain(
         return Explained((), hypothesis, notes=pruned.notes)
     width = spread(problem, pruned.fitted)
     everywhere = np.arange(len(problem.simulator.segments))
-    residuals = problem.residuals([hypothesis, EMPTY, *pruned.rests], everywhere)
+    problem.refine_at(EMPTY)
+    nominal = problem.residuals([EMPTY], everywhere)[0]
+    problem.refine_at(hypothesis)
+    residuals = problem.residuals([hypothesis, *pruned.rests], everywhere)
     in_test = _tested(problem)
 
     def error(residual: FloatArray) -> float:
         return float(np.nansum((residual[in_test] / problem.signal_floor) ** 2))
 
-    with_all, with_none = error(residuals[0]), error(residuals[1])
+    with_all, with_none = error(residuals[0]), error(nominal)
     paths = motions(prepared, trials)
     found = []
-    for term, without in zip(hypothesis.terms, residuals[2:], strict=True):
+    for term, without in zip(hypothesis.terms, residuals[1:], strict=True):
         alone = error(without)
         gain = (alone - with_all) / alone if alone > 0.0 else 0.0
         share = (alone - with_all) / with_none if with_none > 0.0 else 0.0
@@ -180,9 +183,11 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
     notes: list[str] = []
     fitted = selected.best.fitted
     tested = problem.held_out if len(problem.held_out) else problem.fit
+    problem.refine_at(EMPTY)
     before = _in_floors(problem.residuals([EMPTY], tested)[0], problem.signal_floor)
     while fitted.hypothesis.terms:
         terms = fitted.hypothesis.terms
+        problem.refine_at(fitted.hypothesis)
         weights = 1.0 / np.sqrt(np.mean(fitted.residual**2, axis=0) + problem.signal_floor**2)
         starts = [fitted.hypothesis.without(t) for t in terms]
         refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)

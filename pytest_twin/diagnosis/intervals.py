@@ -9,13 +9,11 @@ from scipy import stats
 
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.fit import Fitted
-from pytest_twin.diagnosis.hypothesis import effect_values
+from pytest_twin.diagnosis.prepare import LEFT_BY_CORRECTION
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import RowSimulator
 
 _LEVEL = 0.975
-_REFINE = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +39,8 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     Residuals are correlated in time. Two estimates of what that costs stand side by side, and the
     wider one counts: the sandwich with a Bartlett kernel (Newey, West, Econometrica 55, 1987) over
     the scores, and the white-noise covariance enlarged to the effective samples (Geyer 1992). What
-    a finer time step would move is added: it is no chance, but the parameters are off by it.
+    the correction of the simulator's step leaves is added: it is no chance, but the parameters are
+    off by it.
     """
     count = fitted.hypothesis.theta.size
     if not count:
@@ -65,7 +64,7 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     correlation = wide / np.outer(base, base)
     freedom = max(float(effective.max()) * 1.0 - count, 2.0)
     quantile = float(stats.t.ppf(_LEVEL, freedom))
-    shift = np.abs(inverse @ _discretization_pull(problem, fitted, weight))
+    shift = np.abs(inverse @ _discretization_pull(problem, jac, weight))
     return Spread(
         quantile * deviation + shift,
         correlation,
@@ -103,21 +102,19 @@ def _long_run(scores: FloatArray, lengths: list[int], reach: int) -> FloatArray:
     return 0.5 * (total + total.T)
 
 
-def _discretization_pull(problem: Problem, fitted: Fitted, weight: FloatArray) -> FloatArray:
-    """Gradient (parameters,) that the simulator's own discretization error exerts on the fit."""
-    simulator, segments = problem.simulator, [problem.simulator.segments[s] for s in problem.fit]
-    fine = RowSimulator(segments, simulator.joints, threads=simulator.threads, refine=_REFINE)
-    rows = np.arange(len(segments))
-    values = effect_values(
-        [fitted.hypothesis] * len(segments), len(simulator.joints), problem.scales
-    )
-    predicted = fine.simulate(rows, values)
+def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatArray) -> FloatArray:
+    """Gradient (parameters,) of what the correction of the simulator's step may leave."""
     parts = []
-    for segment, p in zip(segments, predicted, strict=True):
-        columns = [segment.position - p.position]
+    for s in problem.fit:
+        segment, add = problem.simulator.segments[s], problem.defect.get(int(s))
+        width = jacobian.shape[1]
+        if add is None:
+            parts.append(np.zeros((len(segment.time), width)))
+            continue
+        columns = [add.position]
         if problem.effort_floor is not None and segment.effort is not None:
-            columns.append(segment.effort - p.effort)
+            columns.append(add.effort)
         parts.append(np.concatenate(columns, axis=1))
-    change = (np.concatenate(parts) - fitted.residual) * _REFINE / (_REFINE - 1)
-    pull: FloatArray = np.einsum("tsp,ts->p", fitted.jacobian, np.nan_to_num(change) * weight)
+    change = LEFT_BY_CORRECTION * np.nan_to_num(np.concatenate(parts))
+    pull: FloatArray = np.einsum("tsp,ts->p", jacobian, change * weight)
     return pull

@@ -1,0 +1,181 @@
+"""What is written into MJCF moves as the effect that was found; what is not, replay steps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from two_pendulums import JOINTS, mjcf, record
+
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.realize import (
+    EFFECTS_FILE,
+    read_effects,
+    replay_patched,
+    write_realization,
+)
+from pytest_twin.effects import catalogue
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.trial import Trial, make_trial
+
+# (effect, joint, parameters in SI units, wholly inside plain MJCF)
+EFFECTS = [
+    ("viscous_friction", 0, {"coefficient": 0.1}, True),
+    ("viscous_friction", 0, {"coefficient": -0.2}, False),
+    ("coulomb_friction", 1, {"coulomb": 0.1}, True),
+    ("asymmetric_friction", 0, {"coulomb": 0.1, "offset": 0.05}, False),
+    ("quadratic_drag", 0, {"coefficient": 0.05}, True),
+    ("armature", 1, {"inertia": 0.004}, True),
+    ("joint_spring", 0, {"stiffness": 2.0, "preload": 0.3}, True),
+    ("joint_spring", 0, {"stiffness": -0.5, "preload": 0.3}, False),
+    ("controller_gain", 1, {"stiffness_error": 0.3, "damping_error": -0.2}, True),
+    ("torque_constant", 0, {"relative_error": 0.25}, True),
+    ("torque_saturation", 0, {"inverse_limit": 1.0}, True),
+    ("command_delay", 1, {"delay": 0.0213}, True),
+    ("inertial_parameters", 0, {"relative_error": 0.4}, True),
+    ("payload", -1, {"mass": 0.2, "distance": 0.15}, True),
+    ("payload", -1, {"mass": -0.2, "distance": 0.1}, True),
+    ("base_tilt", -1, {"roll": 0.05, "pitch": -0.1}, True),
+    ("rate_limit", 0, {"inverse_rate": 1.0}, False),
+    ("encoder_bias", 1, {"bias": 0.05}, False),
+    ("sensor_delay", -1, {"delay": 0.013}, False),
+]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepared]:
+    folder = tmp_path_factory.mktemp("bench")
+    (folder / "model.xml").write_text(mjcf())
+    realization = load_model(folder / "model.xml").realization
+    path = record(folder / "a.mcap", 4, seconds=1.0)
+    trial = make_trial(read_recording(path), realization.structure)
+    return folder, trial, prepare(realization, [trial], [])
+
+
+def hypothesis(prepared: Prepared, effect: str, joint: int, values: dict[str, float]) -> Hypothesis:
+    scales = prepared.problem.scales
+    theta = [values[p.name] / scales.value(p, joint) for p in catalogue()[effect].parameters]
+    return Hypothesis((Term(effect, joint),), np.array(theta))
+
+
+@pytest.mark.parametrize(("effect", "joint", "values", "native"), EFFECTS)
+def test_both_forms_of_an_effect_give_the_same_motion(
+    bench: tuple[Path, Trial, Prepared],
+    tmp_path: Path,
+    effect: str,
+    joint: int,
+    values: dict[str, float],
+    native: bool,
+) -> None:
+    folder, trial, prepared = bench
+    problem = prepared.problem
+    found = hypothesis(prepared, effect, joint, values)
+    (nominal,) = problem.predict([EMPTY], np.array([0]))
+    problem.refine_at(found)
+    (beside,) = problem.predict([found], np.array([0]))
+    out = tmp_path / "realization"
+    out.mkdir()
+    patched = write_realization(out, load_model(folder / "model.xml").realization, problem, found)
+    assert (patched.beside == ()) is native
+    loaded = load_model(find_model(tmp_path))
+    assert loaded.patched is not None
+    (written,) = replay_patched(loaded.realization, loaded.patched, [trial])
+    difference = np.abs(written.position - beside[0].position).max()
+    moved = np.abs(beside[0].position - nominal[0].position).max()
+    assert moved > 1e-3, "the effect does nothing here: the test would hold for any model"
+    assert difference < 0.01 * moved
+    assert difference < 2e-4
+    mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+
+
+def test_several_effects_on_one_actuator_do_not_undo_each_other(
+    bench: tuple[Path, Trial, Prepared], tmp_path: Path
+) -> None:
+    folder, trial, prepared = bench
+    parts = [
+        hypothesis(prepared, "controller_gain", 0, {"stiffness_error": 0.3, "damping_error": 0.1}),
+        hypothesis(prepared, "torque_constant", 0, {"relative_error": -0.2}),
+        hypothesis(prepared, "command_delay", 0, {"delay": 0.01}),
+        hypothesis(prepared, "torque_saturation", 0, {"inverse_limit": 0.9}),
+    ]
+    found = Hypothesis(
+        tuple(t for h in parts for t in h.terms), np.concatenate([h.theta for h in parts])
+    )
+    prepared.problem.refine_at(found)
+    (beside,) = prepared.problem.predict([found], np.array([0]))
+    (tmp_path / "realization").mkdir()
+    write_realization(
+        tmp_path / "realization", load_model(folder / "model.xml").realization,
+        prepared.problem, found,
+    )  # fmt: skip
+    loaded = load_model(find_model(tmp_path))
+    assert loaded.patched is not None
+    (written,) = replay_patched(loaded.realization, loaded.patched, [trial])
+    assert np.abs(written.position - beside[0].position).max() < 2e-4
+
+
+def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> None:
+    """Gains that a trial's controller sets come after the model: an error of gains stays beside."""
+    (tmp_path / "model.xml").write_text(mjcf())
+    (tmp_path / "twin.yaml").write_text(
+        "name: pair\nmodel: model.xml\ncontrollers: {soft: {left: {kp: 3.0}}}\n"
+    )
+    loaded = load_model(tmp_path / "twin.yaml")
+    trial = make_trial(read_recording(record(tmp_path / "a.mcap", 4, seconds=1.0)))
+    trial = Trial(
+        **{n: getattr(trial, n) for n in Trial.__dataclass_fields__ if n != "metadata"},
+        metadata={"controller": "soft"},
+    )
+    prepared = prepare(loaded.realization, [trial], [])
+    found = hypothesis(
+        prepared, "controller_gain", 0, {"stiffness_error": 0.5, "damping_error": 0.0}
+    )
+    prepared.problem.refine_at(found)
+    (beside,) = prepared.problem.predict([found], np.array([0]))
+    (tmp_path / "out" / "realization").mkdir(parents=True)
+    write_realization(tmp_path / "out" / "realization", loaded.realization, prepared.problem, found)
+    again = load_model(find_model(tmp_path / "out"))
+    assert again.patched is not None
+    assert again.realization.twin is not None
+    assert again.realization.twin.controllers == {"soft": {"left": {"kp": 3.0}}}
+    (written,) = replay_patched(again.realization, again.patched, [trial])
+    assert np.abs(written.position - beside[0].position).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.pop("schema"), "schema"),
+        (lambda d: d["effects"][0].update(effect="gremlins"), "effect of the catalogue"),
+        (lambda d: d["effects"][0].update(joint="nose"), "one of joints"),
+        (lambda d: d["effects"][0]["values"].update(coulomb=float("nan")), "finite number"),
+        (lambda d: d["effects"][0]["values"].update(speed=1.0), "coulomb"),
+        (lambda d: d["effects"][0].update(in_model="yes"), "true or false"),
+        (lambda d: d.update(effects=7), "a list"),
+        (lambda d: d.update(joints=[]), "names of joints"),
+    ],
+)
+def test_effects_that_mean_nothing_are_refused(tmp_path: Path, change: object, words: str) -> None:
+    data = {
+        "schema": 1,
+        "joints": list(JOINTS),
+        "effects": [
+            {
+                "effect": "coulomb_friction", "joint": "left", "values": {"coulomb": 0.1},
+                "in_model": False,
+            }
+        ],
+    }  # fmt: skip
+    path = tmp_path / EFFECTS_FILE
+    path.write_text(json.dumps(data))
+    assert read_effects(path).effects[0].values == {"coulomb": 0.1}
+    change(data)  # type: ignore[operator]
+    path.write_text(json.dumps(data))
+    with pytest.raises(SpecError, match=words):
+        read_effects(path)
