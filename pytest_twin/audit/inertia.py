@@ -108,6 +108,19 @@ def _possible(body: Body) -> Iterator[Finding]:
             "mass would have to be negative somewhere; simulators refuse it or change it silently",
             _CAD,
         )
+    elif moments[0] <= 1e-9 * scale and (body.mass or 0.0) > 0:
+        yield Finding(
+            "inertia.zero_moment",
+            "critical",
+            body.inertial,
+            _element(body),
+            "a principal moment of its inertia is zero: it is not positive definite",
+            text,
+            "kg*m^2",
+            "three positive moments",
+            "only a line without thickness has it; about that axis nothing resists a torque",
+            _CAD,
+        )
     elif share > 1e-9:
         yield Finding(
             "inertia.triangle_rounded",
@@ -235,7 +248,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
         ratio = stated / uniform
         yield Finding(
             "inertia.too_large",
-            "critical" if ratio > 1000 else "warning",
+            "critical" if ratio > 2e5 else "warning",
             body.inertial,
             element,
             "its inertia is larger than its mass could have anywhere in its shape"
@@ -315,7 +328,7 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "or blow up",
                 _CAD,
             )
-        else:
+        elif not any(_flat(b) for b in bodies):
             moments = principal(inertia)
             yield Finding(
                 "inertia.zero_moment",
@@ -330,6 +343,14 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "about that axis its acceleration is a torque over nothing",
                 _CAD,
             )
+
+
+def _flat(body: Body) -> bool:
+    """Whether its own inertia has been found not to be positive definite."""
+    if body.inertia is None or np.abs(body.inertia).max() < MASS_FLOOR:
+        return False
+    moments = principal(body.inertia)
+    return bool(moments[0] <= 1e-9 * np.abs(moments).max())
 
 
 def _together(bodies: list[Body], asset: Asset) -> tuple[float, Vector]:

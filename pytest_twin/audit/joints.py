@@ -28,7 +28,9 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
     for edge in asset.edges:
         yield from _origin(asset, edge)
     for joint in asset.joints:
-        yield from _axis(joint)
+        if asset.kind == "urdf":
+            # The other formats normalize by definition.
+            yield from _axis(joint)
         if joint.scalar:
             yield from _range(asset, joint)
             yield from _bounds(asset, joint, passive=joint.name in followers)

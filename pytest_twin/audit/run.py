@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,8 @@ from pytest_twin.audit import (
     inertia,
     joints,
     meshes,
+    render,
+    self_collision,
     transmissions,
     tree,
 )
@@ -25,8 +28,10 @@ from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.finding import LAYERS, SEVERITIES, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
+from pytest_twin.audit.self_collision import PoseResult
 
 SCHEMA = 1
+_MOST_PICTURES = 6
 
 
 def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
@@ -61,7 +66,41 @@ def audit_file(
     geometry = Geometry(asset)
     findings = audit(asset, known, geometry)
     say(0.6)
-    return report(asset, geometry, findings)
+    results, more = self_collision.measure(asset, known.poses)
+    say(0.8)
+    found = report(asset, geometry, [*findings, *more])
+    found["poses"] = self_collision.to_json(results)
+    found["renders"] = pictures(asset, results)
+    say(1.0)
+    return found
+
+
+def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:
+    """Collision shapes at each pose, as drawn where no distance is known; PNG as base64."""
+    shown = results or [PoseResult("as drawn", {}, (), 0, 0)]
+    made = []
+    for result in shown[:_MOST_PICTURES]:
+        png = render.views(asset, result.values, marked=result.overlapping)
+        if png is None:
+            continue
+        overlaps = sorted(result.overlapping)
+        caption = "Collision shapes only, each body in a shade of its own."
+        if overlaps:
+            caption += f" Red: bodies that overlap with another ({', '.join(overlaps[:12])})."
+        elif result.near:
+            nearest = result.near[0]
+            caption += (
+                f" Nearest: {nearest.first} and {nearest.second}, "
+                f"{nearest.distance * 1e3:.3g} mm apart."
+            )
+        made.append(
+            {
+                "title": f"Pose: {result.name}",
+                "caption": caption,
+                "png": base64.b64encode(png).decode(),
+            }
+        )
+    return made
 
 
 def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[str, Any]:

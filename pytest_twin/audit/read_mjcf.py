@@ -1,0 +1,487 @@
+"""An MJCF as the audit sees it: from the compiled model, or from its text where none compiles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pytest_twin.audit.asset import (
+    Actuator,
+    Asset,
+    Body,
+    Coupling,
+    Edge,
+    Joint,
+    JointKind,
+    Mimic,
+    Sensor,
+    Shape,
+    Vector,
+)
+from pytest_twin.audit.finding import Finding, Place, from_error
+from pytest_twin.errors import ModelError
+from pytest_twin.formats.paths import Roots
+from pytest_twin.realization import inertia, mjcf
+from pytest_twin.realization.inputs import joint_inputs
+from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.mesh import Triangles
+from pytest_twin.realization.node import Node
+
+_KINDS: Mapping[int, JointKind] = {
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+    int(mujoco.mjtJoint.mjJNT_FREE): "free",
+}
+_MEANS = {
+    "position": "position setpoint",
+    "velocity": "velocity setpoint",
+    "effort": "torque or force",
+}
+_RADIANS_READ_AS_DEGREES = math.radians(2 * math.pi)
+"""rad: what a whole turn in radians becomes where it is read as degrees."""
+
+
+def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
+    """Read an MJCF file and everything that it refers to.
+
+    Raises:
+        FormatError: not well-formed, or beyond a bound.
+        PathError: a reference that leaves the roots or leads nowhere.
+        ModelError: MuJoCo's parser refuses it, and not for a name that stands twice.
+    """
+    document = mjcf.read(path, roots, limits=limits)
+    out = Asset("mjcf", path, document.root.attributes.get("model", path.stem), document.root)
+    nodes = _Nodes(document.root)
+    out.named = nodes.named
+    out.files = sorted(
+        {node.path for node in document.root.walk()} | set(document.asset_paths.values())
+    )
+    try:
+        spec = mjcf.build(document)
+    except ModelError:
+        if not nodes.twice:
+            raise
+        _bodies_of_text(document.root, out)
+        return out
+    try:
+        model, warned = mjcf.compiled(spec)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        refusal = mjcf.translate(error, path, document.places)
+        layer = next((word for word in ("inertia", "mesh") if word in refusal.problem), "tree")
+        out.faults.append(
+            from_error(
+                refusal,
+                {"mesh": "meshes.refused"}.get(layer, f"{layer}.refused"),
+                f"robot '{out.name}'",
+                why="no simulator can step it",
+            )
+        )
+        _bodies_of_spec(spec, nodes, out)
+        return out
+    for words in warned:
+        out.faults.append(
+            Finding(
+                "tree.compiler_warning",
+                "warning",
+                out.place,
+                f"robot '{out.name}'",
+                f"MuJoCo warns: {words}",
+                why="the compiler changed or doubted something",
+                settle="the place that it names",
+            )
+        )
+    _Compiled(spec, model, nodes, document.asset_paths, out).read()
+    return out
+
+
+class _Nodes:
+    """Elements of the text by kind and name."""
+
+    def __init__(self, root: Node) -> None:
+        self.root = Place(root.path, root.line)
+        self.by_name: dict[tuple[str, str], Node] = {}
+        self.named: list[tuple[str, str, Place]] = []
+        self.twice = False
+        for section in root.children:
+            if section.tag in ("default", "asset"):
+                continue
+            for node in section.walk():
+                kind = self._kind(section.tag, node.tag)
+                name = node.attributes.get("name")
+                if kind is None or not name:
+                    continue
+                self.twice |= (kind, name) in self.by_name
+                self.by_name.setdefault((kind, name), node)
+                self.named.append((kind, name, Place(node.path, node.line)))
+
+    @staticmethod
+    def _kind(section: str, tag: str) -> str | None:
+        if section == "worldbody":
+            return {"freejoint": "joint"}.get(
+                tag, tag if tag in ("body", "joint", "geom", "site") else None
+            )
+        return section if section in ("actuator", "sensor", "equality", "tendon") else None
+
+    def place(self, kind: str, name: str) -> Place:
+        node = self.by_name.get((kind, name))
+        return self.root if node is None else Place(node.path, node.line)
+
+    def inertial(self, body: str) -> Place:
+        node = self.by_name.get(("body", body))
+        found = None if node is None else node.find("inertial")
+        return self.place("body", body) if found is None else Place(found.path, found.line)
+
+
+def _bodies_of_text(root: Node, out: Asset) -> None:
+    """The tree alone, of a model that the parser refuses."""
+    out.bodies.append(Body("world", out.place, stated=False))
+    world = root.find("worldbody")
+    waiting = [("world", node) for node in (world.all("body") if world else [])]
+    while waiting:
+        parent, node = waiting.pop(0)
+        name = node.attributes.get("name") or f"body in line {node.line}"
+        place = Place(node.path, node.line)
+        out.bodies.append(Body(name, place, stated=False))
+        out.edges.append(Edge(name, place, parent, name, np.zeros(3), np.eye(3)))
+        waiting += [(name, child) for child in node.all("body")]
+
+
+def _bodies_of_spec(spec: mujoco.MjSpec, nodes: _Nodes, out: Asset) -> None:
+    """Mass and inertia as stated, of a model that does not compile."""
+    for body in spec.bodies:
+        name = body.name or f"body {body.id}"
+        place = nodes.place("body", name)
+        found = Body(name, place, stated=False, inertial=nodes.inertial(name))
+        if body.explicitinertial:
+            found.stated = True
+            found.mass = float(body.mass)
+            found.com = np.array(body.ipos, dtype=np.float64)
+            full = np.array(body.fullinertia, dtype=np.float64)
+            diagonal = np.array(body.inertia, dtype=np.float64)
+            found.inertia = inertia.tensor(full) if np.isfinite(full[0]) else np.diag(diagonal)
+        out.bodies.append(found)
+        parent = body.parent
+        if parent is not None:
+            out.edges.append(
+                Edge(
+                    name,
+                    place,
+                    parent.name or f"body {parent.id}",
+                    name,
+                    np.array(body.pos, dtype=np.float64),
+                    np.eye(3),
+                )
+            )
+
+
+class _Compiled:
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        model: mujoco.MjModel,
+        nodes: _Nodes,
+        assets: Mapping[str, Path],
+        out: Asset,
+    ) -> None:
+        self.spec = spec
+        self.model = model
+        self.nodes = nodes
+        self.assets = assets
+        self.out = out
+        self.meshes: dict[int, Triangles] = {}
+
+    def name(self, kind: str, index: int) -> str:
+        found = mujoco.mj_id2name(
+            self.model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), index
+        )
+        return found or f"{kind} {index}"
+
+    def read(self) -> None:
+        self._bodies()
+        self._joints()
+        self._geoms()
+        self._equalities()
+        self._actuators()
+        self._rest()
+        self._angles()
+
+    def _bodies(self) -> None:
+        model = self.model
+        explicit = {body.id: bool(body.explicitinertial) for body in self.spec.bodies}
+        for index in range(model.nbody):
+            name = self.name("body", index)
+            place = self.nodes.place("body", name)
+            axes = _matrix(model.body_iquat[index])
+            moments = np.diag(model.body_inertia[index])
+            self.out.bodies.append(
+                Body(
+                    name,
+                    place,
+                    float(model.body_mass[index]),
+                    model.body_ipos[index].copy(),
+                    axes @ moments @ axes.T,
+                    explicit.get(index, False),
+                    self.nodes.inertial(name),
+                )
+            )
+            if index:
+                self.out.edges.append(
+                    Edge(
+                        name,
+                        place,
+                        self.name("body", int(model.body_parentid[index])),
+                        name,
+                        model.body_pos[index].copy(),
+                        _matrix(model.body_quat[index]),
+                    )
+                )
+        if self.spec.compiler.balanceinertia:
+            self.out.faults.append(
+                Finding(
+                    "inertia.balanced",
+                    "warning",
+                    self.out.place,
+                    f"robot '{self.out.name}'",
+                    "balanceinertia changes inertias that no body can have, without a word",
+                    why="what is simulated is not what is stated",
+                    settle="the file compiled without it: it names the body",
+                )
+            )
+
+    def _joints(self) -> None:
+        model = self.model
+        for index in range(model.njnt):
+            kind = _KINDS[int(model.jnt_type[index])]
+            name = self.name("joint", index)
+            dof = int(model.jnt_dofadr[index])
+            limited = bool(model.jnt_limited[index])
+            low, high = (float(value) for value in model.jnt_range[index])
+            force = None
+            if model.jnt_actfrclimited[index]:
+                force = float(np.abs(model.jnt_actfrcrange[index]).max())
+            self.out.joints.append(
+                Joint(
+                    name,
+                    self.nodes.place("joint", name),
+                    kind,
+                    self.name("body", int(model.jnt_bodyid[index])),
+                    model.jnt_axis[index].copy(),
+                    model.jnt_pos[index].copy(),
+                    lower=low if limited else None,
+                    upper=high if limited else None,
+                    limited=limited,
+                    effort=force,
+                    damping=float(np.abs(model.dof_damping[dof]).max()),
+                    friction=float(model.dof_frictionloss[dof]),
+                    reference=float(model.qpos0[model.jnt_qposadr[index]])
+                    if kind in ("hinge", "slide")
+                    else 0.0,
+                )
+            )
+
+    def _geoms(self) -> None:
+        model = self.model
+        paired = {int(g) for g in (*model.pair_geom1, *model.pair_geom2)}
+        kinds = mujoco.mjtGeom
+        plain = {
+            int(kinds.mjGEOM_SPHERE): ("sphere", lambda s: (s[0],)),
+            int(kinds.mjGEOM_CAPSULE): ("capsule", lambda s: (s[0], 2 * s[1])),
+            int(kinds.mjGEOM_CYLINDER): ("cylinder", lambda s: (s[0], 2 * s[1])),
+            int(kinds.mjGEOM_ELLIPSOID): ("ellipsoid", lambda s: tuple(s)),
+            int(kinds.mjGEOM_BOX): ("box", lambda s: tuple(2 * s)),
+        }
+        for index in range(model.ngeom):
+            collides = (
+                bool(model.geom_contype[index])
+                or bool(model.geom_conaffinity[index])
+                or index in paired
+            )
+            kind, size = plain.get(int(model.geom_type[index]), ("other", lambda s: ()))
+            shape = Shape(
+                self.nodes.place("geom", self.name("geom", index)),
+                self.name("body", int(model.geom_bodyid[index])),
+                "collision" if collides else "visual",
+                kind,
+                model.geom_pos[index].copy(),
+                _matrix(model.geom_quat[index]),
+                tuple(float(value) for value in size(model.geom_size[index])),
+            )
+            if int(model.geom_type[index]) == int(kinds.mjGEOM_MESH):
+                self._mesh(shape, int(model.geom_dataid[index]))
+            self.out.shapes.append(shape)
+
+    def _mesh(self, shape: Shape, mesh: int) -> None:
+        model = self.model
+        shape.kind = "mesh"
+        if mesh not in self.meshes:
+            vertex, face = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+            self.meshes[mesh] = Triangles(
+                model.mesh_vert[vertex : vertex + int(model.mesh_vertnum[mesh])].astype(np.float64),
+                model.mesh_face[face : face + int(model.mesh_facenum[mesh])].copy(),
+            )
+        shape.triangles = self.meshes[mesh]
+        named = self.spec.mesh(model.mesh(mesh).name)
+        if named is not None:
+            # What stands in memory alone still has a name.
+            shape.file = self.assets.get(named.file, Path(named.file or named.name))
+            shape.scale = np.array(named.scale, dtype=np.float64)
+
+    def _equalities(self) -> None:
+        model = self.model
+        kinds = mujoco.mjtEq
+        for index in range(model.neq):
+            name = self.name("equality", index)
+            place = self.nodes.place("equality", name)
+            kind = int(model.eq_type[index])
+            first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+            words = kinds(kind).name.removeprefix("mjEQ_").lower()
+            if kind == int(kinds.mjEQ_JOINT) and second >= 0:
+                data = model.eq_data[index]
+                if not np.any(data[2:5]):
+                    self.out.mimics.append(
+                        Mimic(
+                            place,
+                            self.name("joint", first),
+                            self.name("joint", second),
+                            float(data[1]),
+                            float(data[0]),
+                            bool(model.eq_active0[index]),
+                        )
+                    )
+                    continue
+            element = {
+                int(kinds.mjEQ_JOINT): "joint",
+                int(kinds.mjEQ_TENDON): "tendon",
+            }.get(kind, "body")
+            if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
+                element = "site"
+            ties = tuple(self.name(element, one) for one in (first, second) if one >= 0)
+            self.out.couplings.append(Coupling(place, f"{words} equality", name, ties))
+        for index in range(model.ntendon):
+            name = self.name("tendon", index)
+            start = int(model.tendon_adr[index])
+            ties = []
+            for wrap in range(start, start + int(model.tendon_num[index])):
+                kind = int(model.wrap_type[wrap])
+                if kind == int(mujoco.mjtWrap.mjWRAP_JOINT):
+                    ties.append(self.name("joint", int(model.wrap_objid[wrap])))
+                elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
+                    ties.append(self.name("site", int(model.wrap_objid[wrap])))
+            self.out.couplings.append(
+                Coupling(self.nodes.place("tendon", name), "tendon", name, tuple(ties))
+            )
+
+    def _actuators(self) -> None:
+        model = self.model
+        means: dict[int, list[str]] = {}
+        for joint in self.out.joints:
+            for item in joint_inputs(model, joint.name):
+                means.setdefault(item.actuator, []).append(
+                    f"{_MEANS[item.mode]} (1 {joint.unit if item.mode == 'position' else 'unit'} "
+                    f"of the joint is {item.scale:.4g} of the command)"
+                    if item.scale != 1.0
+                    else _MEANS[item.mode]
+                )
+        transmissions = mujoco.mjtTrn
+        for index in range(model.nactuator):
+            name = self.name("actuator", index)
+            kind = int(model.actuator_trntype[index])
+            target = int(model.actuator_trnid[index, 0])
+            joints: tuple[str, ...] = ()
+            if kind in (
+                int(transmissions.mjTRN_JOINT),
+                int(transmissions.mjTRN_JOINTINPARENT),
+            ):
+                joints = (self.name("joint", target),)
+            elif kind == int(transmissions.mjTRN_TENDON):
+                tendon = self.name("tendon", target)
+                joints = next(
+                    tuple(t for t in tie.ties if t in self.out.joint)
+                    for tie in self.out.couplings
+                    if tie.kind == "tendon" and tie.name == tendon
+                )
+            control = int(model.actuator_ctrladr[index])
+            has_control = 0 <= control < model.nu
+            limited = has_control and bool(model.actuator_ctrllimited[control])
+            output = int(model.actuator_outadr[index])
+            bounded = bool(model.actuator_forcelimited[output])
+            self.out.actuators.append(
+                Actuator(
+                    self.nodes.place("actuator", name),
+                    name,
+                    joints,
+                    " and ".join(means[index]) if index in means else None,
+                    float(model.actuator_ctrlrange[control, 0]) if limited else None,
+                    float(model.actuator_ctrlrange[control, 1]) if limited else None,
+                    float(np.abs(model.actuator_forcerange[output]).max()) if bounded else None,
+                    float(np.linalg.norm(model.actuator_gear[output])),
+                )
+            )
+
+    def _rest(self) -> None:
+        model = self.model
+        objects = mujoco.mjtObj
+        for index in range(model.nsensor):
+            name = self.name("sensor", index)
+            bearer = ""
+            kind = int(model.sensor_objtype[index])
+            if kind >= 0 and int(model.sensor_objid[index]) >= 0:
+                words = objects(kind).name.removeprefix("mjOBJ_").lower()
+                words = {"xbody": "body"}.get(words, words)
+                if words in ("body", "joint", "site", "geom", "actuator", "tendon"):
+                    bearer = self.name(words, int(model.sensor_objid[index]))
+            self.out.sensors.append(
+                Sensor(
+                    self.nodes.place("sensor", name),
+                    name,
+                    mujoco.mjtSensor(int(model.sensor_type[index]))
+                    .name.removeprefix("mjSENS_")
+                    .lower(),
+                    bearer,
+                )
+            )
+        for index in range(model.nsite):
+            name = self.name("site", index)
+            self.out.sites[name] = (
+                self.name("body", int(model.site_bodyid[index])),
+                model.site_pos[index].copy(),
+                self.nodes.place("site", name),
+            )
+        for index in range(model.nkey):
+            pose = {}
+            for joint in self.out.joints:
+                if joint.scalar:
+                    address = int(model.joint(joint.name).qposadr[0])
+                    pose[joint.name] = float(model.key_qpos[index, address])
+            self.out.poses[self.name("key", index)] = pose
+
+    def _angles(self) -> None:
+        """Radians in a file whose angles are read as degrees."""
+        limited = [j for j in self.out.joints if j.kind == "hinge" and j.limited]
+        largest = max((max(abs(j.lower or 0), abs(j.upper or 0)) for j in limited), default=0.0)
+        if len(limited) > 1 and self.spec.compiler.degree and largest <= _RADIANS_READ_AS_DEGREES:
+            self.out.faults.append(
+                Finding(
+                    "joints.range_radians",
+                    "critical",
+                    limited[0].place,
+                    f"joint '{limited[0].name}'",
+                    f"the ranges of all {len(limited)} hinges are tiny: radians read as degrees?",
+                    largest,
+                    "rad",
+                    "<compiler angle='radian'/> where the numbers are radians",
+                    "no joint can move",
+                    "the datasheet of one joint, with its unit",
+                )
+            )
+
+
+def _matrix(quaternion: Vector) -> Vector:
+    found = np.empty(9)
+    mujoco.mju_quat2Mat(found, np.asarray(quaternion, dtype=np.float64))
+    return found.reshape(3, 3)
