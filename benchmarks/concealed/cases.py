@@ -203,11 +203,15 @@ def write(
             writer.register_channel(t, "cdr", schema) for t in ("/joint_commands", "/joint_states")
         )
         writer.add_metadata("trial", {"role": role})
+        next_command = 0
         for k, (i, real) in enumerate(zip(index, true_index, strict=True)):
             stamp = EPOCH_NS + round(i * STEP * 1e9)
-            sent = EPOCH_NS + round((i // 100) * 100 * STEP * 1e9)
-            payload = joint_state(names, sent, {robot.mode: motion.setpoint[(i // 100) * 100]})
-            writer.add_message(commands, sent, payload, sent)
+            # Every command once, whenever the encoders are read: a logger misses none.
+            while next_command <= i:
+                sent = EPOCH_NS + round(next_command * STEP * 1e9)
+                payload = joint_state(names, sent, {robot.mode: motion.setpoint[next_command]})
+                writer.add_message(commands, sent, payload, sent)
+                next_command += 100
             fields = {"position": position[k]}
             if sensors["velocity"]:
                 noise = sensors["velocity_noise"] * rng.standard_normal(len(names))
