@@ -30,6 +30,7 @@ _STANDS_OUT = 2.0
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.7, 0.5
+_MANY = 20.0
 # A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
 _OPEN = 1e3
 
@@ -204,10 +205,10 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
             )
             fitted = refitted[least]
             continue
-        weak = [
-            (_too_little(problem, t, before, base, selected.confidence.get(t, 1.0)), i)
-            for i, t in enumerate(terms)
-        ]
+        weak = []
+        for i, t in enumerate(terms):
+            sure = selected.confidence.get(t, 1.0) >= _SURE and not _at_bound(fitted.hypothesis, t)
+            weak.append((_too_little(problem, t, before, base, sure=sure), i))
         share, worst = max(weak)
         if share <= 0.0:
             return _Pruned(fitted, rests, notes)
@@ -220,16 +221,31 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
 
 
 def _too_little(
-    problem: Problem, term: Term, before: FloatArray, after: FloatArray, confidence: float
+    problem: Problem, term: Term, before: FloatArray, after: FloatArray, *, sure: bool
 ) -> float:
-    """Share of the squared mismatch that is left where a term acts, if it is too much, else 0."""
+    """Share of the squared mismatch that is left where a term acts, if it is too much, else 0.
+
+    An unsure name has to explain more, and may not leave many floors behind.
+    """
     joints = len(problem.joints)
     columns = slice(None) if term.joint < 0 else slice(term.joint, None, joints)
     mismatch = float(np.maximum(before[columns] ** 2 - 1.0, 0.0).sum())
     left = float(np.maximum(after[columns] ** 2 - 1.0, 0.0).sum())
     share = left / mismatch if mismatch > 0.0 else 0.0
-    bound = _LEFT_SURE if confidence >= _SURE else _LEFT_UNSURE
-    return share if share > bound and after[columns].max() > _STANDS_OUT else 0.0
+    top = float(after[columns].max())
+    if not sure and top > _MANY:
+        return share
+    bound = _LEFT_SURE if sure else _LEFT_UNSURE
+    return share if share > bound and top > _STANDS_OUT else 0.0
+
+
+def _at_bound(hypothesis: Hypothesis, term: Term) -> bool:
+    """Whether a parameter that switches the effect on stands at its physical bound."""
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    return any(
+        p.neutral is not None and value != p.neutral and not p.lower < value < p.upper
+        for p, value in zip(term.parameters, theta, strict=True)
+    )
 
 
 def _label(problem: Problem, term: Term) -> str:

@@ -12,7 +12,9 @@ AT_FLOOR = 3.0
 """Root mean square up to this many floors is at the floor: it is an estimate itself, and a real
 joint's micro-slip and a simulator's contact law leave a few of it."""
 LEFT = 0.02
-"""Share of the squared mismatch that may be left and still count as explained."""
+"""Share of the squared mismatch that may be left and still count as explained, ..."""
+LEFT_FLOORS = 10.0
+"""... up to this many floors: a large mismatch leaves a large remainder, which is one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,8 @@ class JointError:
     @property
     def explained(self) -> bool:
         """Whether nothing that matters is left."""
-        return self.after <= AT_FLOOR * self.floor or self.fraction <= LEFT
+        near = self.after <= LEFT_FLOORS * self.floor and self.fraction <= LEFT
+        return self.after <= AT_FLOOR * self.floor or near
 
 
 def verdict(errors: Mapping[str, JointError], findings: Sequence[object]) -> Verdict:

@@ -86,6 +86,7 @@ def render(view: DiagnosisView) -> str:
         figures_left_out=[v.joint for v in view.joints[MAX_FIGURES:]],
         at_floor=view.at_floor,
         share_left=view.share_left,
+        left_floors=view.left_floors,
     )
 
 

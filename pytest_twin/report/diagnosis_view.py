@@ -85,7 +85,8 @@ class DiagnosisView:
         native: what the patched MJCF holds, one line each; ``beside``: what is stepped beside it.
         tried: how many effects at places competed.
         laws: effect -> its law and the law's source.
-        at_floor, share_left: what counts as explained, see :mod:`pytest_twin.diagnosis.verdict`.
+        at_floor, share_left, left_floors: what counts as explained:
+            :mod:`pytest_twin.diagnosis.verdict`.
     """
 
     model: str
@@ -99,6 +100,7 @@ class DiagnosisView:
     laws: Mapping[str, tuple[str, str]]
     at_floor: float
     share_left: float
+    left_floors: float
 
 
 def view_of(
@@ -112,7 +114,7 @@ def view_of(
         patched: what was written as its realization.
         model: what was diagnosed, as people call it.
     """
-    from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT
+    from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT, LEFT_FLOORS
     from pytest_twin.effects import catalogue
 
     joints = found.prepared.problem.joints
@@ -131,6 +133,7 @@ def view_of(
         laws={id: (law.law, law.source) for id, law in catalogue().items()},
         at_floor=AT_FLOOR,
         share_left=LEFT,
+        left_floors=LEFT_FLOORS,
     )
 
 

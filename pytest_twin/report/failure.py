@@ -12,17 +12,20 @@ MAX_REASONS = 8
 
 
 def headline(outcome: Outcome) -> str:
-    """One line: what is wrong, or that nothing is."""
+    """One line: which golden, and what is wrong, or that nothing is."""
+    return printable(f"{outcome.key}: {what(outcome)}")
+
+
+def what(outcome: Outcome) -> str:
+    """One line beside the golden's name: what is wrong, or that nothing is."""
     worst = outcome.worst
     if outcome.status == "error" or worst is None:
-        return printable(f"{outcome.key}: {outcome.error or 'nothing was measured'}")
+        return printable(outcome.error or "nothing was measured")
     if outcome.status == "passed":
-        return printable(
-            f"{outcome.key}: {worst.name} of {worst.subject} used {use(worst)} of its tolerance"
-        )
+        return printable(f"{worst.name} of {worst.subject} used {use(worst)} of its tolerance")
     failed = [measure for measure in outcome.measures if not measure.passed]
     others = f" ({len(failed) - 1} more failed)" if len(failed) > 1 else ""
-    return printable(f"{outcome.key}: {_what(worst)}{others}")
+    return printable(f"{_left(worst)}{others}")
 
 
 def failure_text(outcome: Outcome, *, location: str, plot: str | None = None) -> str:
@@ -103,7 +106,7 @@ def _when(measure: Measure) -> str:
     return measure.when.removeprefix("at ")
 
 
-def _what(worst: Measure) -> str:
+def _left(worst: Measure) -> str:
     when = f" {worst.when}" if worst.when else ""
     if worst.margin != worst.margin:  # NaN
         return f"{worst.name} of {worst.subject} is not a number{when}"

@@ -33,4 +33,4 @@ def use(measure: Measure) -> str:
         return "all of none" if math.isfinite(measure.error) else "no number"
     if used < 0.001:
         return "< 0.1 %"
-    return f"{used:.3g} times" if used >= 10 else f"{100 * used:.3g} %"
+    return f"{used:.3g} times" if used >= 9.995 else f"{100 * used:.3g} %"

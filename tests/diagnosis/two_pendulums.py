@@ -75,7 +75,7 @@ def record(
     seed: int,
     *,
     role: str | None = None,
-    seconds: float = 3.0,
+    seconds: float = 2.2,
     joints: tuple[str, ...] = JOINTS,
     noise: float = 1e-4,
     **hidden: float,
