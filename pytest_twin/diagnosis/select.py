@@ -26,6 +26,12 @@ _MAX_TERMS = 10
 _QUICK, _LONG = 3, 8
 # Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many.
 _EARNS = 5.0
+# A name must take away this share of what still stands above the floor at some joint, and this
+# share of what the nominal model left there: less is the simulator's own imperfection.
+_SHARE_OF_REST = 0.1
+_SHARE_OF_ALL = 0.003
+# Within this factor of the floor's square, nothing is left to explain.
+_AT_FLOOR = 1.2
 
 
 @dataclass(slots=True)
@@ -83,8 +89,8 @@ class Selection:
         terms = candidates(problem)
         answers = responses(problem, terms, problem.fit)
         best = nominal
-        while len(best.hypothesis.terms) < _MAX_TERMS:
-            better = self._forward(best, answers)
+        while len(best.hypothesis.terms) < _MAX_TERMS and not self._at_floor(best):
+            better = self._forward(best, answers, nominal)
             if better is None:
                 break
             best = self._backward(better)
@@ -130,7 +136,26 @@ class Selection:
 
     # -- moves
 
-    def _forward(self, best: Rival, answers: Sequence[Response]) -> Rival | None:
+    def _unseen(self, rival: Rival) -> FloatArray:
+        """(signals,) mean square on what no fit has seen, where there is such a thing."""
+        residual = rival.held_residual if self.has_held else rival.fitted.residual
+        mean_square: FloatArray = np.mean(residual**2, axis=0)
+        return mean_square
+
+    def _at_floor(self, rival: Rival) -> bool:
+        floor = self.problem.signal_floor**2
+        fit = np.mean(rival.fitted.residual**2, axis=0)
+        return bool((np.maximum(self._unseen(rival), fit) <= _AT_FLOOR * floor).all())
+
+    def _worth_a_name(self, rival: Rival, best: Rival, nominal: Rival) -> bool:
+        floor = self.problem.signal_floor**2
+        before = self._unseen(best)
+        gone = before - self._unseen(rival)
+        rest = np.maximum(before - floor, 0.2 * floor)
+        whole = np.maximum(self._unseen(nominal) - floor, 0.2 * floor)
+        return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * whole)).any())
+
+    def _forward(self, best: Rival, answers: Sequence[Response], nominal: Rival) -> Rival | None:
         problem, floor = self.problem, self.problem.signal_floor
         effective = effective_samples(best.fitted.residual, problem.lengths(problem.fit))
         price = 0.5 * np.log(max(float(effective.mean()), 2.0))
