@@ -133,7 +133,9 @@ class Structure:
 
         Kinematics, inertia, joints, actuators, couplings, collision of every body of the same
         trees and of those that couplings, actuators, possible contacts or a common base tie to
-        them; gravity and the other options. Keyframes are not in it.
+        them; gravity and the other options. Where a contact is possible at all, it is the whole
+        model: contacts amplify the last digits of the solver, which sees everything at once.
+        Keyframes are not in it.
         """
         if joints is None:
             return self._remember("dynamics", lambda: self._dynamics(frozenset(self._trees())))
@@ -159,6 +161,10 @@ class Structure:
     def keyframe(self, name: str) -> frozenset[str]:
         """A named pose."""
         return frozenset({self._id(f"keyframe:{name}")})
+
+    def additions(self) -> frozenset[str]:
+        """What the model's file gives to a body that is added to the scene, or to a payload."""
+        return frozenset(self._known({self._id("additions")}))
 
     def everything(self) -> frozenset[str]:
         """All parts but shapes that are only seen: for checks that may look at anything."""
@@ -225,7 +231,10 @@ class Structure:
         missing = {self._id(f"joint:{joint}") for joint in joints if joint not in self.joint_body}
         bodies = (self.joint_body[joint] for joint in joints if joint in self.joint_body)
         trees = frozenset(self.body_tree[body] for body in bodies if body in self.body_tree)
-        return self._dynamics(self._reached(trees)) | missing
+        reached = self._reached(trees)
+        if self._may_touch({body for body, tree in self.body_tree.items() if tree in reached}):
+            reached = frozenset(self._trees())
+        return self._dynamics(reached) | missing
 
     def _dynamics(self, trees: frozenset[str]) -> frozenset[str]:
         moving = {body for body, tree in self.body_tree.items() if tree in trees}
@@ -308,6 +317,19 @@ class Structure:
             reached |= {tree for tree, (c, a) in masks.items() if c & conaffinity or a & contype}
             grown = len(reached) > before
         return frozenset(reached)
+
+    def _may_touch(self, moving: set[str]) -> bool:
+        """Whether one of ``moving`` and another body have geoms that may touch, by their masks."""
+        if any(not moving.isdisjoint(pair) for pair in self.contact_pairs):
+            return True
+        bodies: dict[tuple[int, int], set[str]] = {}
+        for body, mask in self.contact_masks.items():
+            bodies.setdefault(mask, set()).add(body)
+        for (c, a), ours in bodies.items():
+            for (contype, conaffinity), others in bodies.items():
+                if (c & conaffinity or a & contype) and ours & moving and len(ours | others) > 1:
+                    return True
+        return False
 
     def _touched(self, moving: set[str]) -> set[str]:
         """Bodies that stand still and that ``moving`` may touch or are coupled to."""

@@ -199,6 +199,7 @@ class Contact(Check):
         return (
             set(structure.dynamics())
             | set(structure.contact())
+            | structure.additions()
             | set(structure.contact(set(target["pair"]) - own))
             | {f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)}
         )

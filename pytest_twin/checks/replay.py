@@ -107,6 +107,9 @@ class Replay(Check):
         joints = list(target["joints"]) if "joints" in target else None
         parts = set(structure.dynamics(joints)) | {f"recording:{target['recording']}"}
         parts |= {f"{key}:{target[key]}" for key in ("controller", "payload") if key in target}
+        if "controller" in target or "payload" in target:
+            # The variant is compiled anew.
+            parts |= structure.additions()
         # Every recorded joint starts where its encoder says, whichever are compared.
         parts |= {f"calibration:{joint}" for joint in structure.joint_body}
         if "tcp" in target:

@@ -35,7 +35,9 @@ _LAYOUT_BYTES = 2**20
 
 def parts(realization: Realization) -> dict[str, Part]:
     """Part id -> part of a realization, ids with the realization's name in front."""
-    return model_parts(realization.model, realization.name, realization.velocity_limit)
+    found = model_parts(realization.model, realization.name, realization.velocity_limit)
+    ident = f"{realization.name}/additions"
+    return {**found, ident: Part(ident, additions(realization.spec))}
 
 
 def structure(realization: Realization) -> Structure:
@@ -60,6 +62,43 @@ def model_parts(
 def model_structure(model: mujoco.MjModel, name: str, part_ids: Iterable[str]) -> Structure:
     """How a compiled model hangs together; ``part_ids`` as :func:`model_parts` gives them."""
     return _structure(model, name, frozenset(part_ids))
+
+
+def additions(spec: mujoco.MjSpec) -> dict[str, Any]:
+    """What a body that is added to a scene, or a payload, would get from this model's file.
+
+    The main default class and the compiler's bounds leave no trace in what is compiled already.
+    """
+    probe = spec.copy()
+    geom = probe.worldbody.add_body().add_geom()
+    content = {
+        f"geom {name}": _value(getattr(geom, name))
+        for name in (
+            "contype",
+            "conaffinity",
+            "condim",
+            "priority",
+            "friction",
+            "solmix",
+            "solref",
+            "solimp",
+            "margin",
+            "gap",
+            "adhesion",
+            "surfacevel",
+            "density",
+            "mass",
+            "typeinertia",
+            "fluid_ellipsoid",
+            "fluid_coefs",
+            "size",
+            "pos",
+            "quat",
+        )
+    }
+    bounds = ("boundmass", "boundinertia", "balanceinertia", "settotalmass", "inertiafromgeom")
+    layout = ("inertiagrouprange", "fusestatic", "alignfree", "autolimits", "discardvisual")
+    return content | {name: _value(getattr(spec.compiler, name)) for name in (*bounds, *layout)}
 
 
 class _Names:
