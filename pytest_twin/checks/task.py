@@ -169,11 +169,12 @@ def _held(
             value=len(now) if as_list else "a number",
             expected=f"{len(then)} numbers" if was_list else "a number",
         )
+    function = golden.target["function"].rpartition(":")[2]
     pairs = zip(now, then, strict=True) if as_list else [(now, then)]
     for i, (measured, recorded) in enumerate(pairs):
         yield Measure(
             name=name,
-            subject=f"{name}[{i}]" if as_list else name,
+            subject=f"{function}[{i}]" if as_list else function,
             measured=measured,
             golden=float(recorded),
             error=abs(measured - float(recorded)),

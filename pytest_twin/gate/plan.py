@@ -128,5 +128,9 @@ def line_of(golden: Golden, outcome: Outcome) -> int:
     worst = outcome.worst
     places = ["kind"]
     if worst is not None and outcome.status == "failed":
-        places[:0] = [f"target.joints.{worst.subject}.{worst.name}", f"tolerance.{worst.name}"]
+        places[:0] = [
+            f"target.joints.{worst.subject}.{worst.name}",
+            f"target.outputs.{worst.name}",
+            f"tolerance.{worst.name}",
+        ]
     return next((golden.lines[place] for place in places if place in golden.lines), 1)

@@ -22,7 +22,7 @@ from pytest_twin.gate.verdict import SessionFacts
 from pytest_twin.gate.why import update_lines, why_lines
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
-from pytest_twin.report.failure import failure_text, headline
+from pytest_twin.report.failure import failure_text, what
 from pytest_twin.report.text import quantity
 from pytest_twin.session import selection
 from pytest_twin.session.items import FailureText, GoldenFailedError, GoldenFile, GoldenItem
@@ -193,7 +193,7 @@ class TwinSession:
             location = f"{os.path.relpath(item.path)}:{line_of(item.golden, outcome)}"
             plot = outcome.plot and os.path.relpath(gate.root / outcome.plot)
             text = failure_text(outcome, location=location, plot=plot)
-            raise GoldenFailedError(text, headline(outcome), line_of(item.golden, outcome))
+            raise GoldenFailedError(text, what(outcome), line_of(item.golden, outcome))
 
     def _reasons(self, item: GoldenItem) -> tuple[Reason, ...]:
         if self.is_worker:
@@ -240,7 +240,7 @@ class TwinSession:
         if isinstance(report.longrepr, str):
             # From a worker: our text again, so that summaries and JUnit stay short.
             path, line, _ = report.location
-            text = FailureText(report.longrepr, headline(outcome), path, (line or 0) + 1)
+            text = FailureText(report.longrepr, what(outcome), path, (line or 0) + 1)
             report.longrepr = text  # type: ignore[assignment]
         if self.is_worker:
             return

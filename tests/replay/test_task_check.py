@@ -78,11 +78,14 @@ def test_declared_outputs_are_held_against_the_record(arm: Path) -> None:
     # 0.55 m of arm, 1 m above the floor, turned down by 0.5 rad.
     assert observation.values["height"] == pytest.approx(1 - 0.55 * 0.479425539)
     measures = held(arm, {"height": 0.7363, "position": [0.4826, 0.0, 0.74], "count": 3})
-    verdicts = {m.subject: m.passed for m in measures}
-    assert verdicts == {
-        "height": True, "position[0]": True, "position[1]": True, "position[2]": False,
-        "count": True,
-    }  # fmt: skip
+    verdicts = [(m.name, m.subject, m.passed) for m in measures]
+    assert verdicts == [
+        ("height", "reach", True),
+        ("position", "reach[0]", True),
+        ("position", "reach[1]", True),
+        ("position", "reach[2]", False),
+        ("count", "reach", True),
+    ]
 
 
 def test_it_rests_on_everything_and_on_its_files(arm: Path) -> None:

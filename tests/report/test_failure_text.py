@@ -139,3 +139,10 @@ def test_a_mean_has_no_time_of_its_own() -> None:
     assert headline(outcome).endswith(" by 0.0213 rad (largest at 1.234 s)")
     text = failure_text(outcome, location="golden/replay/a.yaml:3")
     assert "position_rms of elbow (largest at 1.234 s)" in text
+
+
+@pytest.mark.parametrize(
+    ("error", "words"), [(0.0107, "100 %"), (0.1069, "999 %"), (0.107, "10 times")]
+)
+def test_use_of_a_tolerance_has_no_exponent(error: float, words: str) -> None:
+    assert use(replace(ELBOW, error=error)) == words
