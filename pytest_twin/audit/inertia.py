@@ -33,7 +33,7 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
         if body.mass and body.inertia is not None and body.mass > 0:
             solid = geometry.body(body.name)
             yield from _default(body)
-            yield from _copied(asset, body, seen)
+            yield from _copied(body, seen, geometry)
             if solid is not None and solid.size > 0:
                 yield from _against(body, body.mass, body.inertia, solid)
         elif body.mass is None and body.inertial is not None and body.inertia is not None:
@@ -91,7 +91,24 @@ def _possible(body: Body) -> Iterator[Finding]:
         )
         return
     share = violation(body.inertia)
-    if share > ROUNDING:
+    if moments[0] <= 1e-9 * scale and (body.mass or 0.0) > 0:
+        six = body.inertia[np.triu_indices(3)]
+        equal = bool(np.ptp(six) < 1e-9 * np.abs(six).max())
+        yield Finding(
+            "inertia.zero_moment",
+            "critical",
+            body.inertial,
+            _element(body),
+            "a principal moment of its inertia is zero: it is not positive definite"
+            + (", and breaks the triangle inequality" if share > ROUNDING else "")
+            + (" (products of inertia equal to the moments)" if equal else ""),
+            text,
+            "kg*m^2",
+            "three positive moments",
+            "only a line without thickness has it; about that axis nothing resists a torque",
+            _CAD,
+        )
+    elif share > ROUNDING:
         # tr(I)/2 - I_max is the least eigenvalue of the pseudo-inertia's 3 x 3 block.
         lowest = float(moments.sum() / 2 - moments[2])
         yield Finding(
@@ -106,19 +123,6 @@ def _possible(body: Body) -> Iterator[Finding]:
             "kg*m^2",
             "no moment above the sum of the other two",
             "mass would have to be negative somewhere; simulators refuse it or change it silently",
-            _CAD,
-        )
-    elif moments[0] <= 1e-9 * scale and (body.mass or 0.0) > 0:
-        yield Finding(
-            "inertia.zero_moment",
-            "critical",
-            body.inertial,
-            _element(body),
-            "a principal moment of its inertia is zero: it is not positive definite",
-            text,
-            "kg*m^2",
-            "three positive moments",
-            "only a line without thickness has it; about that axis nothing resists a torque",
             _CAD,
         )
     elif share > 1e-9:
@@ -163,17 +167,17 @@ def _one_digit(value: float) -> bool:
     return value > 0 and float(f"{value:.0e}") == value
 
 
-def _copied(asset: Asset, body: Body, seen: dict[tuple[float, ...], Body]) -> Iterator[Finding]:
+def _copied(
+    body: Body, seen: dict[tuple[float, ...], Body], geometry: Geometry
+) -> Iterator[Finding]:
     assert body.inertia is not None
     key = (float(body.mass or 0.0), *body.com.tolist(), *body.inertia.ravel().tolist())
     first = seen.setdefault(key, body)
     if first is body:
         return
-    shapes = [
-        [(s.kind, s.size, str(s.file), *s.scale.tolist()) for s in asset.shapes_of(b.name)]
-        for b in (first, body)
-    ]
-    if shapes[0] == shapes[1]:
+    solids = geometry.body(first.name), geometry.body(body.name)
+    volumes = [0.0 if solid is None else solid.volume for solid in solids]
+    if np.isclose(volumes[0], volumes[1], rtol=0.02):
         return
     yield Finding(
         "inertia.copied",
@@ -207,7 +211,8 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
             "the body balanced on an edge in two directions; the drawing, with its unit",
         )
     density = mass / solid.volume
-    if not _DENSITY[0] <= density <= _DENSITY[1]:
+    plausible = _DENSITY[0] <= density <= _DENSITY[1]
+    if not plausible:
         yield Finding(
             "inertia.density",
             "warning",
@@ -248,7 +253,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
         ratio = stated / uniform
         yield Finding(
             "inertia.too_large",
-            "critical" if ratio > 2e5 else "warning",
+            "critical" if ratio > 2e5 and plausible else "warning",
             body.inertial,
             element,
             "its inertia is larger than its mass could have anywhere in its shape"
@@ -296,9 +301,11 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
     """Bodies that move and have nothing to move."""
     members: dict[str, list[Body]] = {}
     for name, top in asset.group.items():
+        if name not in asset.drawn:
+            continue
         members.setdefault(top, []).append(asset.body[name])
     unreadable = {fault.element for fault in asset.faults if fault.layer == "inertia"}
-    for top in sorted(asset.moving):
+    for top in sorted(asset.moving & members.keys()):
         bodies = members[top]
         if any(_element(body) in unreadable for body in bodies) or not all(
             body.stated for body in bodies

@@ -238,8 +238,8 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
 
 
 def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
-    if asset.kind == "mjcf":
-        # MJCF has no place for a speed, and states forces at actuators.
+    if asset.kind != "urdf":
+        # The others have no place for a speed, and state forces at actuators.
         return
     element = _element(joint)
     for name, value, unit in (

@@ -18,6 +18,7 @@ _MANY_FACES = 20_000
 """Triangles of one collision mesh beyond which loading and contact take their time."""
 _HOLLOW = 1.5
 """Hull over mesh: beyond, the hull that simulators collide with fills what is hollow."""
+_REACH = "the robot's reach"
 _TOO_LARGE, _TOO_SMALL = 100.0, 0.01
 """Against another length of the same body: beyond, one of them is in another unit."""
 
@@ -164,7 +165,7 @@ def _units(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 if other is not None:
                     votes.append(("its other shape", solid.size / other.size))
                 if asset.span > 0:
-                    votes.append(("the robot's reach", _span_ratio(solid, asset.span)))
+                    votes.append((_REACH, _span_ratio(solid, asset.span)))
                 yield from _verdict(shape, solid, votes)
 
 
@@ -182,7 +183,9 @@ def _verdict(shape: Shape, solid: Solid, votes: list[tuple[str, float]]) -> Iter
         if not beyond:
             continue
         against = ", ".join(f"{ratio:.3g} times {what}" for what, ratio in beyond)
-        agreed = len(beyond) > len(votes) / 2
+        # A part may be small beside its robot: its reach says nothing of too small.
+        judges = [vote for vote in votes if words == "large" or vote[0] != _REACH]
+        agreed = len(beyond) > len(judges) / 2
         yield Finding(
             "meshes.units",
             "critical" if agreed else "warning",

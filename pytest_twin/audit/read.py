@@ -22,16 +22,16 @@ def read(path: Path) -> Asset:
     """
     path = path.parent.resolve() / path.name
     if path.suffix.lower() in USD_SUFFIXES:
-        from pytest_twin.audit import read_usd
+        from pytest_twin.audit.read_usd import read as read_stage
 
-        return read_usd.read(path)
+        return read_stage(path)
     tag = xml.parse(path).tag
     if tag == "robot":
         return read_urdf.read(path, urdf_roots(path))
     if tag == "mujoco":
-        from pytest_twin.audit import read_mjcf
+        from pytest_twin.audit.read_mjcf import read as read_model
 
-        return read_mjcf.read(path, Roots(path.parent))
+        return read_model(path, Roots(path.parent))
     raise ModelError(
         "not a robot model", path=path, line=1, value=str(tag), expected="<robot> or <mujoco>"
     )

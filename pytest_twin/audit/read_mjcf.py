@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import mujoco
@@ -288,12 +288,12 @@ class _Compiled:
         model = self.model
         paired = {int(g) for g in (*model.pair_geom1, *model.pair_geom2)}
         kinds = mujoco.mjtGeom
-        plain = {
+        plain: dict[int, tuple[str, Callable[[Vector], Iterable[float]]]] = {
             int(kinds.mjGEOM_SPHERE): ("sphere", lambda s: (s[0],)),
             int(kinds.mjGEOM_CAPSULE): ("capsule", lambda s: (s[0], 2 * s[1])),
             int(kinds.mjGEOM_CYLINDER): ("cylinder", lambda s: (s[0], 2 * s[1])),
-            int(kinds.mjGEOM_ELLIPSOID): ("ellipsoid", lambda s: tuple(s)),
-            int(kinds.mjGEOM_BOX): ("box", lambda s: tuple(2 * s)),
+            int(kinds.mjGEOM_ELLIPSOID): ("ellipsoid", lambda s: s),
+            int(kinds.mjGEOM_BOX): ("box", lambda s: 2 * s),
         }
         for index in range(model.ngeom):
             collides = (
@@ -301,7 +301,7 @@ class _Compiled:
                 or bool(model.geom_conaffinity[index])
                 or index in paired
             )
-            kind, size = plain.get(int(model.geom_type[index]), ("other", lambda s: ()))
+            kind, size = plain.get(int(model.geom_type[index]), ("other", lambda _: ()))
             shape = Shape(
                 self.nodes.place("geom", self.name("geom", index)),
                 self.name("body", int(model.geom_bodyid[index])),
@@ -365,15 +365,15 @@ class _Compiled:
         for index in range(model.ntendon):
             name = self.name("tendon", index)
             start = int(model.tendon_adr[index])
-            ties = []
+            wraps: list[str] = []
             for wrap in range(start, start + int(model.tendon_num[index])):
                 kind = int(model.wrap_type[wrap])
                 if kind == int(mujoco.mjtWrap.mjWRAP_JOINT):
-                    ties.append(self.name("joint", int(model.wrap_objid[wrap])))
+                    wraps.append(self.name("joint", int(model.wrap_objid[wrap])))
                 elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
-                    ties.append(self.name("site", int(model.wrap_objid[wrap])))
+                    wraps.append(self.name("site", int(model.wrap_objid[wrap])))
             self.out.couplings.append(
-                Coupling(self.nodes.place("tendon", name), "tendon", name, tuple(ties))
+                Coupling(self.nodes.place("tendon", name), "tendon", name, tuple(wraps))
             )
 
     def _actuators(self) -> None:

@@ -70,7 +70,7 @@ def views(
     sizes = [(spans[right] + 2 * margin, spans[up] + 2 * margin) for _, (right, up), _, _ in _VIEWS]
     # One scale for all three, so that lengths compare across them.
     inch = min(
-        (_WIDTH - 4 * _GAP) / sum(width for width, _ in sizes),
+        (_WIDTH - 4 * 1.5 * _GAP) / sum(width for width, _ in sizes),
         _HEIGHT / max(height for _, height in sizes),
     )
     height = max(size[1] for size in sizes) * inch + 2 * _GAP
@@ -92,7 +92,7 @@ def views(
             flat = np.stack([sign * corners[..., right], corners[..., up]], axis=-1)[order]
             fill = np.clip(colours * np.minimum(shade, 1.1)[:, None], 0, 1)[order]
             axis.add_collection(
-                PolyCollection(flat, facecolors=fill, edgecolors=fill, linewidths=0.3)
+                PolyCollection(list(flat), facecolors=fill, edgecolors=fill, linewidths=0.3)
             )
             ends = sorted((sign * low[right], sign * high[right]))
             axis.set_xlim(ends[0] - margin, ends[1] + margin)

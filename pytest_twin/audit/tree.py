@@ -135,7 +135,8 @@ def _roots(asset: Asset) -> Iterator[Finding]:
         if root != base:
             yield Finding(
                 "tree.disconnected",
-                "critical",
+                # A stage may hold other things than the robot.
+                "critical" if asset.kind == "urdf" else "warning",
                 asset.body[root].place,
                 f"link '{root}'",
                 f"no joint ties it to the base '{base}'",
