@@ -7,6 +7,7 @@ its repair is accepted by name.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Collection, Mapping
@@ -32,6 +33,7 @@ Vector = NDArray[np.float64]
 
 MESH_FOLDER = "meshes"
 INERTIA_REPAIR = "inertia-repair"
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UNITS = "units: metre, kilogram, second, radian; newton, newton metre"
 _UNIT_LENGTH = 1e-9
 _SAFE = re.compile(r"[^A-Za-z0-9_-]+")
@@ -203,6 +205,7 @@ class _Normalizer:
             link = self.robot.links[element.get("name", "")]
             if link.inertial is None:
                 continue
+            self._state_inertial(element.find("inertial"))
             share = inertia.violation(link.inertia)
             # What is left of a zero after a change of frame is no inertia at all.
             if share <= inertia.ROUNDING or np.abs(link.inertia).max() < inertia.MASS_FLOOR:
@@ -227,13 +230,27 @@ class _Normalizer:
                 continue
             self._repair(element, node, link, patch)
 
+    def _state_inertial(self, element: Any) -> None:
+        """Zeros that the text leaves out: some parsers drop the whole element for them."""
+        for tag, keys in (("mass", ("value",)), ("inertia", _MOMENTS)):
+            node = element.find(tag)
+            if node is None:
+                node = etree.SubElement(element, tag)
+                self._change(element, tag, None, "0", "not stated, and read as 0: made explicit")
+            lacking = [key for key in keys if key not in node.attrib]
+            for key in lacking:
+                node.set(key, "0")
+            if lacking and node.sourceline:
+                words = " ".join(lacking)
+                self._change(node, words, None, "0", "not stated, and read as 0: made explicit")
+
     def _repair(self, element: Any, node: Any, link: urdf.Link, patch: str) -> None:
         repaired = inertia.consistent(link.inertia)
         # Stated about the centre of mass in the link's axes; the file's inertial frame may turn.
         _, axes = urdf.origin(link.inertial) if link.inertial else (None, np.eye(3))
         values = inertia.six(axes.T @ repaired @ axes)
         self.out.repairs[link.name] = values
-        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        keys = _MOMENTS
         before = " ".join(f"{key}={node.get(key, '0')}" for key in keys)
         for key, value in zip(keys, values, strict=True):
             node.set(key, repr(value))
@@ -367,7 +384,11 @@ class _Normalizer:
         where = f"{element.tag}.filename"
         if reference.startswith("package://"):
             package, _, rest = reference.removeprefix("package://").lstrip("/").partition("/")
-            found = self.packages.get(package) or find_package(package, self.source, self.roots)
+            found = (
+                self.packages.get(package)
+                or find_package(package, self.source, self.roots)
+                or _described_package(package, self.source, self.roots)
+            )
             if found is None:
                 raise PathError(
                     f"package '{package}' is not found",
@@ -381,6 +402,19 @@ class _Normalizer:
         return self.roots.resolve(
             reference.removeprefix("file://"), at=self.source, line=line, where=where
         )
+
+
+def _described_package(package: str, source: Path, roots: Roots) -> Path | None:
+    """The folder whose ``package.xml`` bears the name: above the URDF, or in a root."""
+    above = [folder for folder in source.parents if roots.contains(folder)]
+    beside = [file.parent for root in roots.folders for file in sorted(root.glob("*/package.xml"))]
+    for folder in (*above, *roots.folders, *beside):
+        file = folder / "package.xml"
+        if file.is_file() and roots.contains(file):
+            with contextlib.suppress(TwinError):
+                if (xml.parse(file).findtext("name") or "").strip() == package:
+                    return folder
+    return None
 
 
 def _label(element: Any) -> str:

@@ -14,6 +14,26 @@ from pytest_twin.errors import PathError
 from pytest_twin.formats.digest import file_sha256
 
 
+def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
+    """The manifest that froze a source file, None where it was never taken in.
+
+    Raises:
+        PathError: the source is not what was taken in.
+        FormatError: its manifest cannot be read.
+    """
+    known = manifest.find(source)
+    if known is None or not source.is_relative_to(known[0].parent / manifest.SOURCE_FOLDER):
+        return None
+    changed = manifest.changes_of_source(*known)
+    if changed:
+        raise PathError(
+            f"the source asset is not what was taken in: {changed[0]}",
+            path=known[0],
+            expected="the frozen source; take a new one in with `pytest-twin intake`",
+        )
+    return known
+
+
 def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -> None:
     """Move the files of ``staging`` to ``out`` and write the manifest.
 
@@ -59,17 +79,10 @@ def _written_before(out: Path) -> set[str]:
 
 
 def _manifest(out: Path, source: Path, made: Mapping[str, Any]) -> Manifest:
-    known = manifest.find(source)
-    if known is not None and source.is_relative_to(known[0].parent / manifest.SOURCE_FOLDER):
+    known = frozen_source(source)
+    if known is not None:
         # An asset that was taken in vouches for all of its files.
         path, taken_in = known
-        changed = manifest.changes_of_source(path, taken_in)
-        if changed:
-            raise PathError(
-                f"the source asset is not what was taken in: {changed[0]}",
-                path=path,
-                expected="the frozen source; take a new one in with `pytest-twin intake`",
-            )
         state = taken_in.states["source"]
         if path.parent != out:
             facts = {key: value for key, value in state.facts.items() if key != "folder"}

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.asset import manifest
-from pytest_twin.asset.placing import put_in_place
+from pytest_twin.asset.placing import frozen_source, put_in_place
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.realization.sandbox import Sandbox
 
@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
             raise SpecError(
                 "not a named patch", where="--accept", value=patch, expected="inertia-repair:LINK"
             )
+    frozen_source(source)
     out: Path = args.out.resolve()
     if out.exists() and not out.is_dir():
         raise PathError("not a folder", path=args.out)

@@ -26,6 +26,11 @@ _KEPT = frozenset(
         *("origin", "parent", "child", "axis", "limit", "dynamics"),
     }
 )
+_REQUIRED = {
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "limit": ("effort", "velocity"),
+}
 
 
 def is_described(realization: Realization, robot: Robot) -> bool:
@@ -109,7 +114,17 @@ def _world_to_base(realization: Realization) -> pin.SE3:
 
 
 def dynamics_text(node: Node) -> str:
-    """The dynamics of the robot alone: no shape, so no file, and no mimic, which only couples."""
-    attributes = "".join(f" {key}={quoteattr(value)}" for key, value in node.attributes.items())
+    """The dynamics of the robot alone: no shape, so no file, and no mimic, which only couples.
+
+    What the text leaves out is stated as 0: urdfdom, which parses for Pinocchio, drops a whole
+    inertial that lacks one product of inertia, and a whole robot for a limit without effort.
+    """
+    stated = {**dict.fromkeys(_REQUIRED.get(node.tag, ()), "0"), **node.attributes}
+    attributes = "".join(f" {key}={quoteattr(value)}" for key, value in stated.items())
     inner = "".join(dynamics_text(child) for child in node.children if child.tag in _KEPT)
+    if node.tag == "inertial":
+        for tag in ("mass", "inertia"):
+            if node.find(tag) is None:
+                zeros = "".join(f' {key}="0"' for key in _REQUIRED[tag])
+                inner += f"<{tag}{zeros}/>"
     return f"<{node.tag}{attributes}>{inner}</{node.tag}>"

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.asset.loss.description import Description, Dynamics, JointFacts
+from pytest_twin.asset.loss.description import Description, Dynamics, JointFacts, LinkFacts
 from pytest_twin.asset.loss.matrix import Conversion, Item, Row, Verdict
-from pytest_twin.realization.tree import inverse
+from pytest_twin.realization.tree import RigidTree, inverse
 
 Vector = NDArray[np.float64]
 
@@ -336,7 +336,54 @@ def _links(source: Description, target: Description) -> Row:
         f"{len(target.links)} bodies",
         "mass, centre of mass and principal inertia of each body",
         items,
+        critical=bool(items) and _moved_away(source, target),
     )
+
+
+def _moved_away(source: Description, target: Description) -> bool:
+    """Whether a group of links that are fixed to each other is another body than before.
+
+    A conversion may merge such links: then no motion can tell.
+    """
+    if not target.links:
+        return False
+    tree = source.dynamics
+    assert isinstance(tree, RigidTree)
+    head: dict[str, str] = {}
+    for name, body in tree.bodies.items():
+        fixed = body.joint is None and body.parent is not None
+        head[name] = head[body.parent] if fixed and body.parent is not None else name
+    poses = tree.poses({})
+    groups: dict[str, list[str]] = {}
+    for name, first in head.items():
+        groups.setdefault(first, []).append(name)
+    for first, names in groups.items():
+        back = inverse(poses[first])
+        before, after = (
+            sum(
+                (
+                    _moments(held.links[name], back @ poses[name])
+                    for name in names
+                    if name in held.links
+                ),
+                np.zeros((4, 4)),
+            )
+            for held in (source, target)
+        )
+        if _most(before - after) > SINGLE * max(_most(before), 1e-3):
+            return True
+    return False
+
+
+def _moments(link: LinkFacts, pose: Vector) -> Vector:
+    """(4, 4) pseudo-inertia in another frame: it adds up over bodies (Wensing et al., 2018)."""
+    second = np.trace(link.inertia) / 2 * np.eye(3) - link.inertia
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = second + link.mass * np.outer(link.com, link.com)
+    matrix[:3, 3] = matrix[3, :3] = link.mass * link.com
+    matrix[3, 3] = link.mass
+    moved: Vector = pose @ matrix @ pose.T
+    return moved
 
 
 def _numbers(values: Any) -> str:

@@ -28,7 +28,7 @@ def markdown(matrix: Matrix) -> str:
     say = escape_markdown
     lines = [f"# Semantic loss of {say(matrix.robot)}", ""]
     lines += [f"Fails: {say(line)}" for line in matrix.critical] + [""] * bool(matrix.critical)
-    names = [f"{c.source} to {c.target}" for c in matrix.conversions]
+    names = [say(f"{c.source} to {c.target}") for c in matrix.conversions]
     lines += ["| feature | " + " | ".join(names) + " |", "|" + " --- |" * (len(names) + 1)]
     for feature in features(matrix):
         cells = []
@@ -37,7 +37,7 @@ def markdown(matrix: Matrix) -> str:
             cells.append("-" if row is None else _verdict(row))
         lines.append(f"| {feature} | " + " | ".join(cells) + " |")
     for conversion in matrix.conversions:
-        lines += ["", f"## {conversion.source} to {conversion.target}", ""]
+        lines += ["", f"## {say(f'{conversion.source} to {conversion.target}')}", ""]
         if conversion.problem:
             lines.append(say(conversion.problem))
             continue

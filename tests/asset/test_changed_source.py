@@ -1,0 +1,80 @@
+"""A source that was taken in and is not as it was: no realization, and no release."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from asset_robots import write_arm
+
+from pytest_twin.cli import main
+from pytest_twin.gate.source import changed_sources
+from pytest_twin.twin import load_twin
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An asset that was taken in and realized, and a twin around it."""
+    tmp_path = tmp_path_factory.mktemp("template")
+    folder = tmp_path / "twin/asset"
+    package = write_arm(tmp_path).parents[1]
+    assert main(["intake", str(package), "--out", str(folder)]) == 0
+    assert main(["realize", str(folder / "source/urdf/arm.urdf"), "--out", str(folder)]) == 0
+    (tmp_path / "twin/twin.yaml").write_text(
+        "schema: 1\nname: arm\nmodel: asset/arm.xml\nsource: [asset/source/urdf/arm.urdf]\n"
+    )
+    return folder.parent
+
+
+@pytest.fixture
+def asset(template: Path, tmp_path: Path) -> Path:
+    """The asset of a twin of one's own."""
+    return Path(shutil.copytree(template, tmp_path / "twin")) / "asset"
+
+
+def said(asset: Path) -> list[str]:
+    return list(changed_sources(load_twin(asset.parent / "twin.yaml")))
+
+
+def test_a_frozen_source_is_quiet(asset: Path) -> None:
+    assert said(asset) == []
+
+
+def _edited(asset: Path) -> str:
+    path = asset / "source/urdf/arm.urdf"
+    path.chmod(0o644)
+    path.write_text(path.read_text().replace('value="2"', 'value="3"'))
+    return "source/urdf/arm.urdf was changed"
+
+
+def _mesh(asset: Path) -> str:
+    path = asset / "source/meshes/part.stl"
+    path.chmod(0o644)
+    path.write_bytes(path.read_bytes() + b"\0")
+    return "source/meshes/part.stl was changed"
+
+
+def _removed(asset: Path) -> str:
+    (asset / "source/meshes/part.dae").unlink()
+    return "source/meshes/part.dae: no such file"
+
+
+def _added(asset: Path) -> str:
+    (asset / "source/urdf/notes.txt").write_text("x")
+    return "source/urdf/notes.txt was added"
+
+
+@pytest.mark.parametrize("change", [_edited, _mesh, _removed, _added])
+def test_a_changed_source_is_named(
+    asset: Path, change: Callable[[Path], str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = change(asset)
+    lines = said(asset)
+    assert len(lines) == 1
+    assert f"the source asset is not what was taken in: {words}" in lines[0]
+    capsys.readouterr()
+    arguments = ["realize", str(asset / "source/urdf/arm.urdf"), "--out", str(asset)]
+    assert main(arguments) == 2
+    assert "the source asset is not what was taken in" in capsys.readouterr().err

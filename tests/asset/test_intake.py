@@ -1,0 +1,213 @@
+"""Intake: what a supplier sends stays in its place, and is written down."""
+
+from __future__ import annotations
+
+import io
+import json
+import stat
+import tarfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from asset_robots import write_arm
+
+from pytest_twin.asset import manifest
+from pytest_twin.asset.evidence import kind_of, missing
+from pytest_twin.asset.unpack import IntakeLimits, unpack
+from pytest_twin.cli import main
+from pytest_twin.errors import FormatError, LimitError, PathError
+from pytest_twin.formats.digest import file_sha256
+
+SMALL = IntakeLimits(files=4, file_bytes=2000, total_bytes=5000, depth=3, name_bytes=40)
+
+
+def a_zip(path: Path, *entries: tuple[str, bytes]) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in entries:
+            archive.writestr(name, data)
+    return path
+
+
+def a_tar(path: Path, *members: tarfile.TarInfo | tuple[str, bytes]) -> Path:
+    with tarfile.open(path, "w:gz") as archive:
+        for member in members:
+            if isinstance(member, tarfile.TarInfo):
+                archive.addfile(member)
+            else:
+                info = tarfile.TarInfo(member[0])
+                info.size = len(member[1])
+                archive.addfile(info, io.BytesIO(member[1]))
+    return path
+
+
+def special(name: str, kind: bytes, target: str = "") -> tarfile.TarInfo:
+    info = tarfile.TarInfo(name)
+    info.type, info.linkname = kind, target
+    return info
+
+
+def a_linking_zip(path: Path) -> Path:
+    entry = zipfile.ZipInfo("link")
+    entry.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(entry, "/etc/passwd")
+    return path
+
+
+def opened(path: Path, limits: IntakeLimits = SMALL) -> list[str]:
+    folder = path.parent / f"{path.name}.out"
+    folder.mkdir()
+    return unpack(str(path), str(folder), limits)
+
+
+@pytest.mark.parametrize("make", [a_zip, a_tar])
+def test_files_arrive_whole_and_read_only(tmp_path: Path, make: Callable[..., Path]) -> None:
+    origin = make(tmp_path / "asset", ("a/robot.urdf", b"<robot/>"), ("b.stl", b"\0" * 1500))
+    assert opened(origin) == ["a/robot.urdf", "b.stl"]
+    arrived = tmp_path / "asset.out/a/robot.urdf"
+    assert arrived.read_bytes() == b"<robot/>"
+    assert stat.S_IMODE(arrived.stat().st_mode) == 0o444
+
+
+@pytest.mark.parametrize("make", [a_zip, a_tar])
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("../out.txt", "a name that leads out of the archive"),
+        ("/etc/out.txt", "a name that leads out of the archive"),
+        ("a/../../out.txt", "a name that leads out of the archive"),
+        ("C:/out.txt", "a name of another system"),
+        ("a/\x1b[2J.txt", "a name with a control character"),
+    ],
+)
+def test_names_that_lead_out(
+    tmp_path: Path, make: Callable[..., Path], name: str, words: str
+) -> None:
+    origin = make(tmp_path / "asset", (name, b"x"))
+    with pytest.raises(PathError, match=words):
+        opened(origin)
+    assert not (tmp_path / "out.txt").exists()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        a_linking_zip,
+        lambda path: a_tar(path, special("link", tarfile.SYMTYPE, "/etc/passwd")),
+        lambda path: a_tar(path, special("hard", tarfile.LNKTYPE, "/etc/passwd")),
+        lambda path: a_tar(path, special("pipe", tarfile.FIFOTYPE)),
+        lambda path: a_tar(path, special("device", tarfile.CHRTYPE)),
+    ],
+)
+def test_links_and_devices(tmp_path: Path, make: Callable[[Path], Path]) -> None:
+    with pytest.raises(PathError, match="a link or a device"):
+        opened(make(tmp_path / "asset"))
+
+
+@pytest.mark.parametrize("make", [a_zip, a_tar])
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ([("a", b"\0" * 2001)], "a file is too large"),
+        ([(f"{n}", b"\0" * 1900) for n in range(3)], "unpacked it is too large"),
+        ([(f"{n}", b"") for n in range(5)], "too many files"),
+        ([("a/b/c/d", b"")], "folders too deep"),
+        ([("n" * 41, b"")], "a name is too long"),
+    ],
+)
+def test_bombs(
+    tmp_path: Path, make: Callable[..., Path], entries: list[tuple[str, bytes]], words: str
+) -> None:
+    with pytest.raises(LimitError, match=words):
+        opened(make(tmp_path / "asset", *entries))
+
+
+def test_two_names_that_are_one_elsewhere(tmp_path: Path) -> None:
+    origin = a_zip(tmp_path / "asset", ("Robot.urdf", b"1"), ("robot.urdf", b"2"))
+    with pytest.raises(FormatError, match="two files of one name"):
+        opened(origin)
+
+
+@pytest.mark.parametrize("cut", [30, 60, 200])
+@pytest.mark.parametrize("make", [a_zip, a_tar])
+def test_broken_archives(tmp_path: Path, make: Callable[..., Path], cut: int) -> None:
+    origin = make(tmp_path / "asset", ("a", bytes(range(256)) * 7), ("b", b"text" * 20))
+    origin.write_bytes(origin.read_bytes()[:-cut])
+    with pytest.raises(FormatError):
+        opened(origin)
+
+
+def test_no_archive_and_an_empty_one(tmp_path: Path) -> None:
+    (tmp_path / "text").write_text("hello" * 200)
+    with pytest.raises(FormatError, match="not an archive"):
+        opened(tmp_path / "text")
+    with pytest.raises(FormatError, match="nothing in it"):
+        opened(a_zip(tmp_path / "empty"))
+
+
+def test_a_folder_with_a_link(tmp_path: Path) -> None:
+    (tmp_path / "asset").mkdir()
+    (tmp_path / "asset/link").symlink_to("/etc/passwd")
+    with pytest.raises(PathError, match="a link"):
+        opened(tmp_path / "asset")
+
+
+def test_kinds_of_evidence() -> None:
+    names = {
+        "docs/manual.pdf": "manual",
+        "docs/User_Guide.md": "manual",
+        "README.md": "note",
+        "cad/arm.STEP": "CAD",
+        "cal/Calibration-1234.pdf": "calibration certificate",
+        "firmware/v3.bin": "firmware",
+        "sdk/include/robot.h": "SDK",
+        "urdf/arm.urdf": "model",
+        "meshes/arm.stl": "mesh",
+        "odd": "other",
+    }
+    assert {name: kind_of(name) for name in names} == names
+    assert missing(["CAD", "manual"]) == ["calibration certificate", "firmware", "SDK"]
+
+
+def test_the_command_writes_a_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    package = write_arm(tmp_path).parents[1]
+    (package / "manual.pdf").write_bytes(b"%PDF")
+    out = tmp_path / "taken"
+    words = [
+        "intake",
+        str(package),
+        "--out",
+        str(out),
+        "--supplier",
+        "Arms",
+        "--date",
+        "2024-05-06",
+    ]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "missing: calibration certificate" in printed
+    assert f"next: pytest-twin realize {out}/source/urdf/arm.urdf" in printed
+    told = json.loads((out / "manifest.json").read_text())["states"]["source"]
+    assert (told["supplier"], told["received"]) == ("Arms", "2024-05-06")
+    assert told["missing"] == ["CAD", "calibration certificate", "firmware", "SDK"]
+    assert told["evidence"]["manual"] == ["source/manual.pdf"]
+    for name, digest in told["files"].items():
+        assert file_sha256(out / name) == digest
+    assert main(words) == 2
+    assert "its source is never written again" in capsys.readouterr().err
+
+
+def test_a_manifest_that_was_touched_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("a")
+    state = manifest.state_of(tmp_path, [tmp_path / "a"])
+    path = tmp_path / "manifest.json"
+    manifest.write(path, manifest.Manifest("robot", {"source": state}))
+    assert manifest.read(path).states["source"].digest == state.digest
+    path.write_text(path.read_text().replace(state.files["a"], "0" * 64))
+    with pytest.raises(FormatError, match="the digest does not follow from the files"):
+        manifest.read(path)
+    path.write_text('{"schema": 1, "asset": "x", "states": {"source": {"files": {"../a": "0"}}}}')
+    with pytest.raises(FormatError, match="not a state"):
+        manifest.read(path)

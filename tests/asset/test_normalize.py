@@ -1,0 +1,151 @@
+"""The normalized asset: self-contained, explicit, and nothing done in silence."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from asset_robots import ALLEGRO, ARM, CORNERS, write_arm
+
+from pytest_twin.asset.normalize import Normalized, normalize, source_roots
+from pytest_twin.errors import PathError, SpecError
+from pytest_twin.realization import inertia, urdf
+
+
+def made(source: Path, folder: Path, accept: tuple[str, ...] = ()) -> Normalized:
+    folder.mkdir()
+    return normalize(source, folder, roots=source_roots(source), accept=accept)
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def corners(path: Path) -> np.ndarray:
+    points = np.asarray(trimesh.load(path, process=False, force="mesh").vertices)
+    return points[np.lexsort(points.T)]
+
+
+def test_meshes_come_along_in_metres(tmp_path: Path) -> None:
+    found = made(write_arm(tmp_path), tmp_path / "out")
+    text = found.urdf.read_text()
+    assert "package://" not in text
+    assert "scale" not in text
+    meshes = sorted(path.name for path in (tmp_path / "out/meshes").iterdir())
+    assert meshes == ["part.obj", "part_2.obj"]
+    wanted = CORNERS[np.lexsort(CORNERS.T)]
+    # One was STL in millimetres with a scale, the other COLLADA in centimetres.
+    for name in meshes:
+        assert corners(tmp_path / "out/meshes" / name) == pytest.approx(wanted, abs=1e-8)
+
+
+def test_every_change_says_where_from_what_to_what_and_why(tmp_path: Path) -> None:
+    source = write_arm(tmp_path)
+    found = made(source, tmp_path / "out")
+    lines = source.read_text().splitlines()
+    by_where = {change.where: change for change in found.changes}
+    axis = by_where["joint 'lift'/axis.xyz"]
+    assert (axis.file, axis.before) == ("arm.urdf", "0 2 1")
+    assert 'xyz="0 2 1"' in lines[axis.line - 1]
+    assert [float(word) for word in axis.after.split()] == pytest.approx(
+        [0, 0.8944, 0.4472], abs=1e-4
+    )
+    assert axis.why == "an axis that is not of unit length"
+    mesh = next(c for c in found.changes if c.after == "meshes/part.obj")
+    assert mesh.before == "package://arm_description/meshes/part.stl"
+    assert "scale 0.001 0.001 0.001 is taken into its vertices, in metres" in mesh.why
+    other = next(c for c in found.changes if c.after == "meshes/part_2.obj")
+    assert "its unit is taken in; its materials are left out" in other.why
+    assert "it states Y_UP" in other.why
+
+
+def test_what_is_not_in_the_log_is_not_changed(tmp_path: Path) -> None:
+    source = write_arm(tmp_path)
+    before, after = urdf.read(source), urdf.read(made(source, tmp_path / "out").urdf)
+    assert list(before.links) == list(after.links)
+    for name, link in before.links.items():
+        held = after.links[name]
+        assert (link.mass, link.com.tolist(), link.inertia.tolist()) == (
+            held.mass,
+            held.com.tolist(),
+            held.inertia.tolist(),
+        )
+    for name, joint in before.joints.items():
+        held = after.joints[name]
+        assert joint.axis == pytest.approx(held.axis, abs=1e-15)
+        for field in ("type", "parent", "child", "limits", "velocity", "effort", "damping"):
+            assert getattr(joint, field) == getattr(held, field)
+
+
+def test_the_same_source_gives_the_same_bytes_and_is_not_touched(tmp_path: Path) -> None:
+    source = write_arm(tmp_path)
+    package = source.parents[1]
+    before = digests(package)
+    made(source, tmp_path / "one")
+    made(source, tmp_path / "two")
+    assert digests(tmp_path / "one") == digests(tmp_path / "two")
+    assert digests(package) == before
+
+
+def test_an_impossible_inertia_stays_and_is_flagged(tmp_path: Path) -> None:
+    found = made(ALLEGRO, tmp_path / "out")
+    flags = {flag.patch: flag for flag in found.flags}
+    assert sorted(flags) == [f"inertia-repair:link_{n}.0" for n in (11, 15, 3, 7)]
+    assert all(flag.critical for flag in found.flags)
+    lines = ALLEGRO.read_text().splitlines()
+    assert all("ixx" in lines[flag.line - 1] for flag in found.flags)
+    link = urdf.read(found.urdf).links["link_3.0"]
+    assert (link.inertia == urdf.read(ALLEGRO).links["link_3.0"].inertia).all()
+
+
+def test_its_repair_is_accepted_by_name_alone(tmp_path: Path) -> None:
+    patch = "inertia-repair:link_3.0"
+    found = made(ALLEGRO, tmp_path / "out", (patch,))
+    assert len(found.flags) == 3
+    log = [change for change in found.changes if change.patch]
+    assert [change.patch for change in log] == [patch]
+    assert "the largest stays, the other two grow until the triangle closes" in log[0].why
+    before, after = urdf.read(ALLEGRO), urdf.read(found.urdf)
+    assert inertia.violation(after.links["link_3.0"].inertia) == 0.0
+    assert np.linalg.eigvalsh(after.links["link_3.0"].inertia).max() == pytest.approx(
+        np.linalg.eigvalsh(before.links["link_3.0"].inertia).max(), rel=1e-6
+    )
+    assert (after.links["link_7.0"].inertia == before.links["link_7.0"].inertia).all()
+
+
+def test_a_patch_that_nothing_asks_for_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="nothing in this asset asks for that patch") as caught:
+        made(write_arm(tmp_path), tmp_path / "out", ("inertia-repair:upper",))
+    assert caught.value.expected == "no patch at all"
+
+
+def test_a_lost_visual_is_logged_and_a_lost_collision_refused(tmp_path: Path) -> None:
+    source = write_arm(tmp_path)
+    (source.parents[1] / "meshes/part.dae").unlink()
+    found = made(source, tmp_path / "out")
+    gone = next(change for change in found.changes if change.after is None)
+    assert gone.before == "mesh package://arm_description/meshes/part.dae"
+    assert gone.why == "no such file; it is only looked at, and left out"
+    (source.parents[1] / "meshes/part.stl").unlink()
+    with pytest.raises(PathError, match="no such file") as caught:
+        made(source, tmp_path / "again")
+    assert (
+        caught.value.line
+        == ARM.splitlines().index(next(line for line in ARM.splitlines() if "part.stl" in line)) + 1
+    )
+
+
+@pytest.mark.parametrize("reference", ["../../../secret.stl", "/etc/passwd", "file:///etc/passwd"])
+def test_a_mesh_outside_the_roots_is_refused(tmp_path: Path, reference: str) -> None:
+    (tmp_path / "secret.stl").write_bytes(b"")
+    text = ARM.replace("package://arm_description/meshes/part.stl", reference)
+    source = write_arm(tmp_path, text)
+    with pytest.raises(PathError, match="path leaves the declared roots"):
+        made(source, tmp_path / "out")

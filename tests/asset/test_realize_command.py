@@ -1,0 +1,154 @@
+"""``pytest-twin realize`` on real robots."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from asset_robots import ARM, FINGER, PANDA, UR3, write_arm
+
+from pytest_twin.cli import main
+from pytest_twin.formats.digest import file_sha256
+
+LOAD = """
+import sys, mujoco
+model = mujoco.MjModel.from_xml_path(sys.argv[1])
+print(model.nq, model.neq, model.nu, model.nmesh)
+"""
+
+
+def rows(out: Path, target: str) -> dict[str, dict[str, object]]:
+    matrix = json.loads((out / "loss.json").read_text())
+    held = next(c for c in matrix["conversions"] if c["target"] == target)
+    return {row["feature"]: row for row in held["rows"]}
+
+
+def test_panda(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "panda"
+    assert main(["realize", str(PANDA), "--out", str(out)]) == 0
+    assert "URDF -> MJCF" in capsys.readouterr().out
+    told = json.loads((out / "manifest.json").read_text())
+    assert list(told["states"]) == ["source", "normalized", "realization"]
+    for state in ("normalized", "realization"):
+        for name, digest in told["states"][state]["files"].items():
+            assert file_sha256(out / name) == digest
+    assert {"panda.urdf", "panda.xml", "changes.md", "loss.html", "loss.md"} <= {
+        path.name for path in out.iterdir()
+    }
+    # Plain MuJoCo, from another folder, with nothing of ours loaded.
+    loaded = subprocess.run(
+        [sys.executable, "-c", LOAD, str(out / "panda.xml")],
+        cwd="/", capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert loaded.stdout.split() == ["9", "1", "8", "9"]
+    found = rows(out, "MJCF")
+    for feature in ("forward kinematics, position", "forward kinematics, orientation"):
+        assert found[feature]["difference"] < 1e-9
+    assert found["mimic"]["verdict"] == "kept"
+
+
+def test_usd_is_written_and_read_back(tmp_path: Path) -> None:
+    pytest.importorskip("urdf_usd_converter")
+    out = tmp_path / "finger"
+    assert main(["realize", str(FINGER), "--out", str(out)]) == 0
+    assert (out / "finger_edu.usdc").is_file()
+    assert rows(out, "USD")["forward kinematics, position"]["difference"] < 1e-9
+    again = tmp_path / "again"
+    assert main(["realize", str(FINGER), "--out", str(again)]) == 0
+    first, second = ((folder / "manifest.json").read_text() for folder in (out, again))
+    assert first == second
+
+
+def test_without_the_extra_the_rest_is_made(tmp_path: Path) -> None:
+    # What two packages of OpenUSD in one environment do: the module is there and does not load.
+    (tmp_path / "broken/pxr").mkdir(parents=True)
+    (tmp_path / "broken/pxr/__init__.py").write_text("raise ImportError('built apart')")
+    out = tmp_path / "arm"
+    urdf = write_arm(tmp_path)
+    ran = subprocess.run(
+        [sys.executable, "-m", "pytest_twin.cli", "realize", str(urdf), "--out", str(out)],
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "broken")},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stderr
+    assert "USD is left out" in ran.stderr
+    assert (out / "arm.xml").is_file()
+    assert not list(out.glob("*.usd*"))
+    usd = json.loads((out / "manifest.json").read_text())["states"]["realization"]["usd"]
+    assert usd["file"] is None
+    assert usd["left_out"].startswith("USD is left out")
+
+
+def test_an_impossible_inertia_fails_until_its_repair_is_accepted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    tube = 'ixx="0.02" iyy="0.02" izz="0.003" ixy="0.0002"'
+    urdf = write_arm(tmp_path, ARM.replace(tube, 'ixx="1" iyy="0.1" izz="0.1"'))
+    words = ["realize", str(urdf), "--out", str(out)]
+    assert main(words) == 1
+    said = capsys.readouterr().err
+    assert "link 'upper'.inertia: no body can have it" in said
+    assert said.count('to accept its repair: --accept "inertia-repair:upper"') == 1
+    assert not (out / "arm.xml").exists()
+    assert (out / "arm.urdf").is_file()
+    assert main([*words, "--accept", "inertia-repair:upper"]) == 0
+    assert (out / "arm.xml").is_file()
+    log = json.loads((out / "changes.json").read_text())
+    assert [c["patch"] for c in log["changes"] if c["patch"]] == ["inertia-repair:upper"]
+    assert log["flags"] == []
+    assert log["command"][-2:] == ["--accept", "inertia-repair:upper"]
+    assert rows(out, "MJCF")["mass matrix"]["verdict"] == "kept"
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: UR3, "ur3.urdf:6: robot: a robot without links"),
+        (lambda folder: folder / "none.urdf", "no such file"),
+        (lambda folder: _file(folder, "<robot"), "robot.urdf:1"),
+        (lambda folder: _file(folder, "<!DOCTYPE a [<!ENTITY b 'c'>]><robot/>"), "DTD"),
+        (lambda folder: _file(folder, "<robot><link name='a'/><link name='a'/></robot>"), "name"),
+    ],
+)
+def test_unusable_input_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: object, words: str
+) -> None:
+    assert callable(make)
+    assert main(["realize", str(make(tmp_path)), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.strip().splitlines()) == 1
+    assert not list((tmp_path / "out").glob("*")) or not (tmp_path / "out").exists()
+
+
+def _file(folder: Path, text: str) -> Path:
+    path = folder / "robot.urdf"
+    path.write_text(text)
+    return path
+
+
+def test_files_of_others_stay_and_old_ones_go(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    urdf = write_arm(tmp_path)
+    assert main(["realize", str(urdf), "--out", str(out)]) == 0
+    (out / "notes.txt").write_text("mine")
+    moved = urdf.rename(urdf.with_name("other.urdf"))
+    assert main(["realize", str(moved), "--out", str(out)]) == 0
+    assert (out / "notes.txt").read_text() == "mine"
+    assert not (out / "arm.urdf").exists()
+    assert (out / "other.xml").is_file()
+
+
+def test_the_source_is_never_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = write_arm(tmp_path)
+    before = urdf.read_bytes()
+    assert main(["realize", str(urdf), "--out", str(urdf.parent)]) == 2
+    assert "the source would be written over" in capsys.readouterr().err
+    assert urdf.read_bytes() == before
