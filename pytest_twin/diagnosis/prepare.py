@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
+from pytest_twin.realization.mjcf import compiled
 from pytest_twin.replay import calibration_of
 from pytest_twin.trial import Trial
 
@@ -124,7 +126,7 @@ def _segments(
     calibration = calibration_of(realization)
     sign = np.array([calibration[j].sign if j in calibration else 1.0 for j in joints])
     offset = np.array([calibration[j].offset if j in calibration else 0.0 for j in joints])
-    model = _variant(realization, trial).model
+    model = _model(realization, trial)
     keep = np.concatenate([[True], np.diff(trial.time) > 0])
     time = trial.time[keep]
     position = sign * trial.position[keep][:, columns] + offset
@@ -174,12 +176,26 @@ def _columns(
     return None if values is None else sign * values[keep][:, columns]
 
 
-def _variant(realization: Realization, trial: Trial) -> Realization:
+_MODELS: weakref.WeakKeyDictionary[Realization, dict[tuple[str | None, ...], mujoco.MjModel]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def _model(realization: Realization, trial: Trial) -> mujoco.MjModel:
+    """What a trial is stepped on: one model for all trials of a controller and a payload."""
     twin = realization.twin
-    if twin is None:
-        return realization
-    controller, payload = (trial.metadata.get(key) for key in ("controller", "payload"))
-    return realization.variant(
-        controller if controller in twin.controllers else None,
-        payload if payload in twin.payloads else None,
-    )
+    chosen: list[str | None] = [None, None]
+    if twin is not None:
+        controller, payload = (trial.metadata.get(key) for key in ("controller", "payload"))
+        chosen = [
+            controller if controller in twin.controllers else None,
+            payload if payload in twin.payloads else None,
+        ]
+    known = _MODELS.setdefault(realization, {})
+    if tuple(chosen) not in known:
+        spec = realization.variant(*chosen).spec.copy()
+        for body in spec.bodies:
+            # MuJoCo's shortcut for bodies that turn about their centre: effects move centres.
+            body.simple = 0
+        known[tuple(chosen)] = compiled(spec)[0]
+    return known[tuple(chosen)]
