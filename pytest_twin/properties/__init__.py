@@ -1,0 +1,29 @@
+"""Properties that any robot's realizations have to hold, ready to run.
+
+One line in a test file makes a test of each property::
+
+    from pytest_twin.properties import asset_properties
+
+    test_asset = asset_properties("twin.yaml")
+
+Needs hypothesis: ``pip install 'pytest-twin[properties]'``.
+"""
+
+from __future__ import annotations
+
+from pytest_twin.properties.asset import Asset
+from pytest_twin.properties.broken import Broken, PropertyError
+from pytest_twin.properties.form import Form
+from pytest_twin.properties.suite import PROPERTIES, Property, asset_properties
+from pytest_twin.properties.tolerances import Tolerances
+
+__all__ = [
+    "PROPERTIES",
+    "Asset",
+    "Broken",
+    "Form",
+    "Property",
+    "PropertyError",
+    "Tolerances",
+    "asset_properties",
+]

@@ -1,0 +1,198 @@
+"""An asset whose properties are tested: all realizations of one robot."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.checks.poses import Configurations
+from pytest_twin.errors import ModelError, SpecError, TwinError
+from pytest_twin.properties.form import (
+    Form,
+    mujoco_form,
+    pinocchio_form,
+    realization_form,
+    reference_form,
+    text_form,
+    usd_form,
+)
+from pytest_twin.properties.tolerances import Tolerances
+
+_GOLDEN = 0.6180339887498949
+
+
+class Asset:
+    """Realizations of one robot; the first is what the others are held against.
+
+    Attributes:
+        name: as errors call it.
+        forms: the realizations.
+        left_out: realizations that could not be had, each with the reason.
+        tolerances: how far apart they may be.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        forms: Sequence[Form],
+        tolerances: Tolerances | None = None,
+        left_out: Sequence[str] = (),
+    ) -> None:
+        self.name = name
+        self.forms = tuple(forms)
+        self.tolerances = tolerances or Tolerances()
+        self.left_out = tuple(left_out)
+        if not any(form.model is not None for form in forms):
+            raise ModelError("no realization that MuJoCo compiles", path=name)
+
+    @property
+    def first(self) -> Form:
+        """What the others are held against."""
+        return self.forms[0]
+
+    @property
+    def others(self) -> tuple[Form, ...]:
+        """All but the first."""
+        return self.forms[1:]
+
+    @property
+    def simulated(self) -> tuple[Form, ...]:
+        """Those that MuJoCo holds."""
+        return tuple(form for form in self.forms if form.model is not None)
+
+    @cached_property
+    def configurations(self) -> Configurations:
+        """What limits and couplings leave to be chosen, by the first that MuJoCo holds."""
+        return Configurations(self.simulated[0].model)
+
+    @cached_property
+    def generic(self) -> dict[str, float]:
+        """One configuration with no joint at a special value, rad or m."""
+        for turn in range(1, 50):
+            values = {
+                joint: lower + (upper - lower) * ((turn + i) * _GOLDEN % 1.0)
+                for i, (joint, (lower, upper)) in enumerate(self.configurations.independent.items())
+            }
+            found = self.configurations.complete(values)
+            if found is not None:
+                return found
+        return self.configurations.complete({}) or {}
+
+    @cached_property
+    def carried(self) -> dict[str, float]:
+        """Joint -> mass that it carries, kg."""
+        model = self.simulated[0].model
+        return {
+            model.joint(i).name: float(model.body_subtreemass[int(model.jnt_bodyid[i])])
+            for i in range(model.njnt)
+        }
+
+    @cached_property
+    def velocity(self) -> dict[str, float]:
+        """A joint velocity with no special value, rad/s or m/s."""
+        joints = self.first.dynamics.joints
+        return {joint: 0.5 + (i * _GOLDEN) % 1.0 for i, joint in enumerate(joints)}
+
+    def shared(self, form: Form) -> tuple[str, ...]:
+        """Joints of one degree of freedom that the first form and ``form`` both have."""
+        theirs = set(form.dynamics.joints)
+        return tuple(j for j in self.first.dynamics.joints if j in theirs)
+
+    def factor(self, *forms: Form) -> float:
+        """On tolerances, where one of them holds its numbers in single precision."""
+        return self.tolerances.single if any(form.single for form in forms) else 1.0
+
+
+def load_asset(
+    path: Path,
+    *,
+    tolerances: Tolerances | None = None,
+    usd: bool = True,
+    packages: Mapping[str, Path] | None = None,
+    accept: Iterable[str] = (),
+) -> Asset:
+    """The asset of a file.
+
+    - ``twin.yaml``: every realization as it is simulated, and each one's source in Pinocchio.
+    - a URDF: its own text, MuJoCo, Pinocchio and USD, each through its own importer.
+    - an MJCF: MuJoCo and Pinocchio.
+    - a USD stage has no couplings and limits of its own to draw from: give the folder's URDF.
+
+    Args:
+        usd: whether a URDF becomes a USD stage too, where the extra ``usd`` is installed.
+        packages: ROS package -> its folder.
+        accept: named repairs of a URDF, ``inertia-repair:<link>``.
+
+    Raises:
+        TwinError: no robot that could be read.
+    """
+    if path.suffix in (".yaml", ".yml"):
+        return _of_twin(path, tolerances)
+    if not path.is_file():
+        raise SpecError("no such file", path=path, expected="twin.yaml, a URDF or an MJCF")
+    from pytest_twin.formats import xml
+
+    if xml.parse(path).tag == "robot":
+        return _of_urdf(path, tolerances, usd, packages or {}, list(accept))
+    return _of_mjcf(path, tolerances)
+
+
+def _of_urdf(
+    path: Path,
+    tolerances: Tolerances | None,
+    usd: bool,
+    packages: Mapping[str, Path],
+    accept: list[str],
+) -> Asset:
+    from pytest_twin.asset.normalize import normalize, source_roots
+    from pytest_twin.realization.usd import UsdMissingError
+
+    left_out: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="pytest-twin-") as folder:
+        roots = source_roots(path, dict(packages))
+        made = normalize(path, Path(folder), roots=roots, packages=packages, accept=accept)
+        forms = [text_form(made.urdf), mujoco_form(made.urdf), pinocchio_form(made.urdf)]
+        if usd:
+            try:
+                forms.append(usd_form(made.urdf))
+            except UsdMissingError as error:
+                left_out.append(str(error))
+    return Asset(path.name, forms, tolerances, left_out)
+
+
+def _of_mjcf(path: Path, tolerances: Tolerances | None) -> Asset:
+    from pytest_twin.realization import load
+
+    forms, left_out = _pair(load(path), "MuJoCo", "Pinocchio", complete=True)
+    return Asset(path.name, forms, tolerances, left_out)
+
+
+def _of_twin(path: Path, tolerances: Tolerances | None) -> Asset:
+    from pytest_twin.realization import load
+    from pytest_twin.twin import load_twin
+
+    twin = load_twin(path)
+    forms: list[Form] = []
+    left_out: list[str] = []
+    for ref in twin.realizations.values():
+        realization = load(ref.file, twin=twin, name=ref.name)
+        made, missing = _pair(realization, ref.name, f"Pinocchio of {ref.name}", complete=not forms)
+        forms += made
+        left_out += missing
+    if not forms:
+        raise twin.error("realizations", "no realization whose properties could be tested")
+    return Asset(twin.name, forms, tolerances, left_out)
+
+
+def _pair(
+    realization: Any, name: str, reference: str, *, complete: bool
+) -> tuple[list[Form], list[str]]:
+    forms = [realization_form(realization, name, complete=complete)]
+    try:
+        forms.append(reference_form(realization, reference, complete=complete))
+    except TwinError as error:
+        return forms, [f"{reference} is left out: {error}"]
+    return forms, []

@@ -1,0 +1,221 @@
+"""What the mechanics of every realization have to hold by themselves.
+
+The laws are those of any rigid body system (Siciliano et al., "Robotics: Modelling, Planning and
+Control", 2009, ch. 7; Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2 and 6).
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.properties.agreement import Q, gravity_scales, matrix_of
+from pytest_twin.properties.asset import Asset
+from pytest_twin.properties.broken import Broken
+from pytest_twin.properties.form import Form
+from pytest_twin.realization.tree import inverse
+
+Vector = NDArray[np.float64]
+
+_STEP = 1e-4  # rad or m, of finite differences: their error is about its square
+_NOISE = 1e-8  # N*m, N, J: what rounding leaves of a difference of energies
+_LIGHT = 1e-9  # kg that a joint carries, below which it moves no body
+_TRIANGLE = 1e-5  # share of the largest moment: rounded digits of a file
+_DURATION = 0.05  # s
+_TIMESTEP = 1e-3  # s
+_REFINED = 5  # halvings of the step before energy counts as not conserved
+
+
+def positive_definite_mass_matrix(asset: Asset, q: Q) -> Iterator[Broken]:
+    """The mass matrix is symmetric, and every motion of bodies with mass costs energy."""
+    for form in asset.forms:
+        joints = tuple(
+            joint for joint in form.dynamics.joints if asset.carried.get(joint, 1.0) > _LIGHT
+        )
+        matrix = matrix_of(form, q, joints)
+        scale = np.sqrt(np.abs(np.diag(matrix)))
+        for i in np.flatnonzero(~(scale > 0)):
+            words = "moves a body without feeling inertia"
+            yield Broken(f"joint '{joints[i]}'", words, math.inf, 0.0, "", form.name)
+        if not joints or not np.all(scale > 0):
+            continue
+        unit = matrix / np.outer(scale, scale)
+        skew = float(np.abs(unit - unit.T).max())
+        bound = asset.factor(form) * asset.tolerances.mass_matrix
+        if not skew <= bound:
+            words = "is not symmetric, as a share of its diagonal"
+            yield Broken("the mass matrix", words, skew, bound, "", form.name)
+        values, vectors = np.linalg.eigh((unit + unit.T) / 2)
+        # Rounding of a sum of n terms of size 1.
+        least = -1e-15 * len(joints)
+        if not values[0] > least:
+            joint = joints[int(np.argmax(np.abs(vectors[:, 0])))]
+            words = "the mass matrix has a negative eigenvalue, mostly along this joint,"
+            yield Broken(f"joint '{joint}'", words, -float(values[0]), -least, "", form.name)
+
+
+def possible_inertias(asset: Asset) -> Iterator[Broken]:
+    """Every link's mass and inertia are such as a body can have: the triangle inequality."""
+    from pytest_twin.realization.inertia import violation
+
+    for form in asset.forms:
+        for name, link in form.description.links.items():
+            share = violation(link.inertia)
+            if link.mass < 0:
+                words = "has a negative mass"
+                yield Broken(f"link '{name}'", words, -link.mass, 0.0, "kg", form.name)
+            if share > _TRIANGLE:
+                words = "a principal moment exceeds the sum of the other two, as a share of it,"
+                yield Broken(f"link '{name}'", words, share, _TRIANGLE, "", form.name)
+
+
+def gravity_is_gradient(asset: Asset, q: Q) -> Iterator[Broken]:
+    """Gravity's torque is the slope of the potential energy along each joint."""
+    for form in asset.forms:
+        dynamics = form.dynamics
+        gravity, mass = np.array(form.gravity), dynamics.mass()
+        torque, scales = dynamics.gravity_torque(q), gravity_scales(asset, form, q)
+        noise = _NOISE * max(1.0, mass)
+        for i, joint in enumerate(dynamics.joints):
+            energies = [
+                -mass * float(gravity @ dynamics.center_of_mass({**q, joint: value}))
+                for value in (q.get(joint, 0.0) + _STEP, q.get(joint, 0.0) - _STEP)
+            ]
+            slope = (energies[0] - energies[1]) / (2 * _STEP)
+            apart = abs(slope - float(torque[i]))
+            bound = asset.factor(form) * asset.tolerances.differences * scales[joint] + noise
+            if not apart <= bound:
+                words = f"gravity torque {torque[i]:.6g} is not dV/dq {slope:.6g}, off"
+                yield Broken(f"joint '{joint}'", words, apart, bound, "N*m or N", form.name)
+
+
+def kinetic_energy(asset: Asset, q: Q) -> Iterator[Broken]:
+    """Half q' M q' is the kinetic energy of the links, from how their poses move."""
+    for form in asset.forms:
+        if not form.description.links:
+            continue
+        dynamics = form.dynamics
+        speed = {joint: asset.velocity.get(joint, 1.0) for joint in dynamics.joints}
+        ahead, behind = (
+            dynamics.poses({j: q.get(j, 0.0) + sign * _STEP * v for j, v in speed.items()})
+            for sign in (1.0, -1.0)
+        )
+        moved = 0.0
+        for name, link in form.description.links.items():
+            if name not in ahead or not (link.mass > 0 or np.any(link.inertia)):
+                continue
+            one, two = behind[name], ahead[name]
+            arm = np.append(link.com, 1.0)
+            velocity = ((two @ arm) - (one @ arm))[:3] / (2 * _STEP)
+            # In the link: what stands between the two rotations.
+            turn = (inverse(one) @ two)[:3, :3]
+            spin = np.array([turn[2, 1], turn[0, 2], turn[1, 0]]) - np.array(
+                [turn[1, 2], turn[2, 0], turn[0, 1]]
+            )
+            spin = spin / (4 * _STEP)
+            moved += 0.5 * link.mass * float(velocity @ velocity)
+            moved += 0.5 * float(spin @ link.inertia @ spin)
+        rates = np.array([speed[joint] for joint in dynamics.joints])
+        stated = 0.5 * float(rates @ matrix_of(form, q) @ rates)
+        bound = asset.factor(form) * asset.tolerances.differences * max(moved, stated) + _NOISE
+        if not abs(moved - stated) <= bound:
+            words = f"has {stated:.6g} J by its mass matrix and {moved:.6g} J by its links, off"
+            yield Broken("the robot", words, abs(moved - stated), bound, "J", form.name)
+
+
+def coriolis_forces(asset: Asset, q: Q) -> Iterator[Broken]:
+    """Velocity-dependent forces are those of the mass matrix: M' q' - grad(q' M q') / 2.
+
+    Of these Christoffel terms M' - 2C is skew: they do no work.
+    """
+    import mujoco
+
+    for form in asset.simulated:
+        model, dynamics = form.model, form.dynamics
+        names = dynamics.joints
+        if not names:
+            continue
+        rates = np.array([asset.velocity.get(joint, 1.0) for joint in names])
+        index = [int(model.joint(name).dofadr[0]) for name in names]
+        data = mujoco.MjData(model)
+        for name in names:
+            if name in q:
+                data.qpos[int(model.joint(name).qposadr[0])] = q[name]
+        mujoco.mj_fwdPosition(model, data)
+        forces = []
+        for scale in (1.0, 0.0):
+            data.qvel[:] = 0.0
+            data.qvel[index] = scale * rates
+            mujoco.mj_fwdVelocity(model, data)
+            forces.append(data.qfrc_bias[index].copy())
+        measured = forces[0] - forces[1]
+
+        def at(moves: Mapping[str, float], form: Form = form) -> Vector:
+            return matrix_of(form, {**q, **{j: q.get(j, 0.0) + d for j, d in moves.items()}})
+
+        along = dict(zip(names, rates, strict=True))
+        change = at({j: _STEP * v for j, v in along.items()}) - at(
+            {j: -_STEP * v for j, v in along.items()}
+        )
+        expected = change @ rates / (2 * _STEP)
+        for i, name in enumerate(names):
+            slope = at({name: _STEP}) - at({name: -_STEP})
+            expected[i] -= 0.5 * float(rates @ slope @ rates) / (2 * _STEP)
+        matrix = matrix_of(form, q)
+        energy = float(rates @ np.diag(np.diag(matrix)) @ rates)
+        for i, name in enumerate(names):
+            scale_i = math.sqrt(max(0.0, float(matrix[i, i])) * energy)
+            bound = asset.tolerances.differences * scale_i + _NOISE * max(1.0, energy)
+            apart = abs(float(measured[i] - expected[i]))
+            if not apart <= bound:
+                words = "Coriolis and centrifugal force is not that of the mass matrix, off"
+                yield Broken(f"joint '{name}'", words, apart, bound, "N*m or N", form.name)
+
+
+def energy_conservation(asset: Asset, q: Q) -> Iterator[Broken]:
+    """Undamped, undriven and untouched, the robot neither gains nor loses energy.
+
+    Stepped by Runge-Kutta 4 with springs and gravity alone; the step is halved until the energy
+    stays, as it does for any step small enough where nothing feeds or drains it.
+    """
+    for form in asset.simulated:
+        drift = bound = math.inf
+        for halvings in range(_REFINED + 1):
+            drift, kinetic = _drift(asset, form, q, _TIMESTEP / 2**halvings)
+            bound = asset.tolerances.energy * kinetic + _NOISE
+            if drift <= bound:
+                break
+        else:
+            words = f"its energy changes within {_DURATION:g} s"
+            yield Broken("the undamped robot", words, drift, bound, "J", form.name)
+
+
+def _drift(asset: Asset, form: Form, q: Q, timestep: float) -> tuple[float, float]:
+    """Greatest change of the energy, and the greatest kinetic energy, J."""
+    import mujoco
+
+    model = copy.copy(form.model)
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(off.mjDSBL_CONSTRAINT | off.mjDSBL_ACTUATION | off.mjDSBL_DAMPER)
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    model.opt.timestep = timestep
+    model.opt.density = model.opt.viscosity = 0.0
+    model.body_gravcomp[:] = 0.0
+    data = mujoco.MjData(model)
+    for name in form.dynamics.joints:
+        joint = model.joint(name)
+        data.qpos[int(joint.qposadr[0])] = q.get(name, float(model.qpos0[int(joint.qposadr[0])]))
+        data.qvel[int(joint.dofadr[0])] = asset.velocity.get(name, 0.0)
+    mujoco.mj_forward(model, data)
+    start, drift, kinetic = float(data.energy.sum()), 0.0, float(data.energy[1])
+    for _ in range(round(_DURATION / timestep)):
+        mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+        drift = max(drift, abs(float(data.energy.sum()) - start))
+        kinetic = max(kinetic, float(data.energy[1]))
+    return (drift, kinetic) if math.isfinite(drift) else (math.inf, kinetic)

@@ -1,0 +1,180 @@
+"""The same robot written, mirrored or held by another link, and imported again: same mechanics."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.metrics.pose import orientation_error, position_error
+from pytest_twin.properties import trees
+from pytest_twin.properties.agreement import Q, matrix_of
+from pytest_twin.properties.asset import Asset
+from pytest_twin.properties.broken import Broken
+from pytest_twin.properties.form import Form, mujoco_form, pinocchio_form
+from pytest_twin.realization.tree import inverse
+
+Vector = NDArray[np.float64]
+_TINY_INERTIA = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class _Imported:
+    """What the importers made of a rewritten robot."""
+
+    forms: tuple[Form, ...]
+    floating: Any
+
+
+_made: WeakKeyDictionary[Form, dict[str, _Imported]] = WeakKeyDictionary()
+
+
+def written_and_read(asset: Asset, q: Q) -> Iterator[Broken]:
+    """Written as URDF and imported again, every realization in MuJoCo stays the same robot."""
+    for form in asset.simulated:
+        imported = _import(form, "as it is", lambda tree: tree)
+        yield from _same(asset, form, imported, q, np.eye(4), "written as URDF and read")
+
+
+def mirrored(asset: Asset, q: Q) -> Iterator[Broken]:
+    """Left for right, the robot stands mirrored at the same joint values and feels as heavy."""
+    for form in asset.simulated:
+        imported = _import(form, "mirrored", trees.mirrored)
+        yield from _same(asset, form, imported, q, trees.MIRROR, "mirrored")
+
+
+def rerooted(asset: Asset, q: Q) -> Iterator[Broken]:
+    """Held by its last link, links stand to each other as before.
+
+    Afloat, the joints feel the same inertia, M_jj - M_jb inv(M_bb) M_bj, whichever link is the
+    base.
+    """
+    for form in asset.simulated:
+        last = trees.leaves(trees.tree_of(form.model))[-1]
+        plain = _import(form, "as it is", lambda tree: tree)
+        turned = _import(form, "rerooted", lambda tree, last=last: trees.rerooted(tree, last))
+        poses = form.dynamics.poses(q)
+        base = inverse(poses[last])
+        own = _from_reference(form, q)
+        for other in turned.forms:
+            theirs = other.dynamics.poses(own)
+            for frame in (frame for frame in poses if frame in theirs):
+                yield from _pose_off(
+                    asset,
+                    form,
+                    frame,
+                    base @ poses[frame],
+                    theirs[frame],
+                    f"held by '{last}'",
+                    other.name,
+                )
+        joints = form.dynamics.joints
+        one, two = (_afloat(i.floating, own, joints) for i in (plain, turned))
+        bounds = 1e-8 * np.sqrt(np.outer(np.diag(one), np.diag(one))) + _TINY_INERTIA
+        apart = np.abs(one - two)
+        if joints and not np.all(apart <= bounds):
+            i, k = np.unravel_index(int(np.argmax(apart / bounds)), apart.shape)
+            words = f"afloat and held by '{last}', feels another inertia, off"
+            yield Broken(
+                f"joint '{joints[i]}'",
+                words,
+                float(apart[i, k]),
+                float(bounds[i, k]),
+                "kg*m^2, kg*m or kg",
+                form.name,
+            )
+
+
+def _import(form: Form, key: str, change: Any) -> _Imported:
+    import pinocchio as pin
+
+    known = _made.setdefault(form, {})
+    if key not in known:
+        text = trees.urdf_text(change(trees.tree_of(form.model)))
+        with tempfile.TemporaryDirectory(prefix="pytest-twin-") as folder:
+            path = Path(folder) / "robot.urdf"
+            path.write_text(text, encoding="utf-8")
+            forms = (mujoco_form(path), pinocchio_form(path))
+        floating = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+        known[key] = _Imported(forms, floating)
+    return known[key]
+
+
+def _from_reference(form: Form, q: Q) -> dict[str, float]:
+    """Joint values told from the model's reference, as its tree has them."""
+    model = form.model
+    found = {}
+    for joint in form.dynamics.joints:
+        start = float(model.qpos0[int(model.joint(joint).qposadr[0])])
+        found[joint] = q.get(joint, start) - start
+    return found
+
+
+def _same(
+    asset: Asset, form: Form, imported: _Imported, q: Q, mirror: Vector, how: str
+) -> Iterator[Broken]:
+    own, poses = _from_reference(form, q), form.dynamics.poses(q)
+    joints = form.dynamics.joints
+    matrix = matrix_of(form, q)
+    for other in imported.forms:
+        theirs = other.dynamics.poses(own)
+        for frame in (frame for frame in poses if frame in theirs):
+            expected = mirror @ poses[frame] @ mirror
+            yield from _pose_off(asset, form, frame, expected, theirs[frame], how, other.name)
+        bounds = (
+            asset.tolerances.mass_matrix * np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
+            + _TINY_INERTIA
+        )
+        apart = np.abs(matrix_of(other, own, joints) - matrix)
+        if joints and not np.all(apart <= bounds):
+            i, k = np.unravel_index(int(np.argmax(apart / bounds)), apart.shape)
+            words = f"{how}, feels another inertia, off"
+            yield Broken(
+                f"joint '{joints[i]}'",
+                words,
+                float(apart[i, k]),
+                float(bounds[i, k]),
+                "kg*m^2, kg*m or kg",
+                f"{form.name}, {other.name}",
+            )
+
+
+def _pose_off(
+    asset: Asset, form: Form, frame: str, one: Vector, two: Vector, how: str, by: str
+) -> Iterator[Broken]:
+    forms = f"{form.name}, {by}"
+    apart = position_error(two[:3, 3], one[:3, 3])
+    if not apart <= asset.tolerances.position:
+        words = f"{how}, stands elsewhere"
+        yield Broken(f"frame '{frame}'", words, apart, asset.tolerances.position, "m", forms)
+    turned = orientation_error(two[:3, :3], one[:3, :3])
+    if not turned <= asset.tolerances.orientation:
+        words = f"{how}, is turned"
+        yield Broken(f"frame '{frame}'", words, turned, asset.tolerances.orientation, "rad", forms)
+
+
+def _afloat(model: Any, q: Q, joints: tuple[str, ...]) -> Vector:
+    """(n, n) inertia that the joints feel with the base afloat, in the order of ``joints``."""
+    import pinocchio as pin
+
+    full = pin.neutral(model)
+    columns = []
+    for name in joints:
+        joint = model.joints[model.getJointId(name)]
+        value = q.get(name, 0.0)
+        wide = joint.nq == 2
+        full[joint.idx_q : joint.idx_q + joint.nq] = (
+            [np.cos(value), np.sin(value)] if wide else [value]
+        )
+        columns.append(joint.idx_v)
+    matrix = np.array(pin.crba(model, model.createData(), full))
+    matrix = np.triu(matrix) + np.triu(matrix, 1).T
+    coupled = matrix[:6, columns]
+    inner = matrix[np.ix_(columns, columns)]
+    return np.asarray(inner - coupled.T @ np.linalg.solve(matrix[:6, :6], coupled))

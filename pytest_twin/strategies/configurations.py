@@ -1,0 +1,72 @@
+"""Configurations of a robot, inside its limits, with every coupling holding."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hypothesis import strategies as st
+
+from pytest_twin.checks.poses import Configurations
+from pytest_twin.errors import SpecError
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+
+def configurations(
+    robot: Realization | Path | str | Any, joints: Mapping[str, float] | None = None
+) -> st.SearchStrategy[dict[str, float]]:
+    """Draw joint values: every hinge (rad) and slide (m) of the robot.
+
+    Independent joints are drawn, within their limits and so that those that follow them (mimic,
+    polynomial couplings) keep theirs; a joint without limits is drawn within half a turn, or 1 m,
+    to each side of its reference. Followers follow, closed loops are closed, ball and free joints
+    stand at their reference.
+
+    Args:
+        robot: a realization, a ``mujoco.MjModel``, or the path of an MJCF, a URDF or a
+            ``twin.yaml`` (its first realization).
+        joints: independent joints that are held, rad or m.
+
+    Raises:
+        TwinError: a file that is no robot.
+        SpecError: ``joints`` names what is no independent joint.
+    """
+    free = Configurations(_model(robot))
+    held = dict(joints or {})
+    for joint in held:
+        if joint not in free.independent:
+            raise SpecError(
+                f"{joint!r} is no independent joint",
+                expected=", ".join(sorted(free.independent)) or "none: nothing moves",
+            )
+    drawn = st.fixed_dictionaries(
+        {
+            joint: st.just(held[joint]) if joint in held else st.floats(lower, upper)
+            for joint, (lower, upper) in free.independent.items()
+        }
+    )
+    # What a closed loop does not reach is drawn again.
+    return drawn.map(free.complete).filter(lambda q: q is not None)  # type: ignore[return-value]
+
+
+def _model(robot: Any) -> Any:
+    if isinstance(robot, str | Path):
+        return load_any(Path(robot)).model
+    return getattr(robot, "model", robot)
+
+
+def load_any(path: Path) -> Realization:
+    """An MJCF, a URDF, or the first realization of a ``twin.yaml``."""
+    from pytest_twin.realization import load
+    from pytest_twin.twin import load_twin
+
+    if path.suffix not in (".yaml", ".yml"):
+        return load(path)
+    twin = load_twin(path)
+    if not twin.realizations:
+        raise twin.error("realizations", "no realization to draw from")
+    first = next(iter(twin.realizations.values()))
+    return load(first.file, twin=twin, name=first.name)

@@ -1,0 +1,190 @@
+"""The same asset with other numbers, as a second one from the line would have them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hypothesis import strategies as st
+
+from pytest_twin.strategies.configurations import load_any
+from pytest_twin.twin import Fit, Patch, Twin
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+Patches = Mapping[str, Mapping[str, Patch]]
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How far each number may be off: shares of it, or lengths.
+
+    Attributes:
+        mass: of a body, its inertia with it; share.
+        com: of a body's centre of mass along each axis, m.
+        position: of a body in its parent along each axis, m.
+        damping, friction, armature: of a joint; share.
+    """
+
+    mass: float = 0.05
+    com: float = 2e-3
+    position: float = 5e-4
+    damping: float = 0.3
+    friction: float = 0.3
+    armature: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbation:
+    """A perturbed asset.
+
+    Attributes:
+        patches: what is other, as the ``fit:`` of a ``twin.yaml`` states it: ``body`` and
+            ``joint`` -> element -> attribute -> value in SI units.
+        changes: the same in words, one for each number.
+        realization: the asset with these numbers, its Pinocchio reference too.
+    """
+
+    patches: Patches
+    changes: tuple[str, ...]
+    realization: Realization = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Number:
+    """One number, or three, that may be off."""
+
+    family: str
+    element: str
+    attribute: str
+    value: tuple[float, ...]
+    reach: float
+    unit: str
+    relative: bool
+
+
+def perturbed_assets(
+    robot: Realization | Path | str, spread: Spread | None = None
+) -> st.SearchStrategy[Perturbation]:
+    """Draw perturbed versions of a robot; examples shrink towards the robot as it stands.
+
+    A mass scales its body's inertia with it, so a perturbed inertia stays one that a body can
+    have.
+
+    Args:
+        robot: a realization, or the path of an MJCF, a URDF or a ``twin.yaml`` (its first
+            realization).
+        spread: how far each number may be off.
+
+    Raises:
+        TwinError: a file that is no robot.
+    """
+    realization = load_any(Path(robot)) if isinstance(robot, str | Path) else robot
+    numbers = list(_numbers(realization, spread or Spread()))
+    moves = st.tuples(
+        *(st.tuples(*[st.floats(-1.0, 1.0)] * (1 if number.relative else 3)) for number in numbers)
+    )
+    return moves.map(lambda drawn: _perturbed(realization, numbers, drawn))
+
+
+def _numbers(realization: Realization, spread: Spread) -> Iterator[_Number]:
+    model = realization.model
+    for name in realization.names("body"):
+        body = model.body(name).id
+        if body == 0:
+            continue
+        mass = float(model.body_mass[body])
+        if mass > 0 and spread.mass:
+            yield _Number("body", name, "mass", (mass,), spread.mass, "kg", True)
+        if mass > 0 and spread.com:
+            com = tuple(model.body_ipos[body].tolist())
+            yield _Number("body", name, "com", com, spread.com, "m", False)
+        if spread.position and realization.spec.body(name) is not None:
+            stated = tuple(float(value) for value in realization.spec.body(name).pos)
+            yield _Number("body", name, "pos", stated, spread.position, "m", False)
+    for name in realization.joints:
+        dof = realization.joint_dof_index(name)
+        for attribute, values, reach in (
+            ("damping", model.dof_damping, spread.damping),
+            ("frictionloss", model.dof_frictionloss, spread.friction),
+            ("armature", model.dof_armature, spread.armature),
+        ):
+            if values[dof] > 0 and reach:
+                yield _Number("joint", name, attribute, (float(values[dof]),), reach, "", True)
+
+
+def _perturbed(
+    realization: Realization, numbers: list[_Number], drawn: tuple[tuple[float, ...], ...]
+) -> Perturbation:
+    patches: dict[str, dict[str, dict[str, float | tuple[float, ...]]]] = {}
+    changes = []
+    for number, moves in zip(numbers, drawn, strict=True):
+        if not any(moves):
+            continue
+        patch = patches.setdefault(number.family, {}).setdefault(number.element, {})
+        where = f"{number.attribute} of {number.family} '{number.element}'"
+        unit = f" {number.unit}" if number.unit else ""
+        if number.relative:
+            factor = 1.0 + number.reach * moves[0]
+            patch[number.attribute] = number.value[0] * factor
+            if number.attribute == "mass":
+                patch["inertia"] = _scaled_inertia(realization, number.element, factor)
+            before, after = number.value[0], number.value[0] * factor
+            changes.append(f"{where}: {before:.6g} -> {after:.6g}{unit}")
+        else:
+            moved = tuple(
+                value + number.reach * move for value, move in zip(number.value, moves, strict=True)
+            )
+            patch[number.attribute] = moved
+            words = (" ".join(f"{value:.6g}" for value in row) for row in (number.value, moved))
+            changes.append(f"{where}: {' -> '.join(words)}{unit}")
+    return Perturbation(patches, tuple(changes), _with_patches(realization, patches))
+
+
+def _scaled_inertia(realization: Realization, body: str, factor: float) -> tuple[float, ...]:
+    import mujoco
+    import numpy as np
+
+    from pytest_twin.realization import inertia
+
+    model = realization.model
+    index, flat = model.body(body).id, np.empty(9)
+    mujoco.mju_quat2Mat(flat, model.body_iquat[index])
+    axes = flat.reshape(3, 3)
+    return inertia.six(factor * axes @ np.diag(model.body_inertia[index]) @ axes.T)
+
+
+def _with_patches(realization: Realization, patches: Patches) -> Realization:
+    """The realization with ``patches`` over what its twin's fit says already."""
+    from pytest_twin.errors import SpecError
+    from pytest_twin.realization import mjcf, patch
+    from pytest_twin.realization.model import Realization as Made
+
+    twin = realization.twin or Twin(realization.path, realization.name, {})
+    fit = twin.fit or Fit("perturbed", {}, {}, twin.path)
+    merged: dict[str, dict[str, Patch]] = {
+        family: dict(elements) for family, elements in fit.patches.items()
+    }
+    for family, elements in patches.items():
+        known = merged.setdefault(family, {})
+        for name, made in elements.items():
+            known[name] = {**known.get(name, {}), **made}
+    spec = realization.spec.copy()
+    patch.apply_fit(
+        spec,
+        patches,
+        {},
+        refuse=lambda where, problem, **details: SpecError(problem, where=where, **details),
+    )
+    model, _ = mjcf.compiled(spec)
+    return Made(
+        name=realization.name,
+        path=realization.path,
+        spec=spec,
+        model=model,
+        source=realization.source,
+        twin=replace(twin, fit=replace(fit, patches=merged)),
+    )
