@@ -37,6 +37,8 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UNITS = "units: metre, kilogram, second, radian; newton, newton metre"
 _UNIT_LENGTH = 1e-9
 _SAFE = re.compile(r"[^A-Za-z0-9_-]+")
+# One component of a path, and no hidden file.
+_FILE_NAME = re.compile(r"[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}")
 _IMAGES = (".png", ".jpg", ".jpeg", ".tga", ".bmp")
 
 
@@ -167,9 +169,12 @@ class _Normalizer:
     # -- form
 
     def _names(self) -> None:
-        if not (self.root.get("name") or "").strip():
-            name = file_stem(self.source.stem, "robot")
-            self._set(self.root, "name", name, "a robot without a name")
+        name = self.root.get("name") or ""
+        if not name.strip():
+            self._set(self.root, "name", self.out.urdf.stem, "a robot without a name")
+        elif not _FILE_NAME.fullmatch(name):
+            # Converters call files by it.
+            self._set(self.root, "name", file_stem(name, "robot"), "a name that no file can have")
         for link in self.root.findall("link"):
             for kind in ("visual", "collision"):
                 used: set[str] = set()

@@ -10,8 +10,11 @@ from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.asset.manifest import Manifest, State
+from pytest_twin.asset.normalize import MESH_FOLDER
 from pytest_twin.errors import PathError
 from pytest_twin.formats.digest import file_sha256
+
+_NOTHING = State({})
 
 
 def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
@@ -54,37 +57,40 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
     for target in targets:
         if target.is_symlink() or target.is_dir():
             raise PathError("is in the way of a file", path=target)
-    told = _manifest(out, source, made)
-    old = _written_before(out)
+    old = _before(out)
+    told = _manifest(out, source, made, old)
+    written = {
+        name
+        for state in ("normalized", "realization")
+        for name in (old.states[state].files if old and state in old.states else ())
+    }
     for target, path in targets.items():
         target.parent.mkdir(parents=True, exist_ok=True)
         path.replace(target)
-    for name in old - {target.relative_to(out).as_posix() for target in targets}:
-        if not (out / name).is_symlink():
-            (out / name).unlink(missing_ok=True)
+    for name in written - {target.relative_to(out).as_posix() for target in targets}:
+        gone = out / name
+        if gone.parent.resolve() in (out, out / MESH_FOLDER) and gone.is_file():
+            gone.unlink()
     manifest.write(out / manifest.FILE_NAME, told)
     made["manifest"] = json.loads(told.to_text())
 
 
-def _written_before(out: Path) -> set[str]:
+def _before(out: Path) -> Manifest | None:
     path = out / manifest.FILE_NAME
-    if not path.is_file():
-        return set()
-    states = manifest.read(path).states
-    return {
-        name
-        for state in ("normalized", "realization")
-        for name in (states[state].files if state in states else ())
-    }
+    return manifest.read(path) if path.is_file() else None
 
 
-def _manifest(out: Path, source: Path, made: Mapping[str, Any]) -> Manifest:
+def _manifest(out: Path, source: Path, made: Mapping[str, Any], old: Manifest | None) -> Manifest:
     known = frozen_source(source)
+    mine = known is not None and known[0].parent == out
+    if not mine and old is not None and old.states.get("source", _NOTHING).facts.get("folder"):
+        raise PathError(
+            "another asset was taken in there", path=out, expected="its own URDF, or a new folder"
+        )
     if known is not None:
         # An asset that was taken in vouches for all of its files.
-        path, taken_in = known
-        state = taken_in.states["source"]
-        if path.parent != out:
+        state = known[1].states["source"]
+        if not mine:
             facts = {key: value for key, value in state.facts.items() if key != "folder"}
             state = State(state.files, facts)
     else:
@@ -94,4 +100,5 @@ def _manifest(out: Path, source: Path, made: Mapping[str, Any]) -> Manifest:
     states = {"source": state}
     for name, content in made["states"].items():
         states[name] = State(content["files"], content["facts"])
-    return Manifest(made["asset"], states)
+    name = known[1].asset if known is not None and mine else made["asset"]
+    return Manifest(name, states)

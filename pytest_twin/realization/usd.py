@@ -76,7 +76,7 @@ def convert(urdf: Path, target: Path) -> None:
 
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".twin-usd-") as folder:
         try:
-            with _quiet():
+            with _quiet(), _temporary(folder):
                 made = urdf_usd_converter.Converter(layer_structure=False).convert(
                     str(urdf), folder
                 )
@@ -131,6 +131,17 @@ def _frame(parent: Any, joint: Joint) -> Any:
     if name != joint.child:
         made.GetPrim().SetDisplayName(joint.child)
     return made.GetPrim()
+
+
+@contextlib.contextmanager
+def _temporary(folder: str) -> Iterator[None]:
+    """Let the converter put its temporary files where they will be cleared away."""
+    before = tempfile.tempdir
+    tempfile.tempdir = folder
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
 
 
 @contextlib.contextmanager

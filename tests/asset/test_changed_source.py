@@ -10,7 +10,9 @@ import pytest
 from asset_robots import write_arm
 
 from pytest_twin.cli import main
+from pytest_twin.gate.parts import look_around
 from pytest_twin.gate.source import changed_sources
+from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.twin import load_twin
 
 
@@ -74,6 +76,10 @@ def test_a_changed_source_is_named(
     lines = said(asset)
     assert len(lines) == 1
     assert f"the source asset is not what was taken in: {words}" in lines[0]
+    # The gate takes whatever speaks against the twin as a reason to refuse.
+    with Sandbox() as sandbox:
+        problems = look_around(load_twin(asset.parent / "twin.yaml"), [], sandbox).problems
+    assert lines[0] in problems
     capsys.readouterr()
     arguments = ["realize", str(asset / "source/urdf/arm.urdf"), "--out", str(asset)]
     assert main(arguments) == 2

@@ -144,6 +144,29 @@ def test_files_of_others_stay_and_old_ones_go(tmp_path: Path) -> None:
     assert (out / "other.xml").is_file()
 
 
+def test_a_name_that_leads_out_makes_no_file_there(tmp_path: Path) -> None:
+    folder = tmp_path / "a/b"
+    folder.mkdir(parents=True)
+    urdf = write_arm(folder, ARM.replace('name="arm"', 'name="../../../evil"', 1))
+    before = set(tmp_path.rglob("*"))
+    assert main(["realize", str(urdf), "--out", str(folder / "out")]) == 0
+    made = set(tmp_path.rglob("*")) - before
+    assert all(path.is_relative_to(folder / "out") for path in made)
+    assert '<robot name="evil">' in (folder / "out/arm.urdf").read_text()
+
+
+def test_an_asset_that_was_taken_in_is_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = write_arm(tmp_path)
+    taken = tmp_path / "taken"
+    assert main(["intake", str(urdf.parents[1]), "--out", str(taken)]) == 0
+    before = (taken / "manifest.json").read_text()
+    assert main(["realize", str(urdf), "--out", str(taken)]) == 2
+    assert "another asset was taken in there" in capsys.readouterr().err
+    assert (taken / "manifest.json").read_text() == before
+
+
 def test_the_source_is_never_written_over(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
