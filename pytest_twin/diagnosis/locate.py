@@ -7,7 +7,6 @@ deviations, and held against what the sensors' noise alone would give.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -29,6 +28,9 @@ _MERGE = 0.25
 _COVER = 0.8
 _MOST_WINDOWS = 12
 _LIFT, _SHARE = 1.5, 0.45
+_EDGES = 33
+# A slice whose ends were searched fits better by that alone.
+_SEARCHED = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,16 +190,34 @@ def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) ->
     if total <= 0.0:
         return "nowhere in particular"
     best, words = 0.0, "throughout the motion"
-    for text, inside in regimes(paths, joint, unit):
+    slices = [(1.0, text, inside) for text, inside in regimes(paths, joint, unit)]
+    position = np.concatenate([m.position[:, joint] for m in paths])
+    low, high = _span(position, blame)
+    inside = (position >= low) & (position <= high)
+    slices.append((_SEARCHED, f"position {low:.2g} to {high:.2g} {unit}", inside))
+    for weight, text, inside in slices:
         time = float(inside.mean())
         if not 0.02 < time < 0.8:
             continue
         held = float(blame[inside].sum()) / total
-        score = held * np.log(max(held / time, 1e-9))
+        score = weight * held * np.log(max(held / time, 1e-9))
         if held >= _SHARE and held / time >= _LIFT and score > best:
             best = score
             words = f"{text}: {100 * held:.0f} % of it in {100 * time:.0f} % of the time"
     return words
+
+
+def _span(values: FloatArray, blame: FloatArray) -> tuple[float, float]:
+    """The stretch of values that holds most of the blame for its share of the time."""
+    edges = np.quantile(values, np.linspace(0.0, 1.0, _EDGES))
+    order = np.argsort(values, kind="stable")
+    summed = np.concatenate([[0.0], np.cumsum(blame[order])]) / max(float(blame.sum()), 1e-300)
+    at = np.searchsorted(values[order], edges)
+    held = summed[at][None, :] - summed[at][:, None]
+    time = np.maximum((at[None, :] - at[:, None]) / len(values), 1e-9)
+    score = np.where(held > _SHARE, held * np.log(np.maximum(held, 1e-9) / time), -np.inf)
+    first, last = np.unravel_index(int(np.argmax(score)), score.shape)
+    return float(edges[min(first, last)]), float(edges[max(first, last)])
 
 
 def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, NDArray[np.bool_]]]:
@@ -232,11 +252,6 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
         ("at rest under a resting command", (speed < slow) & (np.abs(rate) < slow)),
         ("the first third of the recording", since < end / 3),
         ("the last third of the recording", since > 2 * end / 3),
-    ]
-    edges = np.quantile(q, np.linspace(0, 1, 9))
-    found += [
-        (f"position {a0:.2g} to {b0:.2g} {unit}", (q >= a0) & (q <= b0))
-        for a0, b0 in itertools.pairwise(edges)
     ]
     return found
 

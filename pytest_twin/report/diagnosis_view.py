@@ -203,7 +203,7 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
                 regimes=tuple(
                     Regime(text, _rms(left[0][mask]), _rms(left[1][mask]), float(mask.mean()))
                     for text, mask in regimes(paths, j, error.unit)
-                    if 0.02 < mask.mean() < 0.9 and not text.startswith("position ")
+                    if 0.02 < mask.mean() < 0.9
                 ),
                 windows=tuple(
                     (f.effect, float(a), float(b))

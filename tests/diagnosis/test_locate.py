@@ -1,0 +1,117 @@
+"""Where an error is: the joint whose force is missing, the stretch, the regime."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.locate import (
+    Motion,
+    blame_windows,
+    derivatives,
+    missing_force,
+    place_of,
+)
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.realization import load
+from pytest_twin.trial import make_trial
+
+CHAIN = """
+<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body name="upper"><inertial pos="0 0 0.15" mass="1" diaginertia="0.01 0.01 0.002"/>
+ <joint name="shoulder" axis="0 1 0" damping="0.1"/>
+ <body name="lower" pos="0 0 0.3">
+  <inertial pos="0 0 0.12" mass="0.8" diaginertia="0.01 0.01 0.002"/>
+  <joint name="elbow" axis="0 1 0" damping="0.1"/></body></body></worldbody>
+<actuator><position name="shoulder" joint="shoulder" kp="40" kv="3"/>
+ <position name="elbow" joint="elbow" kp="15" kv="1"/></actuator></mujoco>
+"""
+
+
+def motion(time: np.ndarray, position: np.ndarray, name: str = "a.mcap") -> Motion:
+    q, v, a = derivatives(time, position[:, None])
+    return Motion(name, time, q, v, a, np.cos(0.37 * time)[:, None], np.zeros_like(q))
+
+
+def test_derivatives_of_a_cubic_are_exact_at_irregular_stamps() -> None:
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(0.004, 0.006, 400))
+    coefficients = np.array([0.3, -1.0, 0.8, 0.5])
+    values = np.polynomial.polynomial.polyval(time, coefficients)[:, None]
+    inside = slice(40, -40)
+    for order, found in enumerate(derivatives(time, values)):
+        exact = np.polynomial.polynomial.polyval(
+            time, np.polynomial.polynomial.polyder(coefficients, order)
+        )
+        assert np.allclose(found[inside, 0], exact[inside], rtol=2e-3, atol=2e-3)
+
+
+def test_windows_hold_the_blame_and_little_else() -> None:
+    time = np.arange(0.0, 10.0, 0.01)
+    blame = 0.01 + np.exp(-(((time - 3.0) / 0.2) ** 2)) + np.exp(-(((time - 7.0) / 0.3) ** 2))
+    (first, second) = blame_windows("a.mcap", time, blame)
+    assert 2.5 < first[0] < 2.9 < 3.1 < first[1] < 3.5
+    assert 6.3 < second[0] < 6.9 < 7.1 < second[1] < 7.7
+    assert blame_windows("a.mcap", time, np.zeros_like(time)) == []
+
+
+def test_the_regime_is_the_slice_that_holds_more_blame_than_time() -> None:
+    time = np.arange(0.0, 12.0, 0.005)
+    swing = motion(time, 0.8 * np.sin(1.3 * time) + 0.3 * np.sin(4.7 * time + 1.0))
+    speed = np.abs(swing.velocity[:, 0])
+    fast = place_of([swing], np.where(speed > np.quantile(speed, 0.75), 1.0, 0.0), 0, "rad")
+    assert fast.summary.startswith("fast, |velocity| > ")
+    assert "rad/s" in fast.summary
+    patch = np.abs(swing.position[:, 0] - 0.3) < 0.05
+    spot = place_of([swing], patch.astype(float), 0, "m").summary
+    low, high = (float(x) for x in spot.split(" m:")[0].split()[1::2])
+    assert 0.2 < low < 0.3 < high < 0.4
+    assert place_of([swing], np.ones_like(time), 0, "rad").summary == "throughout the motion"
+    assert set(fast.windows) == {"a.mcap"}
+
+
+@pytest.mark.parametrize("cause", [0, 1])
+def test_a_push_is_located_at_the_joint_that_is_pushed(tmp_path: Path, cause: int) -> None:
+    """Both joints move when one is pushed; the force that is missing is on one of them."""
+    model = mujoco.MjModel.from_xml_string(CHAIN)
+    model.opt.timestep = 2e-4
+    data = mujoco.MjData(model)
+    time = np.arange(0.0, 3.0, 0.005)
+    command = np.stack([0.4 * np.sin(2.0 * time), 0.5 * np.sin(3.1 * time)], axis=1)
+    position = np.empty_like(command)
+    for k, t in enumerate(time):
+        position[k] = data.qpos
+        data.ctrl[:] = command[k]
+        data.qfrc_applied[:] = 0.0
+        data.qfrc_applied[cause] = 1.5 * (1.2 < t < 1.7)
+        for _ in range(25):
+            mujoco.mj_step(model, data)
+    stamp = 10**18 + np.rint(time * 1e9).astype(np.int64)
+    names = ("shoulder", "elbow")
+    noisy = position + 1e-4 * np.random.default_rng(0).standard_normal(position.shape)
+    write_recording(
+        tmp_path / "a.mcap",
+        [
+            JointSeries("/joint_commands", names, stamp, stamp, command, None, None),
+            JointSeries("/joint_states", names, stamp, stamp, noisy, None, None),
+        ],
+        {},
+    )
+    (tmp_path / "chain.xml").write_text(CHAIN)
+    realization = load(tmp_path / "chain.xml")
+    trial = make_trial(read_recording(tmp_path / "a.mcap"), realization.structure)
+    problem = prepare(realization, [trial], []).problem
+    residual = problem.residuals([EMPTY], np.array([0]))[0]
+    shown = np.sqrt(np.mean(residual**2, axis=0)) / problem.floor
+    assert shown.min() > 3.0, "both joints show it, or there is nothing to tell apart"
+    found = missing_force(problem, residual)
+    other = 1 - cause
+    assert found.strength[cause] > 3.0 * found.strength[other]
+    pushed = (time > 1.3) & (time < 1.6)
+    assert np.median(found.force[pushed, cause]) == pytest.approx(1.5, rel=0.15)
+    assert np.abs(np.median(found.force[pushed, other])) < 0.25
