@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 
 REFERENCE = "reference"
 _DRAWS = 200  # redraws of a coupled group before a seed is given up
+_ENDLESS = 1e3  # rad or m, a range that is none
 _GRID = 65  # values of a joint that others follow that are looked at
 _CLOSED = 1e-10  # residual of a closed loop, m or rad
 
@@ -343,6 +344,10 @@ class _Coupled:
     def span(self, root: str) -> tuple[float, float] | None:
         """Values of ``root`` with which it and all that follow it stay within their limits."""
         lower, upper = self._range(root)
+        if upper - lower > _ENDLESS:
+            # A limit beyond all reach limits nothing.
+            reach = math.pi if self.joint_type[root] == "hinge" else 1.0
+            lower, upper = max(lower, -reach), min(upper, reach)
         members = [joint for joint in self._joint if self._root(joint) == root]
         if len(members) == 1:
             return lower, upper

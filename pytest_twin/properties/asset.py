@@ -154,6 +154,15 @@ def _of_urdf(
     with tempfile.TemporaryDirectory(prefix="pytest-twin-") as folder:
         roots = source_roots(path, dict(packages))
         made = normalize(path, Path(folder), roots=roots, packages=packages, accept=accept)
+        for flag in made.flags:
+            if flag.patch and flag.critical:
+                raise ModelError(
+                    f"{flag.why} ({flag.value})",
+                    path=path,
+                    line=flag.line,
+                    where=flag.where,
+                    expected=f"another value, or its repair accepted: accept=[{flag.patch!r}]",
+                )
         forms = [text_form(made.urdf), mujoco_form(made.urdf), pinocchio_form(made.urdf)]
         if usd:
             try:

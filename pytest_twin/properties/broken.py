@@ -37,7 +37,8 @@ class Broken:
     def __str__(self) -> str:
         by = ""
         if math.isfinite(self.amount):
-            by = f" by {self.amount:.4g} {self.unit} (tolerance {self.tolerance:.2g} {self.unit})"
+            unit = f" {self.unit}" if self.unit else ""
+            by = f" by {self.amount:.4g}{unit} (tolerance {self.tolerance:.2g}{unit})"
         return f"{self.element}: {self.what}{by}, {self.forms}"
 
 

@@ -76,7 +76,8 @@ def rerooted(asset: Asset, q: Q) -> Iterator[Broken]:
                 )
         joints = form.dynamics.joints
         one, two = (_afloat(i.floating, own, joints) for i in (plain, turned))
-        bounds = 1e-8 * np.sqrt(np.outer(np.diag(one), np.diag(one))) + _TINY_INERTIA
+        held = np.sqrt(np.maximum(np.diag(matrix_of(form, q)), 0.0))
+        bounds = asset.tolerances.mass_matrix * np.outer(held, held) + _TINY_INERTIA
         apart = np.abs(one - two)
         if joints and not np.all(apart <= bounds):
             i, k = np.unravel_index(int(np.argmax(apart / bounds)), apart.shape)

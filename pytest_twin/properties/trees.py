@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -166,11 +167,21 @@ def urdf_text(tree: RigidTree, name: str = "robot") -> str:
 
 def _tie(root: Any, name: str, kind: str, parent: str, child: str, pose: Vector) -> Any:
     made = etree.SubElement(root, "joint", name=name, type=kind)
-    rpy = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")
-    etree.SubElement(made, "origin", xyz=_words(pose[:3, 3]), rpy=_words(rpy))
+    origin = _words(pose[:3, 3])
+    etree.SubElement(made, "origin", xyz=origin, rpy=_words(_rpy(pose[:3, :3])))
     etree.SubElement(made, "parent", link=parent)
     etree.SubElement(made, "child", link=child)
     return made
+
+
+def _rpy(rotation: Vector) -> tuple[float, float, float]:
+    """Roll, pitch, yaw about fixed axes, rad; where roll and yaw turn alike, yaw is 0."""
+    r = rotation
+    flat = math.hypot(r[0, 0], r[1, 0])
+    pitch = math.atan2(-r[2, 0], flat)
+    if flat < 1e-9:
+        return math.atan2(-r[1, 2], r[1, 1]), pitch, 0.0
+    return math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
 
 
 def _joint(model: Any, index: int) -> TreeJoint:
