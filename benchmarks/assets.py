@@ -2,9 +2,9 @@
 
     python benchmarks/assets.py [--only WORD] [--table docs/assets-table.md]
 
-Each robot is read in a child process with a bound on time and memory, so that a crash or a hang would
-show as one row. Times are beside those of MuJoCo's and Pinocchio's own load of the same file in the
-same kind of child; they are of this machine, and only their ratio says anything.
+Each robot is read in a child process with a bound on time and memory, so that a crash or a hang
+would show as one row. Times are beside those of MuJoCo's and Pinocchio's own load of the same file
+in the same kind of child; they are of this machine, and only their ratio says anything.
 """
 
 from __future__ import annotations
@@ -201,8 +201,8 @@ def table(entries: list[Entry]) -> str:
         "Rows of the loss matrix are counted kept / changed / lost. Times are of one run on a "
         "shared machine; MuJoCo's and Pinocchio's are their own load of the same file.",
         "",
-        "| robot | repairs | MJCF: m, rad | USD: m, rad | MJCF | USD | Pinocchio | audit: critical, "
-        "warning | audit s | realize s | MuJoCo s | Pinocchio s |",
+        "| robot | repairs | MJCF: m, rad | USD: m, rad | MJCF | USD | Pinocchio "
+        "| audit: critical, warning | audit s | realize s | MuJoCo s | Pinocchio s |",
         "|" + " --- |" * 12,
     ]
     for entry in entries:

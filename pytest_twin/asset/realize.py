@@ -28,6 +28,7 @@ from pytest_twin.realization import (
     urdf_extras,
     urdf_sites,
     urdf_spec,
+    urdf_visuals,
     usd,
 )
 
@@ -145,6 +146,7 @@ def _mjcf(
     try:
         converted = urdf_spec.convert(robot, Roots(path.parent), {})
         urdf_sites.add(converted.spec, robot, extras)
+        urdf_visuals.add(converted.spec, robot, converted.mesh_paths)
         model = mjcf_file.write(converted.spec, path, converted.mesh_paths)
         after = from_mujoco.describe(model, robot.root)
     except TwinError as error:

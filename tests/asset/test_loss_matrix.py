@@ -112,6 +112,22 @@ def test_sensors_and_frames_stand_where_the_urdf_has_them(made: Path) -> None:
     assert data.site_xpos[model.site("tcp").id] == pytest.approx(data.xpos[model.body("tcp").id])
 
 
+def test_what_is_looked_at_is_not_felt(made: Path) -> None:
+    model = mujoco.MjModel.from_xml_path(str(made / "arm.xml"))
+    seen = model.geom("upper_visual_0")
+    assert (seen.contype, seen.conaffinity, seen.group) == (0, 0, 2)
+    mesh = int(seen.dataid[0])
+    points = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+    assert np.ptp(points @ _axes(seen.quat).T, axis=0) == pytest.approx([0.2, 0.1, 0.05], abs=1e-6)
+    assert model.body("upper").mass == 1.5
+
+
+def _axes(quaternion: np.ndarray) -> np.ndarray:
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
 FAULTS = {
     "a sign flip": (r'(name="lift"[^>]* axis=")0 ', r"\g<1>0 -", "direction of every joint"),
     "a swapped axis": (
