@@ -102,14 +102,16 @@ def _reasons(facts: Facts) -> Iterator[str]:
         yield f"could not be collected: {error}"
     for changed in facts.changed:
         yield f"changed while it ran: {changed}"
-    yield from facts.problems
+    yield from (problem for problem in facts.problems if problem not in session.collection_errors)
+    # What did not run for one of these reasons needs no line of its own.
+    explained = session.selection or session.collection_errors or session.interrupted is not None
     results = {**facts.proven, **facts.outcomes}
     for key, criticality in facts.criticality.items():
         if key.rpartition("@")[0] in facts.unproven:
             continue
         outcome = results.get(key)
         if outcome is None:
-            if not session.selection:
+            if not explained:
                 yield f"{key}: did not run"
             continue
         if (broken := not_finite(outcome)) is not None:
@@ -128,7 +130,7 @@ def _reasons(facts: Facts) -> Iterator[str]:
     for failure in session.failures:
         yield f"{failure}: failed in the same session"
     if not facts.criticality:
-        yield "no golden to prove"
+        yield "no golden to prove: specs are YAML files below a folder called golden"
 
 
 def not_finite(outcome: Outcome) -> Measure | None:

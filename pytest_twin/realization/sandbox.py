@@ -150,7 +150,6 @@ class Sandbox:
                 if not events:
                     raise LimitError(
                         "ran past its bound of time and was killed",
-                        where=request["function"],
                         expected=f"at most {bound:g} s",
                     )
                 for key, _ in events:

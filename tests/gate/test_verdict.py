@@ -116,7 +116,10 @@ def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: fl
         ),
         ({"changed": ("arm.xml",)}, "changed while it ran: arm.xml"),
         ({"problems": ("the map cannot be made",)}, "the map cannot be made"),
-        ({"criticality": {}, "outcomes": {}}, "no golden to prove"),
+        (
+            {"criticality": {}, "outcomes": {}},
+            "no golden to prove: specs are YAML files below a folder called golden",
+        ),
         (
             {"session": SessionFacts(selection=("-k home",))},
             "a selected subset never signs: -k home",
@@ -137,3 +140,17 @@ def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: fl
 )
 def test_each_reason_to_refuse(change: dict[str, object], reason: str) -> None:
     assert refusals(facts(**change)) == (reason,)
+
+
+@pytest.mark.parametrize(
+    "session",
+    [
+        SessionFacts(interrupted="interrupted"),
+        SessionFacts(selection=("-k home",)),
+        SessionFacts(collection_errors=("a.yaml:3: no",)),
+    ],
+)
+def test_what_did_not_run_for_a_reason_that_is_said_has_no_line(session: SessionFacts) -> None:
+    found = refusals(facts(outcomes={}, session=session, problems=session.collection_errors))
+    assert len(found) == 1
+    assert "did not run" not in found[0]

@@ -9,6 +9,13 @@ import pytest
 
 from pytest_twin.session.selection import selected_by
 
+SETTLE = """\
+schema: 1
+kind: settling
+stimulus: {duration: 0.1 s}
+tolerance: {angle: 1 mrad, settling_time: 1 s, energy_growth: 1 J, penetration: 1 mm}
+"""
+
 
 def _results(twin, number: str) -> dict[str, dict[str, object]]:
     results = json.loads((twin.root / "releases" / number / "results.json").read_text())
@@ -197,3 +204,19 @@ def test_two_twins_are_judged_each_on_its_own(released, pytester) -> None:
     )
     result.stdout.fnmatch_lines(["release 0001 still holds", "*golden/fk/home: missing: *"])
     assert result.ret == pytest.ExitCode.TESTS_FAILED
+
+
+def test_a_trace_that_somebody_changed_is_refused(released) -> None:
+    released.write("golden/settle.yaml", SETTLE)
+    assert released.run("--twin-update", "-k", "settle").ret == 0
+    released.run("--twin-release").stdout.fnmatch_lines(["release 0002 signed: *"])
+    trace = released.root / "golden/settle.trace.csv"
+    text = trace.read_text()
+    trace.write_text(text.replace(text.splitlines()[-1], text.splitlines()[-1] + "1"))
+    result = released.run("--twin-why")
+    result.stdout.fnmatch_lines(
+        ["stale  golden/settle@mujoco", "         trace:golden/settle: sha256 * -> *"]
+    )
+    refused(released, f"golden/settle@mujoco: nothing to compare: {trace}: ")
+    trace.unlink()
+    refused(released, f"golden/settle@mujoco: nothing to compare: {trace}: no such file")
