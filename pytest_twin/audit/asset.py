@@ -365,6 +365,17 @@ class Asset:
             length[edge.child] = length[edge.parent] + float(np.linalg.norm(edge.position))
         return max(length.values(), default=0.0)
 
+    @cached_property
+    def beyond(self) -> dict[str, tuple[float, float]]:
+        """Body -> mass of it and all that it carries, kg, and its longest way outwards, m."""
+        found = {name: (self.body[name].mass or 0.0, 0.0) for name in self.drawn}
+        for edge in reversed(list(self.in_order())):
+            mass, reach = found[edge.parent]
+            carried, further = found[edge.child]
+            further += float(np.linalg.norm(edge.position))
+            found[edge.parent] = (mass + carried, max(reach, further))
+        return found
+
     def shapes_of(self, body: str) -> list[Shape]:
         """Geometries of a body."""
         return self._shapes_by_body.get(body, [])

@@ -41,6 +41,7 @@ def freedom(asset: Asset) -> Freedom:
     sensed = {item.joint for item in asset.controlled if item.states}
     sensed |= {sensor.bearer for sensor in asset.sensors if sensor.bearer in asset.joint}
     total = sum(joint.dof for joint in asset.joints)
+    moved = driven | set(followers)
     return Freedom(
         total,
         total - sum(asset.joint[name].dof for name in followers),
@@ -48,7 +49,7 @@ def freedom(asset: Asset) -> Freedom:
         tuple(
             joint.name
             for joint in asset.joints
-            if joint.scalar and joint.name not in driven and joint.name not in followers
+            if joint.scalar and joint.name not in moved
         ),
         tuple(joint.name for joint in asset.joints if joint.name in sensed),
     )
@@ -78,46 +79,52 @@ def check(asset: Asset) -> Iterator[Finding]:
 
 
 def _chains(asset: Asset) -> Iterator[Finding]:
-    leader_of = {mimic.follower: mimic for mimic in asset.mimics}
-    told: set[str] = set()
+    """Joints that follow followers, and circles of them; each joint is passed once."""
+    leader_of: dict[str, Mimic] = {}
     for mimic in asset.mimics:
-        seen = [mimic.follower]
-        following = mimic
-        while True:
-            leader = following.leader
-            if leader in seen:
-                if seen[0] == leader and not told & set(seen):
-                    told.update(seen)
-                    yield Finding(
-                        "coupling.mimic_loop",
-                        "critical",
-                        mimic.place,
-                        f"joint '{mimic.follower}'",
-                        "joints follow each other in a circle",
-                        " -> ".join((*seen, leader)),
-                        None,
-                        "one joint of the circle that follows none",
-                        _WHY_MIMIC,
-                        "the mechanism's drawing: which joint has the motor",
-                    )
-                break
-            if leader not in leader_of:
-                if len(seen) > 1:
-                    yield Finding(
-                        "coupling.mimic_chain",
-                        "warning",
-                        mimic.place,
-                        f"joint '{mimic.follower}'",
-                        "it follows a joint that follows another",
-                        " -> ".join((*seen, leader)),
-                        None,
-                        f"following '{leader}' itself",
-                        "some parsers follow one step only and leave it behind",
-                        "the products of the multipliers along the chain, from the mechanism",
-                    )
-                break
-            seen.append(leader)
-            following = leader_of[leader]
+        leader_of.setdefault(mimic.follower, mimic)
+    done: set[str] = set()
+    for mimic in leader_of.values():
+        way: dict[str, None] = {}
+        at = mimic.follower
+        while at in leader_of and at not in done and at not in way:
+            way[at] = None
+            at = leader_of[at].leader
+        done.update(way)
+        if at in way:
+            circle = list(way)[list(way).index(at) :]
+            yield Finding(
+                "coupling.mimic_loop",
+                "critical",
+                leader_of[at].place,
+                f"joint '{at}'",
+                "joints follow each other in a circle",
+                _arrows([*circle, at]),
+                None,
+                "one joint of the circle that follows none",
+                _WHY_MIMIC,
+                "the mechanism's drawing: which joint has the motor",
+            )
+    for mimic in leader_of.values():
+        if mimic.leader in leader_of and mimic.leader != mimic.follower:
+            further = leader_of[mimic.leader].leader
+            yield Finding(
+                "coupling.mimic_chain",
+                "warning",
+                mimic.place,
+                f"joint '{mimic.follower}'",
+                "it follows a joint that follows another",
+                _arrows([mimic.follower, mimic.leader, further]),
+                None,
+                "following the first of the chain itself",
+                "some parsers follow one step only and leave it behind",
+                "the products of the multipliers along the chain, from the mechanism",
+            )
+
+
+def _arrows(joints: list[str]) -> str:
+    shown = joints if len(joints) < 9 else [*joints[:4], "...", *joints[-3:]]
+    return " -> ".join(shown)
 
 
 def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:

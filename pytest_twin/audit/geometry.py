@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.audit.asset import Asset, Shape, Vector
+from pytest_twin.realization import shapes
 from pytest_twin.realization.inertia import of_point
-from pytest_twin.realization.shapes import hull, polyhedron
 
 Faces = NDArray[np.int32]
 
@@ -113,13 +113,10 @@ class Geometry:
         """
         key = (name, role)
         if key not in self._bodies:
-            shapes = self.asset.shapes_of(name)
-            if role is not None:
-                chosen = [self.shape(shape) for shape in shapes if shape.role == role]
-            else:
-                chosen = [self.shape(s) for s in shapes if s.role == "visual"]
-                if not any(chosen):
-                    chosen = [self.shape(s) for s in shapes if s.role == "collision"]
+            own = self.asset.shapes_of(name)
+            chosen = [self.shape(s) for s in own if s.role == (role or "visual")]
+            if role is None and not any(chosen):
+                chosen = [self.shape(s) for s in own if s.role == "collision"]
             self._bodies[key] = together(solid for solid in chosen if solid is not None)
         return self._bodies[key]
 
@@ -129,12 +126,12 @@ class Geometry:
         return 0.0 if solid is None else solid.volume
 
     def _solid(self, shape: Shape) -> Solid | None:
-        found = self._hull(shape)
+        found = self.hull(shape)
         if found is None:
             return None
         vertices, faces = found
         vertices = vertices @ shape.rotation.T + shape.position
-        properties = polyhedron(vertices, faces)
+        properties = shapes.polyhedron(vertices, faces)
         if properties is None:
             return None
         volume, centroid, inertia = properties
@@ -142,12 +139,12 @@ class Geometry:
             volume, centroid, inertia, vertices.min(axis=0), vertices.max(axis=0), vertices
         )
 
-    def _hull(self, shape: Shape) -> tuple[Vector, Faces] | None:
-        """Corners and faces of the convex hull in the shape's own frame."""
+    def hull(self, shape: Shape) -> tuple[Vector, Faces] | None:
+        """(n, 3) corners [m] and (m, 3) faces of the convex hull in the shape's own frame."""
         key = (
             (shape.file, *shape.scale.tolist())
             if shape.file is not None
-            else (shape.kind, shape.size, id(shape.triangles))
+            else (shape.kind, shape.size)
         )
         if key not in self._hulls:
             self._hulls[key] = _hull_of(_local(shape))
@@ -158,7 +155,7 @@ def _hull_of(found: tuple[Vector, Faces] | None) -> tuple[Vector, Faces] | None:
     if found is None:
         return None
     vertices, _ = found
-    faces = hull(vertices)
+    faces = shapes.hull(vertices)
     if faces is None:
         return None
     used, inverse = np.unique(faces, return_inverse=True)

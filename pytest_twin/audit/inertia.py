@@ -318,7 +318,7 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
         if mass > MASS_FLOOR and principal(inertia)[0] > 1e-9 * float(np.trace(inertia)):
             continue
         shaped = any(asset.shapes_of(b.name) for b in bodies)
-        carried = _mass_beyond(asset, top)
+        carried = asset.beyond[top][0]
         if mass <= MASS_FLOOR:
             virtual = not shaped and carried > MASS_FLOOR
             yield Finding(
@@ -380,16 +380,3 @@ def _together(bodies: list[Body], asset: Asset) -> tuple[float, Vector]:
     com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / mass
     inertia = sum((part[2] + of_point(part[0], part[1] - com) for part in parts), np.zeros((3, 3)))
     return mass, np.asarray(inertia)
-
-
-def _mass_beyond(asset: Asset, body: str) -> float:
-    """Mass of everything that a body carries, kg."""
-    total, waiting, seen = 0.0, [body], set()
-    while waiting:
-        name = waiting.pop()
-        if name in seen or name not in asset.body:
-            continue
-        seen.add(name)
-        total += asset.body[name].mass or 0.0
-        waiting.extend(edge.child for edge in asset.below.get(name, ()))
-    return total

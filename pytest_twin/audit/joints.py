@@ -134,7 +134,7 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
         if _ROUNDED[0] < abs(o) < _ROUNDED[1] and abs(v) > 1.0
     ]
     if cut:
-        effect = max(cut) * _reach(asset, edge.child)
+        effect = max(cut) * asset.beyond.get(edge.child, (0.0, 0.0))[1]
         yield Finding(
             "joints.origin_rounded",
             "warning" if effect > 5e-4 else "info",
@@ -147,20 +147,6 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
             "an error of the frame that calibration will later find as bias of a joint",
             "the exact angle from CAD; pi/2 if it is a right angle",
         )
-
-
-def _reach(asset: Asset, body: str) -> float:
-    """Length of the longest way from a body outwards, m."""
-    longest, waiting, seen = 0.0, [(body, 0.0)], set()
-    while waiting:
-        name, length = waiting.pop()
-        if name in seen:
-            continue
-        seen.add(name)
-        longest = max(longest, length)
-        for edge in asset.below.get(name, ()):
-            waiting.append((edge.child, length + float(np.linalg.norm(edge.position))))
-    return longest
 
 
 def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:

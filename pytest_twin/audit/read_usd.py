@@ -118,7 +118,9 @@ class _Reader:
                 expected="metersPerUnit and kilogramsPerUnit above 0",
             )
         self.cache = UsdGeom.XformCache()
-        self.out = Asset("usd", path, str(stage.GetDefaultPrim().GetName() or path.stem))
+        self.out = Asset("usd", path, path.stem)
+        if stage.GetDefaultPrim():
+            self.out.name = str(stage.GetDefaultPrim().GetName())
         self.out.files = layers
         self.lines = _lines(path)
         self.bodies: dict[Any, str] = {}

@@ -118,7 +118,7 @@ def _surface(
 ) -> tuple[Vector | None, Vector]:
     """(n, 3, 3) corners of every triangle in the root, m, and (n, 3) their colours."""
     places = asset.at(values)
-    names = list(asset.body)
+    number = {name: index for index, name in enumerate(asset.body)}
     found = [
         (shape, surface)
         for shape in shapes
@@ -133,7 +133,7 @@ def _surface(
             continue
         position, rotation = places[shape.body]
         corners.append((vertices @ rotation.T + position)[faces])
-        colour = _SHADES[names.index(shape.body) % len(_SHADES)]
+        colour = _SHADES[number[shape.body] % len(_SHADES)]
         if shape.body in marked:
             colour = _OVERLAP
         elif asset.group[shape.body] in asset.roots:

@@ -66,7 +66,7 @@ def audit_file(
     geometry = Geometry(asset)
     findings = audit(asset, known, geometry)
     say(0.6)
-    results, more = self_collision.measure(asset, known.poses)
+    results, more = self_collision.measure(asset, geometry, known.poses)
     say(0.8)
     found = report(asset, geometry, [*findings, *more])
     found["poses"] = self_collision.to_json(results)

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import coal
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from pytest_twin.audit.asset import Asset
+from pytest_twin.audit.asset import Asset, Vector
 from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.geometry import Faces, Geometry
 from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import load
 from pytest_twin.realization.collision import Shapes
@@ -21,6 +24,7 @@ _NEAR = 0.05
 _MOST_PAIRS = 400
 """Pairs of one pose whose distance is computed, the nearest by their bounding spheres."""
 _MOST_POSES = 20
+_MOST_SHAPES = 3000
 _TOUCH = 1e-3
 """m: overlap that rounded origins and the hulls of meshes do not explain."""
 _AGREE = 1e-4
@@ -44,13 +48,19 @@ class Near:
 
 @dataclass(frozen=True, slots=True)
 class PoseResult:
-    """One pose: values of joints in rad or m, and what is near what, the nearest first."""
+    """One pose: values of joints in rad or m, and what is near what, the nearest first.
+
+    Attributes:
+        looked_at: pairs of shapes whose distance was computed, of ``pairs`` that may be near.
+        engine: that computed ``near``'s distance.
+    """
 
     name: str
     values: Mapping[str, float]
     near: tuple[Near, ...]
     looked_at: int
     pairs: int
+    engine: str = "MuJoCo"
 
     @property
     def overlapping(self) -> frozenset[str]:
@@ -82,17 +92,29 @@ def poses(asset: Asset, declared: Mapping[str, Mapping[str, float]]) -> dict[str
 
 
 def measure(
-    asset: Asset, declared: Mapping[str, Mapping[str, float]]
+    asset: Asset, geometry: Geometry, declared: Mapping[str, Mapping[str, float]]
 ) -> tuple[list[PoseResult], list[Finding]]:
-    """Distances at every pose, and what they say; unknown where no simulator takes the model."""
+    """Distances at every pose, and what they say; unknown where no simulator takes the model.
+
+    URDF and MJCF are compiled and measured by MuJoCo, and what is near by coal too. A USD stage is
+    measured by coal alone, between the convex hulls of its shapes.
+    """
     if not any(shape.role == "collision" for shape in asset.shapes):
         return [], [_unknown(asset, "it has no collision shape", "collision shapes, from CAD")]
+    if asset.kind == "usd":
+        results = [
+            _by_hulls(asset, geometry, name, values)
+            for name, values in poses(asset, declared).items()
+        ]
+        return results, [finding for result in results for finding in _findings(asset, result)]
     try:
         realization = load(asset.path, accept_invalid_inertia=True)
     except TwinError as error:
         return [], [
             _unknown(asset, f"the model does not load: {error.problem}", "a model that loads")
         ]
+    if realization.model.ngeom > _MOST_SHAPES:
+        return [], [_unknown(asset, "it has too many shapes", f"at most {_MOST_SHAPES} shapes")]
     shapes = Shapes(realization)
     results = [
         _at(realization, shapes, name, values) for name, values in poses(asset, declared).items()
@@ -121,14 +143,12 @@ def _at(
     data.qpos[:] = realization.qpos(known)
     mujoco.mj_kinematics(model, data)
     pairs = _pairs(model)
-    gaps = []
-    for first, second in pairs:
-        gap = float(np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second]))
-        gaps.append(gap - float(model.geom_rbound[first] + model.geom_rbound[second]))
-    order = [i for i in np.argsort(gaps) if gaps[i] < _NEAR][:_MOST_PAIRS]
+    apart = np.linalg.norm(data.geom_xpos[pairs[:, 0]] - data.geom_xpos[pairs[:, 1]], axis=1)
+    gaps = apart - model.geom_rbound[pairs].sum(axis=1)
+    order = [int(i) for i in np.argsort(gaps) if gaps[i] < _NEAR][:_MOST_PAIRS]
     found: dict[tuple[str, str], Near] = {}
     for index in order:
-        first, second = pairs[index]
+        first, second = (int(geom) for geom in pairs[index])
         near = _near(realization, shapes, data, first, second)
         if near is None:
             continue
@@ -140,8 +160,76 @@ def _at(
         dict(known),
         tuple(sorted(found.values(), key=lambda n: n.distance)),
         len(order),
-        sum(gap < _NEAR for gap in gaps),
+        int((gaps < _NEAR).sum()),
     )
+
+
+def _by_hulls(
+    asset: Asset, geometry: Geometry, name: str, values: Mapping[str, float]
+) -> PoseResult:
+    """Distances between convex hulls by coal."""
+    places = asset.at(values)
+    solids = []
+    for shape in asset.shapes:
+        hull = geometry.hull(shape) if shape.role == "collision" else None
+        if hull is None or shape.body not in places:
+            continue
+        position, rotation = places[shape.body]
+        corners = (hull[0] @ shape.rotation.T + shape.position) @ rotation.T + position
+        solids.append((shape.body, corners.min(axis=0), corners.max(axis=0), corners, hull[1]))
+    solids = solids[:_MOST_SHAPES]
+    low = np.array([solid[1] for solid in solids]).reshape(-1, 3)
+    high = np.array([solid[2] for solid in solids]).reshape(-1, 3)
+    at, other = np.triu_indices(len(solids), 1)
+    gaps = np.maximum(low[at] - high[other], low[other] - high[at]).max(axis=1, initial=-np.inf)
+    adjacent = _adjacent(asset)
+    near = [
+        int(i)
+        for i in np.argsort(gaps)
+        if gaps[i] < _NEAR
+        and frozenset((asset.group[solids[at[i]][0]], asset.group[solids[other[i]][0]]))
+        not in adjacent
+    ]
+    made: dict[int, coal.Convex] = {}
+    found: dict[tuple[str, str], Near] = {}
+    still, request = coal.Transform3s(), coal.DistanceRequest()
+    request.enable_signed_distance = True
+    for index in near[:_MOST_PAIRS]:
+        pair = int(at[index]), int(other[index])
+        for one in pair:
+            if one not in made:
+                made[one] = _convex(solids[one][3], solids[one][4])
+        distance = coal.distance(
+            made[pair[0]], still, made[pair[1]], still, request, coal.DistanceResult()
+        )
+        first, second = sorted((solids[pair[0]][0], solids[pair[1]][0]))
+        known = found.get((first, second))
+        if distance < _NEAR and (known is None or distance < known.distance):
+            found[first, second] = Near(first, second, float(distance), None)
+    return PoseResult(
+        name,
+        dict(values),
+        tuple(sorted(found.values(), key=lambda n: n.distance)),
+        min(len(near), _MOST_PAIRS),
+        len(near),
+        "coal",
+    )
+
+
+def _adjacent(asset: Asset) -> set[frozenset[str]]:
+    """Pairs of groups of fixed bodies that are one, or meet at a joint."""
+    found = {frozenset((top,)) for top in asset.group.values()}
+    for edge in asset.in_order():
+        found.add(frozenset((asset.group[edge.parent], asset.group[edge.child])))
+    return found
+
+
+def _convex(corners: Vector, faces: Faces) -> coal.Convex:
+    vertices = coal.StdVec_Vec3s()
+    vertices.extend(list(corners))
+    triangles = coal.StdVec_Triangle()
+    triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
+    return coal.Convex(vertices, triangles)
 
 
 def _near(
@@ -163,30 +251,21 @@ def _near(
     return Near(low, high, distance, by_coal if np.isfinite(by_coal) else None)
 
 
-def _pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    """Pairs of geoms of the robot that MuJoCo would let collide."""
-    geoms = [
-        g
-        for g in range(model.ngeom)
-        if (model.geom_contype[g] or model.geom_conaffinity[g])
-        and int(model.geom_type[g]) != int(mujoco.mjtGeom.mjGEOM_PLANE)
-    ]
-    excluded = {int(signature) for signature in model.exclude_signature}
+def _pairs(model: mujoco.MjModel) -> NDArray[np.int64]:
+    """(n, 2) geoms of the robot that MuJoCo would let collide."""
+    contype, conaffinity = model.geom_contype, model.geom_conaffinity
+    colliding = (contype != 0) | (conaffinity != 0)
+    geoms = np.flatnonzero(colliding & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)))
+    at, other = np.triu_indices(len(geoms), 1)
+    first, second = geoms[at], geoms[other]
+    a, b = model.geom_bodyid[first], model.geom_bodyid[second]
     weld, parent = model.body_weldid, model.body_parentid
-    found = []
-    for at, first in enumerate(geoms):
-        a = int(model.geom_bodyid[first])
-        for second in geoms[at + 1 :]:
-            b = int(model.geom_bodyid[second])
-            wa, wb = int(weld[a]), int(weld[b])
-            family = wa == wb or wa == weld[parent[wb]] or wb == weld[parent[wa]]
-            low, high = min(a, b), max(a, b)
-            if family or (low << 16) + high in excluded:
-                continue
-            contype, conaffinity = model.geom_contype, model.geom_conaffinity
-            if contype[first] & conaffinity[second] or contype[second] & conaffinity[first]:
-                found.append((first, second))
-    return found
+    above_a, above_b = weld[parent[weld[a]]], weld[parent[weld[b]]]
+    family = (weld[a] == weld[b]) | (weld[a] == above_b) | (weld[b] == above_a)
+    excluded = np.isin((np.minimum(a, b) << 16) + np.maximum(a, b), model.exclude_signature)
+    masked = (contype[first] & conaffinity[second]) | (contype[second] & conaffinity[first])
+    kept = ~family & ~excluded & (masked != 0)
+    return np.stack([first[kept], second[kept]], axis=1).astype(np.int64)
 
 
 def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
@@ -196,8 +275,9 @@ def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
         body = asset.body.get(near.second)
         shapes = asset.shapes_of(near.second)
         place = shapes[0].place if shapes else (body.place if body else asset.place)
-        agreed = near.by_coal is not None and abs(near.by_coal - near.distance) < max(
-            _AGREE, 0.05 * abs(near.distance)
+        agreed = result.engine == "coal" or (
+            (near.by_coal is not None)
+            and abs(near.by_coal - near.distance) < max(_AGREE, 0.05 * abs(near.distance))
         )
         yield Finding(
             "meshes.self_collision",
@@ -236,7 +316,7 @@ def to_json(results: Sequence[PoseResult]) -> list[dict[str, object]]:
             "near": [
                 {
                     "bodies": [near.first, near.second],
-                    "distance": {"value": near.distance, "unit": "m", "by": "MuJoCo"},
+                    "distance": {"value": near.distance, "unit": "m", "by": result.engine},
                     "check": {"value": near.by_coal, "unit": "m", "by": "coal"},
                 }
                 for near in result.near[:100]

@@ -54,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
         found = sandbox.call(
             "pytest_twin.audit.run:audit_file",
             {
-                "path": str(asset.absolute()),
-                "evidence_path": None if args.evidence is None else str(args.evidence.absolute()),
+                "path": str(asset.resolve()),
+                "evidence_path": None if args.evidence is None else str(args.evidence.resolve()),
             },
             progress=_say_progress,
         )

@@ -31,6 +31,7 @@ _TITLES: Mapping[str, str] = {
 MAX_ROWS = 200
 """Findings of one kind that the page lists; all are in the JSON."""
 _NAMES = 4
+_CRITICAL = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +76,11 @@ def table(audit: Mapping[str, Any], *, every: bool = False) -> str:
         if group.severity == "info" and not every:
             continue
         if every or group.severity == "critical":
-            for row in group.findings:
+            shown = group.findings if every else group.findings[:_CRITICAL]
+            for row in shown:
                 lines += _full(row)
+            if len(shown) < len(group.findings):
+                lines.append(f"    and {len(group.findings) - len(shown)} more {group.code}")
         else:
             count = f" ({len(group.findings)})" if len(group.findings) > 1 else ""
             lines.append(f"{MARKS[group.severity]} {group.code}{count}: {group.first['title']}")

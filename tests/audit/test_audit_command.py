@@ -1,0 +1,228 @@
+"""``pytest-twin audit`` as users call it: exit status, files, words, and hostile input."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from audited import CLEAN, changed, line_of, write_clean
+
+from pytest_twin.audit.run import audit_file
+from pytest_twin.cli import main
+from pytest_twin.errors import TwinError
+from pytest_twin.report.audit import table
+
+BROKEN = changed(
+    (
+        '<inertia ixx="0.0012" iyy="0.0156" izz="0.0156" ixy="0" ixz="0" iyz="0"/>',
+        '<inertia ixx="1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>',
+    )
+)
+
+
+def test_a_clean_robot_exits_0_and_leaves_json_and_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_clean(tmp_path)
+    assert main(["audit", str(path), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "clean: 0 critical, 0 warning" in said.splitlines()[0]
+    assert "? commands.unknown (3)" in said
+    found = json.loads((tmp_path / "out/robot.urdf.audit.json").read_text())
+    assert found["schema"] == 1
+    assert found["verdict"] == "clean"
+    assert found["facts"]["degrees_of_freedom"] == 4
+    assert found["facts"]["independent"] == 3
+    assert found["facts"]["mass"] == {"value": pytest.approx(3.51), "unit": "kg"}
+    assert set(found["findings"][0]) == {
+        "id",
+        "code",
+        "layer",
+        "severity",
+        "file",
+        "line",
+        "element",
+        "title",
+        "value",
+        "unit",
+        "expected",
+        "why",
+        "settle",
+    }
+    assert found["poses"][0]["pose"] == "zeros, within the ranges"
+    assert found["meshes"][0]["watertight"] is True
+    page = (tmp_path / "out/robot.urdf.audit.html").read_text()
+    assert "data:image/png;base64," in page
+    # Self-contained: nothing is fetched, nothing runs.
+    assert "<script" not in page
+    assert not re.search(r"(src|href)=\"(?!data:|#)", page)
+
+
+def test_a_critical_finding_exits_1_and_is_told_in_full(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_clean(tmp_path, BROKEN)
+    assert main(["audit", str(path), "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert "CRITICAL: 1 critical" in said
+    assert "X inertia.triangle: link 'upper': its principal moments break the triangle" in said
+    line = line_of(BROKEN, "<inertial>")
+    assert f"robot.urdf:{line}; got 0.1, 0.1, 1 kg*m^2; expected no moment above the sum" in said
+    assert "settled by the CAD model's mass properties" in said
+
+
+def test_a_link_to_the_file_is_followed(tmp_path: Path) -> None:
+    write_clean(tmp_path)
+    link = tmp_path / "link.urdf"
+    link.symlink_to(tmp_path / "robot.urdf")
+    assert main(["audit", str(link), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out/link.urdf.audit.json").exists()
+
+
+def test_evidence_turns_an_unknown_into_a_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_clean(tmp_path)
+    evidence = tmp_path / "evidence.yaml"
+    evidence.write_text(
+        "source: manual rev 3\njoints:\n  elbow:\n    positive: {frame: tcp, along: [0, -1, 0]}\n"
+    )
+    status = main(["audit", str(path), "--out", str(tmp_path), "--evidence", str(evidence)])
+    said = capsys.readouterr().out
+    assert status == 1
+    assert "joints.sign_contradicted: joint 'elbow'" in said
+    assert "as declared by manual rev 3" in said
+
+
+def test_evidence_of_another_shape_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_clean(tmp_path)
+    evidence = tmp_path / "evidence.yaml"
+    evidence.write_text("joints:\n  elbow: {rnage: [0, 1]}\n")
+    assert main(["audit", str(path), "--evidence", str(evidence)]) == 2
+    said = capsys.readouterr().err
+    assert re.search(r"evidence\.yaml:2.*rnage", said)
+
+
+BOMB = """<?xml version="1.0"?>
+<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>
+<robot name="&b;"><link name="a"/></robot>
+"""
+
+UNUSABLE = [
+    ("bomb.urdf", BOMB, r"bomb\.urdf:2.*document type"),
+    ("external.urdf", BOMB.replace('"aaaaaaaaaa"', 'SYSTEM "file:///etc/passwd"'), "document type"),
+    ("empty.urdf", "", r"empty\.urdf:1: empty file"),
+    ("cut.urdf", CLEAN[:700], r"cut\.urdf:\d+.*not well-formed"),
+    ("other.urdf", "<svg/>", r"other\.urdf:1: not a robot model.*expected <robot> or <mujoco>"),
+    ("bare.urdf", "<robot name='x'/>", "a robot without links"),
+    (
+        "macro.urdf",
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m"/>'
+        '<link name="a"/></robot>',
+        "a xacro macro, not a URDF",
+    ),
+    (
+        "include.urdf",
+        '<robot xmlns:xi="http://www.w3.org/2001/XInclude"><xi:include href="/etc/hosts"/></robot>',
+        "an XInclude",
+    ),
+    (
+        "deep.urdf",
+        "<robot>" + "<a>" * 5000 + "</a>" * 5000 + "</robot>",
+        r"deep\.urdf.*(deep|depth)",
+    ),
+    (
+        "many.urdf",
+        "<robot><link name='a'/>" + "<b/>" * 120_000 + "</robot>",
+        r"many\.urdf.*too many elements",
+    ),
+    ("schema.xml", "<mujoco><foo/></mujoco>", r"schema\.xml:1.*unrecognized element"),
+    (
+        "loop.xml",
+        '<mujoco><include file="loop.xml"/></mujoco>',
+        r"loop\.xml",
+    ),
+    ("stage.usda", "#usda 1.0\ndef {{{", r"stage\.usda.*not a USD"),
+    ("stage.usdc", "PXR-USDC" + "\0" * 200, r"stage\.usdc.*not a USD"),
+    (
+        "escape.usda",
+        '#usda 1.0\n(subLayers = [@../../../../../../etc/passwd@])\ndef Xform "a" {}\n',
+        r"escape\.usda.*leaves the declared roots",
+    ),
+    ("bodies.usda", '#usda 1.0\ndef Xform "a" {\n}\n', "a stage without a rigid body"),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"), UNUSABLE, ids=[case[0].replace(".", "_") for case in UNUSABLE]
+)
+def test_what_cannot_be_used_is_a_plain_error(
+    tmp_path: Path, name: str, text: str, words: str
+) -> None:
+    if name.endswith((".usda", ".usdc")):
+        pytest.importorskip("pxr")
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(TwinError) as caught:
+        audit_file(str(path))
+    assert re.search(words, str(caught.value)), str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_unusable_input_is_one_line_and_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bomb.urdf"
+    path.write_text(BOMB)
+    assert main(["audit", str(path), "--out", str(tmp_path / "out")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "bomb.urdf:2:17: a document type (DTD)" in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["missing.urdf", "."])
+def test_what_is_no_file_is_one_line_and_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    assert main(["audit", str(tmp_path / name)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_names_from_the_file_cannot_write_to_terminal_or_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evil = "&#x9;&lt;script&gt;alert(1)&lt;/script&gt;\u202e\u009b31m"
+    path = write_clean(tmp_path, changed(('<robot name="clean">', f'<robot name="{evil}">')))
+    text = path.read_text().replace('name="elbow"', f'name="{evil}"')
+    path.write_text(text)
+    assert main(["audit", str(path), "--out", str(tmp_path), "--all"]) == 0
+    said = capsys.readouterr().out
+    assert "script" in said
+    assert all(char.isprintable() or char == "\n" for char in said)
+    page = (tmp_path / "robot.urdf.audit.html").read_text()
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_a_robot_of_huge_counts_ends_in_time(tmp_path: Path) -> None:
+    # A chain of joints that follow each other, and of links, as long as the bound lets it be.
+    count = 5_000
+    lines = ["<robot name='long'>", "<link name='l0'/>"]
+    for at in range(1, count):
+        lines.append(f"<link name='l{at}'/>")
+        lines.append(
+            f"<joint name='j{at}' type='continuous'><parent link='l{at - 1}'/><child link='l{at}'/>"
+            f"<axis xyz='0 0 1'/><mimic joint='j{at + 1 if at < count - 1 else 1}'/></joint>"
+        )
+    path = tmp_path / "long.urdf"
+    path.write_text("\n".join([*lines, "</robot>"]))
+    said = table(audit_file(str(path)))
+    assert "X coupling.mimic_loop: joint 'j1': joints follow each other in a circle" in said
+    assert "X inertia.moving_without" in said
+    assert len(said.splitlines()) < 80
