@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -206,7 +207,7 @@ class Realization:
             bodies = _declared(twin, "payloads", payload)
             patch.apply_payload(spec, bodies, where=f"payloads.{payload}", refuse=twin.error)
         try:
-            model, _ = mjcf.compiled(spec)
+            model, warned = mjcf.compiled(spec)
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             raise ModelError(
                 f"MuJoCo refuses the variant: {' '.join(str(error).split())}",
@@ -217,12 +218,13 @@ class Realization:
                     if key is not None
                 ),
             ) from None
+        said = [f"{self.path}: MuJoCo warns of the variant: {words}" for words in warned]
         return Realization(
             name=self.name,
             path=self.path,
             spec=spec,
             model=model,
-            source=self.source,
+            source=replace(self.source, notes=(*self.source.notes, *said)),
             twin=twin,
             controller=controller,
             payload=payload,

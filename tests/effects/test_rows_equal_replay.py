@@ -1,0 +1,117 @@
+"""Two ways of stepping, one motion: rows of the diagnosis without an effect, and the replay."""
+
+from __future__ import annotations
+
+import copy
+import os
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin.effects.rows import RowSimulator, Segment
+from pytest_twin.formats.mcap import JointSeries, Recording, read_recording
+from pytest_twin.realization import load
+from pytest_twin.replay import Row, replay_rows
+from pytest_twin.trial import CommandMode, Trial, make_trial
+
+RECORDINGS = Path(
+    os.environ.get("TWIN_RECORDINGS") or Path(__file__).parents[3] / "shared" / "recordings"
+).resolve()
+ARM = """\
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
+<body name="upper"><joint name="shoulder" axis="0 1 0" damping=".4" frictionloss=".3"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/>
+<body name="fore" pos=".3 0 0"><joint name="elbow" axis="0 1 0" damping=".2" frictionloss=".1"
+armature=".01"/><geom type="capsule" fromto="0 0 0 .2 0 0" size=".02" mass=".5"/></body></body>
+</worldbody><actuator>{}</actuator></mujoco>
+"""
+DRIVES = {
+    "position": '<position joint="shoulder" kp="60" kv="2" forcerange="-9 9"/>'
+    '<position joint="elbow" kp="30" kv="1" gear="2"/>',
+    "velocity": '<velocity joint="shoulder" kv="5"/><velocity joint="elbow" kv="3"/>',
+    "effort": '<motor joint="shoulder" gear="3"/><motor joint="elbow"/>',
+}
+SCALE = {"position": 0.4, "velocity": 0.8, "effort": 2.0}
+
+
+def dry_friction_as_rows(model: mujoco.MjModel, joints: tuple[str, ...]) -> mujoco.MjModel:
+    """The stiff dry friction of the rows; MuJoCo's default creeps under load."""
+    stiff = copy.copy(model)
+    dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
+    stiff.dof_solref[dofs] = (2.0 * model.opt.timestep, 1.0)
+    stiff.dof_solimp[dofs, :3] = (0.999, 0.9999, 0.001)
+    return stiff
+
+
+def gap(model: mujoco.MjModel, trial: Trial) -> tuple[float, float, float]:
+    """Largest difference in position, and in velocity, and how far the motion went."""
+    replayed = replay_rows([Row(trial, dry_friction_as_rows(model, trial.joints))], threads=1)[0]
+    assert replayed.error is None
+    column = {joint: i for i, joint in enumerate(trial.command_joints)}
+    command = np.full((len(trial.command_time), len(trial.joints)), np.nan)
+    for j, joint in enumerate(trial.joints):
+        if joint in column:
+            command[:, j] = trial.command[:, column[joint]]
+    still = np.zeros(len(trial.joints))
+    velocity = still if trial.velocity is None else np.nan_to_num(trial.velocity[0])
+    segment = Segment(
+        trial=0, model=model, mode=trial.command_mode, start=0.0, time=trial.time,
+        position=trial.position, velocity=trial.velocity, effort=trial.effort,
+        command_time=trial.command_time, command=command,
+        initial_position=trial.position[0], initial_velocity=velocity,
+    )  # fmt: skip
+    rows = RowSimulator([segment], trial.joints, threads=1).simulate(np.array([0]), {})[0]
+    moved = replayed.position - trial.position[0]
+    return (
+        float(np.abs(rows.position - replayed.position).max()),
+        float(np.abs(rows.velocity - replayed.velocity).max()),
+        float(np.abs(moved).max()),
+    )
+
+
+@pytest.mark.parametrize("mode", SCALE)
+@pytest.mark.parametrize("jitter", [0.0, 7e-4], ids=["on steps", "between steps"])
+def test_a_made_arm_moves_alike(mode: CommandMode, jitter: float) -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.format(DRIVES[mode]))
+    random = np.random.default_rng(3)
+    time = 0.01 * np.arange(120)
+    late = time + jitter * random.uniform(size=len(time))
+    command = SCALE[mode] * np.column_stack([np.sin(9 * time), np.sign(np.sin(5 * time))])
+    begin = 1_700_000_000_000_000_000
+
+    def series(topic: str, at: np.ndarray, **fields: np.ndarray) -> JointSeries:
+        stamp = begin + np.rint(at * 1e9).astype(np.int64)
+        empty = {"position": None, "velocity": None, "effort": None}
+        return JointSeries(topic, ("shoulder", "elbow"), stamp, stamp, **{**empty, **fields})
+
+    trial = make_trial(
+        Recording(
+            Path("made.mcap"),
+            {
+                "state": series("/joint_states", time, position=np.zeros((len(time), 2))),
+                "command": series("/joint_commands", late, **{mode: command}),
+            },
+            {},
+            (),
+        )
+    )
+    position, velocity, moved = gap(model, trial)
+    assert moved > 0.1
+    assert position < 1e-9
+    assert velocity < 1e-8
+
+
+def test_the_real_arm_moves_alike() -> None:
+    folder = RECORDINGS / "so101"
+    if not folder.is_dir():
+        pytest.skip(
+            f"no recordings at {folder}: the environment variable TWIN_RECORDINGS says where"
+        )
+    realization = load(folder / "model.xml")
+    path = sorted((folder / "recordings").rglob("*.mcap"))[0]
+    trial = make_trial(read_recording(path), realization.structure)
+    position, _, moved = gap(realization.model, trial)
+    assert moved > 0.1
+    assert position < 1e-6
