@@ -200,6 +200,7 @@ def joint_scales(simulator: RowSimulator, segments: Sequence[Segment]) -> Scales
             "stiffness": effort / position,
             "drag": effort / velocity**2,
             "inertia": inertia,
+            "compliance": position / effort,
             "slowness": 1.0 / np.maximum(np.nan_to_num(rate), velocity),
             "inverse_effort": 1.0 / np.maximum(peak, 1e-4),
             "command": np.maximum(np.nan_to_num(command), 1e-4),

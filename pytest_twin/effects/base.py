@@ -119,6 +119,8 @@ class World:
         friction_level: dry friction that the solver may use up to, N*m or N.
         applied: added generalized force, N*m or N.
         load: gravity and Coriolis effort that the drive carries, N*m or N.
+        motor_armature, motor_damping: of the motor side, where a transmission gives: there
+            the link has no armature, damping, dry friction or drive of its own.
         state: memory of effects between steps, by effect id.
     """
 
@@ -138,6 +140,8 @@ class World:
     friction_level: FloatArray
     applied: FloatArray
     load: FloatArray
+    motor_armature: FloatArray
+    motor_damping: FloatArray
     state: dict[str, Any] = field(default_factory=dict)
 
 
@@ -145,8 +149,8 @@ class Effect:
     """One effect. Subclasses state the class attributes and override the hooks that they need.
 
     ``fields`` and ``gains`` run once before the first step; ``command``, ``servo``, ``drive``,
-    ``friction`` and ``force`` at every step, in this order (an effect without them costs
-    nothing between steps); ``command_delay``, ``sample_time`` and ``sense`` on whole
+    ``friction``, ``force`` and ``transmit`` at every step, in this order (an effect without them
+    costs nothing between steps); ``command_delay``, ``sample_time`` and ``sense`` on whole
     trajectories. A hook must leave the world as it found it where every parameter is neutral.
 
     Class attributes:
@@ -198,6 +202,13 @@ class Effect:
 
     def force(self, world: World, values: Values) -> None:
         """Add to ``world.applied``."""
+
+    def separates(self, values: Values) -> NDArray[np.bool_] | None:
+        """(rows, joints) where motor and link move apart, or None."""
+        return None
+
+    def transmit(self, world: World, values: Values) -> None:
+        """Move the motor side and add to ``world.applied`` what reaches the link."""
 
     def sense(
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values

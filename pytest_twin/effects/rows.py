@@ -28,7 +28,7 @@ EffectValues = Mapping[str, Values]
 
 _MAX_ROWS = 384
 _UNBOUNDED = 1e9
-_BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force")
+_BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "transmit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +216,10 @@ class RowSimulator:
         models = [self._bounded(int(r)) for r in rows]
         batch = Batch(base, len(rows), nthread=self.threads)
         world = self._world(rows, models)
-        for effect, v in reversed(effects):
-            world.position, world.velocity = effect.unsense(world.position, world.velocity, v)
+        for effect, parameters in reversed(effects):
+            world.position, world.velocity = effect.unsense(
+                world.position, world.velocity, parameters
+            )
         self._write_fields(batch, rows, models, effects, world)
         commands = self._row_commands(rows, effects, steps)
         self.stepped += len(rows) * steps
@@ -233,7 +235,7 @@ class RowSimulator:
             added = effect.command_delay(v)
             if added is not None:
                 delay = delay + added
-        late = delay.any(axis=1)
+        late = np.any(delay, axis=1)
         commands = np.empty((len(rows), steps, len(self.joints)))
         for i, r in enumerate(rows):
             commands[i] = self._mean_commands(int(r), delay[i] if late[i] else None, steps)
@@ -260,6 +262,8 @@ class RowSimulator:
             friction_level=np.array([m.dof_frictionloss[self.dof_index] for m in models]),
             applied=np.zeros(count),
             load=np.zeros(count),
+            motor_armature=np.zeros(count),
+            motor_damping=np.zeros(count),
         )
         bare = (self.servo == "effort") & ~driven
         world.gain[:, bare] = 1.0
@@ -300,6 +304,11 @@ class RowSimulator:
         bounds = (world.lower.copy(), world.upper.copy(), world.offset.copy())
         for effect, v in effects:
             effect.gains(world, v)
+        soft = np.zeros(count, dtype=bool)
+        for effect, v in effects:
+            apart = effect.separates(v)
+            if apart is not None:
+                soft |= apart
 
         def expand(name: str) -> FloatArray:
             array: FloatArray = batch.expand(name)
@@ -317,7 +326,7 @@ class RowSimulator:
             ("dof_frictionloss", fields.friction),
         ):
             moving = name == "dof_frictionloss" and _any_hook(effects, "friction")
-            if several or change.any() or moving:
+            if several or change.any() or moving or soft.any():
                 expand(name)[:, dof] += change
         self._friction = (
             batch.expand("dof_frictionloss") if _any_hook(effects, "friction") else None
@@ -326,6 +335,14 @@ class RowSimulator:
             levels = batch.expand("dof_frictionloss")
             np.maximum(levels, 0.0, out=levels)
             world.friction_level = levels[:, dof].copy()
+        if soft.any():
+            # What sits on the motor side leaves the link; laws between steps carry it.
+            world.motor_armature = batch.expand("dof_armature")[:, dof]
+            world.motor_damping = batch.expand("dof_damping")[:, dof]
+            for name in ("dof_damping", "dof_armature", "dof_frictionloss"):
+                array = batch.expand(name)
+                array[:, dof] = np.where(soft, 0.0, array[:, dof])
+        self._soft = soft
         if fields.stiffness.any():
             expand("jnt_stiffness")[:, self.joint_ids] += fields.stiffness
         gravity = np.array([m.opt.gravity for m in models])
@@ -333,18 +350,23 @@ class RowSimulator:
             batch.expand("opt.gravity")[:] = fields.gravity
         if fields.added_mass.any() or (fields.inertia_scale != 1.0).any():
             self._write_inertia(batch, models, fields)
-        gains_changed = several or any(
-            (a != b).any()
-            for a, b in zip(before, (world.gain, world.stiffness, world.damping), strict=True)
+        gains_changed = (
+            several
+            or soft.any()
+            or any(
+                (a != b).any()
+                for a, b in zip(before, (world.gain, world.stiffness, world.damping), strict=True)
+            )
         )
         if gains_changed and driven.any():
             gear = self.gear[driven]
             gain = expand("actuator_gainprm")
             bias = expand("actuator_biasprm")
-            gain[:, act, 0] = world.gain[:, driven] / (gear * self.scale[driven])
-            bias[:, act, 0] = world.offset[:, driven] / gear
-            bias[:, act, 1] = -world.stiffness[:, driven] / gear**2
-            bias[:, act, 2] = -world.damping[:, driven] / gear**2
+            there = ~soft[:, driven]
+            gain[:, act, 0] = there * world.gain[:, driven] / (gear * self.scale[driven])
+            bias[:, act, 0] = there * world.offset[:, driven] / gear
+            bias[:, act, 1] = there * -world.stiffness[:, driven] / gear**2
+            bias[:, act, 2] = there * -world.damping[:, driven] / gear**2
         moving = any(_hooks(e, "servo") for e, _ in effects)
         bounds_changed = (bounds[0] != world.lower).any() or (bounds[1] != world.upper).any()
         self._range = None
@@ -381,9 +403,9 @@ class RowSimulator:
             )
             total = max(mass[i, body] + added, 1e-6)
             center = (mass[i, body] * ipos[i, body] + added * at) / total
-            rotation = np.empty(9)
-            mujoco.mju_quat2Mat(rotation, iquat[i, body])
-            rotation = rotation.reshape(3, 3)
+            flat = np.empty(9)
+            mujoco.mju_quat2Mat(flat, iquat[i, body])
+            rotation = flat.reshape(3, 3)
             tensor = rotation @ np.diag(inertia[i, body]) @ rotation.T
             for weight, point in ((mass[i, body], ipos[i, body]), (added, at)):
                 arm = point - center
@@ -472,20 +494,27 @@ class RowSimulator:
                 added = world.delivered - native
                 world.applied += added
                 effort[:, k] = added
-            if hooks["servo"]:
-                world.lower, world.upper = bounds
-            if hooks["friction"]:
+            if hooks["friction"] or hooks["transmit"]:
                 world.friction_level = level
                 world.load = bias[:, self.dof_index]
+            if hooks["friction"]:
                 for effect, p in hooks["friction"]:
                     effect.friction(world, p)
                 assert self._friction is not None
-                self._friction[:, self.dof_index] = np.maximum(world.friction_level, 0.0)
+                self._friction[:, self.dof_index] = np.where(
+                    self._soft, 0.0, np.maximum(world.friction_level, 0.0)
+                )
             for effect, p in hooks["force"]:
                 effect.force(world, p)
             if bare.any():
-                world.applied[:, bare] += world.setpoint[:, bare]
+                world.applied[:, bare] += np.where(
+                    self._soft[:, bare], 0.0, world.setpoint[:, bare]
+                )
                 effort[:, k, bare] += world.setpoint[:, bare]
+            for effect, p in hooks["transmit"]:
+                effect.transmit(world, p)
+            if hooks["servo"]:
+                world.lower, world.upper = bounds
             applied[:, self.dof_index] = world.applied
             ctrl[:, control] = world.setpoint[:, driven] * scale
 

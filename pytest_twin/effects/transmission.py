@@ -1,12 +1,13 @@
-"""Transmission: what stands between the drive and the link, short of extra degrees of freedom."""
+"""Transmission: what stands between the drive and the link."""
 
 from __future__ import annotations
 
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Parameter, Values, World
 
 
 class JointSpring(Effect):
@@ -50,4 +51,122 @@ class JointCoupling(Effect):
         world.delivered = world.delivered + values["ratio"] * before
 
 
-__all__ = ["JointCoupling", "JointSpring"]
+class _Compliance(Effect):
+    """A motor side that moves apart from the link: one more inertia per joint.
+
+    The motor side is integrated implicitly over a step in which the link keeps its velocity; the
+    link feels what the gear then transmits.
+    """
+
+    def _gear(
+        self, world: World, values: Values
+    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+        """Where it acts, and stiffness, damping and gap of the gear, (rows, joints) each."""
+        raise NotImplementedError
+
+    def transmit(self, world: World, values: Values) -> None:
+        acts, stiffness, damping, gap = self._gear(world, values)
+        dt = world.timestep
+        armature = np.maximum(world.motor_armature, 1e-9)
+        held = world.state.get(self.id)
+        if held is None:
+            # Start where the gear carries the load: stretched, on one flank.
+            stretch = world.load / np.maximum(stiffness, 1e-9) + np.sign(world.load) * gap / 2.0
+            held = (world.position + stretch, world.velocity.copy())
+        angle, speed = held
+        stretch = angle - world.position
+        deflection = stretch - np.clip(stretch, -gap / 2.0, gap / 2.0)
+        touching = (deflection != 0.0) | (gap == 0.0)
+        law = (
+            world.gain * world.setpoint
+            - world.stiffness * angle
+            - world.damping * speed
+            + world.offset
+        )
+        drive = np.clip(law, world.lower, world.upper)
+        servo = np.where(drive == law, world.damping + world.stiffness * dt, 0.0)
+        gear = np.where(touching, stiffness * dt + damping, 0.0)
+        pull = np.where(touching, stiffness * deflection, 0.0)
+        inert = armature / dt + servo + world.motor_damping + gear
+        push = (
+            armature / dt * speed
+            + drive
+            + servo * speed
+            - world.stiffness * dt * np.where(drive == law, speed, 0.0)
+            - pull
+            + gear * world.velocity
+        )
+        free = push / inert
+        # Dry friction as the impulse that stops the motor, at most its level (Moreau 1988).
+        next_speed = free - np.clip(
+            free, -world.friction_level / inert, world.friction_level / inert
+        )
+        transmitted = pull + gear * (next_speed - world.velocity)
+        # Flanks push and never pull.
+        flank = np.sign(deflection)
+        transmitted = np.where(gap > 0.0, flank * np.maximum(flank * transmitted, 0.0), transmitted)
+        angle = angle + dt * next_speed
+        world.state[self.id] = (angle, next_speed)
+        world.applied += np.where(acts, transmitted, 0.0)
+
+
+class Backlash(_Compliance):
+    """Play between the teeth: the link is free within a gap."""
+
+    id = "backlash"
+    family = "transmission"
+    law = "effort passes where |motor - link| > gap / 2"
+    source = "Nordin, Gutman, Automatica 38 (2002): controlling systems with backlash"
+    parameters = (Parameter("gap", "position", 0.0, 0.0, 0.4, (0.02,)),)
+    confused_with: ClassVar = {
+        "dead_zone": "hold the link by hand: only backlash lets it move freely",
+        "coulomb_friction": "hold the link by hand",
+        "joint_elasticity": "two loads: a gap does not grow with the load",
+    }
+
+    def separates(self, values: Values) -> NDArray[np.bool_] | None:
+        return values["gap"] > 0.0
+
+    def _gear(
+        self, world: World, values: Values
+    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+        # Teeth as stiff as the step resolves: their deflection is small beside the gap.
+        stiffness = 0.05 * np.maximum(world.motor_armature, 1e-9) / world.timestep**2
+        damping = 0.6 * np.sqrt(stiffness * np.maximum(world.motor_armature, 1e-9))
+        gap = values["gap"]
+        return gap > 0.0, stiffness, damping, gap
+
+
+class JointElasticity(_Compliance):
+    """A gear or belt that yields: motor and link swing against each other."""
+
+    id = "joint_elasticity"
+    family = "transmission"
+    law = (
+        "effort = stiffness (motor - link) + damping (their velocities), compliance = 1 / stiffness"
+    )
+    source = "Spong, J. Dyn. Syst. Meas. Control 109 (1987): elastic joint robots"
+    parameters = (
+        # Absent at infinity: the parameter is the reciprocal of the stiffness.
+        Parameter(
+            "compliance", "one", 0.0, 0.0, 20.0, (0.02, 0.1), "compliance",
+            ("stiffness", "stiffness"),
+        ),
+        Parameter("damping_time", "time", None, 0.0, 0.2, (0.01,)),
+    )  # fmt: skip
+    confused_with: ClassVar = {
+        "backlash": "two loads: elasticity yields in proportion",
+        "actuator_lag": "tap the link: only elasticity rings",
+        "controller_gain": "fast and slow: elasticity rings",
+    }
+
+    def separates(self, values: Values) -> NDArray[np.bool_] | None:
+        return values["compliance"] > 0.0
+
+    def _gear(
+        self, world: World, values: Values
+    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+        acts = values["compliance"] > 0.0
+        stiffest = 0.5 * np.maximum(world.motor_armature, 1e-9) / world.timestep**2
+        stiffness = np.minimum(1.0 / np.maximum(values["compliance"], 1e-12), stiffest)
+        return acts, stiffness, values["damping_time"] * stiffness, np.zeros_like(stiffness)
