@@ -46,11 +46,7 @@ def freedom(asset: Asset) -> Freedom:
         total,
         total - sum(asset.joint[name].dof for name in followers),
         followers,
-        tuple(
-            joint.name
-            for joint in asset.joints
-            if joint.scalar and joint.name not in moved
-        ),
+        tuple(joint.name for joint in asset.joints if joint.scalar and joint.name not in moved),
         tuple(joint.name for joint in asset.joints if joint.name in sensed),
     )
 

@@ -103,7 +103,7 @@ def measure(
         return [], [_unknown(asset, "it has no collision shape", "collision shapes, from CAD")]
     if asset.kind == "usd":
         results = [
-            _by_hulls(asset, geometry, name, values)
+            by_hulls(asset, geometry, name, values)
             for name, values in poses(asset, declared).items()
         ]
         return results, [finding for result in results for finding in _findings(asset, result)]
@@ -164,7 +164,7 @@ def _at(
     )
 
 
-def _by_hulls(
+def by_hulls(
     asset: Asset, geometry: Geometry, name: str, values: Mapping[str, float]
 ) -> PoseResult:
     """Distances between convex hulls by coal."""

@@ -1,0 +1,117 @@
+"""Distances of collision shapes by two engines, and the pictures of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from audited import changed, robots, write_clean
+
+from pytest_twin.audit import render, self_collision
+from pytest_twin.audit.evidence import Evidence
+from pytest_twin.audit.geometry import Geometry
+from pytest_twin.audit.read import read
+
+BACK = {"back": {"elbow": 3.1}}
+
+
+def test_an_overlap_at_a_declared_pose_is_found(tmp_path: Path) -> None:
+    # Folded back onto itself the lower bar lies in the upper one.
+    asset = read(write_clean(tmp_path))
+    results, findings = self_collision.measure(asset, Geometry(asset), BACK)
+    assert [result.name for result in results] == [self_collision.BASE_POSE, "back"]
+    assert results[0].overlapping == frozenset()
+    found = [finding for finding in findings if finding.code == "meshes.self_collision"]
+    assert "links 'finger' and 'upper'" in {finding.element for finding in found}
+    assert results[1].overlapping >= {"finger", "upper"}
+    assert all(finding.severity == "warning" for finding in found)
+
+
+def test_the_distance_is_the_one_of_the_drawing(tmp_path: Path) -> None:
+    asset = read(write_clean(tmp_path))
+    results, _ = self_collision.measure(asset, Geometry(asset), {})
+    near = {(n.first, n.second): n for n in results[0].near}
+    # Two boxes of 15 and 16 mm, 30 mm apart between their centres.
+    gap = near["finger", "thumb"]
+    assert gap.distance == pytest.approx(0.0145, abs=1e-6)
+    assert gap.by_coal == pytest.approx(0.0145, abs=1e-6)
+
+
+def test_hulls_by_coal_agree_with_the_compiled_model() -> None:
+    asset = read(next(robots().glob("*/*/panda.urdf")))
+    geometry = Geometry(asset)
+    results, _ = self_collision.measure(asset, geometry, {})
+    by_hulls = self_collision.by_hulls(asset, geometry, "base", results[0].values)
+    near = {(n.first, n.second): n.distance for n in results[0].near}
+    assert len(near) > 3
+    for other in by_hulls.near:
+        assert near[other.first, other.second] == pytest.approx(other.distance, abs=1e-4)
+
+
+def test_zero_moves_into_the_ranges_and_followers_follow(tmp_path: Path) -> None:
+    text = changed(
+        ('<limit lower="-2" upper="2"', '<limit lower="0.5" upper="2"'),
+        (
+            '<mimic joint="grip" multiplier="1"/>',
+            '<mimic joint="grip" multiplier="1" offset="0.01"/>',
+        ),
+    )
+    asset = read(write_clean(tmp_path, text))
+    base = self_collision.poses(asset, {})[self_collision.BASE_POSE]
+    assert base["elbow"] == 0.5
+    assert base["thumb_slide"] == 0.01
+
+
+def test_a_model_that_does_not_load_leaves_distances_unknown(tmp_path: Path) -> None:
+    asset = read(write_clean(tmp_path, changed(('filename="bar.stl"', 'filename="no.stl"'))))
+    results, findings = self_collision.measure(asset, Geometry(asset), {})
+    assert results == []
+    assert [(f.code, f.severity) for f in findings] == [("meshes.distances_unknown", "unknown")]
+    assert "no such file" in findings[0].title
+
+
+def test_a_picture_shows_what_overlaps_in_red(tmp_path: Path) -> None:
+    import matplotlib.image
+
+    asset = read(write_clean(tmp_path))
+    pictures = []
+    for marked in ((), ("upper",)):
+        png = render.views(asset, {}, marked=marked)
+        assert png is not None
+        path = tmp_path / "shot.png"
+        path.write_bytes(png)
+        pictures.append(matplotlib.image.imread(path)[..., :3])
+    red = [
+        int(((p[..., 0] > 0.5) & (p[..., 1] < 0.4) & (p[..., 2] < 0.35)).sum()) for p in pictures
+    ]
+    assert red[0] == 0
+    assert red[1] > 2000
+
+
+def test_splitting_keeps_area_and_colour() -> None:
+    corners = np.array([[[0.0, 0, 0], [10, 0, 0], [0, 0.1, 0]]])
+    pieces, colours = render.split(corners, np.array([[1.0, 0, 0]]), 0.5)
+    area = np.linalg.norm(
+        np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1
+    ).sum()
+    assert area == pytest.approx(1.0)
+    assert len(colours) == len(pieces) > 20
+
+
+def test_coarse_meshes_keep_their_extent() -> None:
+    from pytest_twin.realization.mesh import Triangles
+
+    generator = np.random.default_rng(3)
+    vertices = generator.normal(size=(3000, 3))
+    vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
+    from scipy.spatial import ConvexHull
+
+    ball = Triangles(vertices, ConvexHull(vertices).simplices.astype(np.int32))
+    merged, faces = render.coarse(ball.vertices, ball.faces, cells=12)
+    assert len(faces) < len(ball.faces) / 3
+    assert np.abs(np.linalg.norm(merged, axis=1) - 1).max() < 0.1
+
+
+def test_no_evidence_declares_no_pose() -> None:
+    assert Evidence().poses == {}

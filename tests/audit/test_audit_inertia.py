@@ -1,0 +1,149 @@
+"""Inertia against what point masses can have: whatever real bodies are made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from audited import box_stl, changed, findings_of, only, write_clean
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from pytest_twin.audit import inertia
+from pytest_twin.audit.asset import Asset, Body, Edge, Joint, Shape
+from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.audit.geometry import Geometry
+
+HERE = Place(Path("robot.urdf"), 1)
+COORDINATE = st.floats(-1, 1, allow_nan=False, allow_subnormal=False)
+POINTS = st.lists(
+    st.tuples(st.floats(0.01, 5), COORDINATE, COORDINATE, COORDINATE), min_size=4, max_size=8
+)
+
+
+def _moving(mass: float, com: NDArray[np.float64], tensor: NDArray[np.float64]) -> Asset:
+    asset = Asset("urdf", HERE.path, "robot")
+    asset.bodies = [Body("base", HERE), Body("arm", HERE, mass, com, tensor, inertial=HERE)]
+    asset.edges = [Edge("j", HERE, "base", "arm", np.zeros(3), np.eye(3))]
+    asset.joints = [Joint("j", HERE, "hinge", "arm", np.array([0.0, 0.0, 1.0]))]
+    return asset
+
+
+def _critical(asset: Asset) -> list[Finding]:
+    found = inertia.check(asset, Geometry(asset))
+    return [finding for finding in found if finding.severity == "critical"]
+
+
+def _of_points(
+    points: list[tuple[float, float, float, float]],
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    masses = np.array([point[0] for point in points])
+    places = np.array([point[1:] for point in points])
+    com = masses @ places / masses.sum()
+    arms = places - com
+    second = np.einsum("i,ij,ik->jk", masses, arms, arms)
+    return float(masses.sum()), com, np.trace(second) * np.eye(3) - second
+
+
+@settings(max_examples=40, deadline=None)
+@given(POINTS)
+def test_no_real_mass_distribution_is_refused(
+    points: list[tuple[float, float, float, float]],
+) -> None:
+    mass, com, tensor = _of_points(points)
+    moments = np.linalg.eigvalsh(tensor)
+    # Points on one line are the limit case: they have no inertia about it.
+    if moments[0] <= max(1e-6 * moments[2], 1e-9):
+        return
+    assert _critical(_moving(mass, com, tensor)) == []
+
+
+@settings(max_examples=40, deadline=None)
+@given(POINTS, st.floats(1.001, 5))
+def test_a_moment_above_the_sum_of_the_others_is_refused(
+    points: list[tuple[float, float, float, float]], factor: float
+) -> None:
+    mass, com, tensor = _of_points(points)
+    moments, axes = np.linalg.eigh(tensor)
+    if moments[0] <= max(1e-6 * moments[2], 1e-9):
+        return
+    moments[2] = factor * (moments[0] + moments[1])
+    found = _critical(_moving(mass, com, axes @ np.diag(moments) @ axes.T))
+    assert [finding.code for finding in found] == ["inertia.triangle"]
+
+
+@pytest.mark.parametrize(
+    "moments", [(1, 0.1, 0.1), (0.1, 1, 0.1), (0.1, 0.1, 1)], ids=["x", "y", "z"]
+)
+def test_an_inertia_that_common_checkers_pass(moments: tuple[float, float, float]) -> None:
+    found = _critical(_moving(1.0, np.zeros(3), np.diag(moments)))
+    assert [finding.code for finding in found] == ["inertia.triangle"]
+    # The least eigenvalue of the pseudo-inertia: tr(I)/2 - 1.
+    assert "eigenvalue -0.4 kg*m^2" in found[0].title
+
+
+def test_digits_that_were_cut_are_no_fault() -> None:
+    # A disc: the largest moment is the sum of the others, here rounded up.
+    found = list(
+        inertia.check(
+            asset := _moving(1.0, np.zeros(3), np.diag([0.25, 0.25, 0.500001])), Geometry(asset)
+        )
+    )
+    assert [(finding.code, finding.severity) for finding in found] == [
+        ("inertia.triangle_rounded", "info")
+    ]
+
+
+def test_a_fixed_frame_may_be_massless_and_a_moving_leaf_may_not(tmp_path: Path) -> None:
+    frame = (
+        '  <link name="probe"/>\n  <joint name="probe_mount" type="{}">\n'
+        '    <parent link="tcp"/><child link="probe"/><axis xyz="0 0 1"/>\n  </joint>\n</robot>'
+    )
+    fixed = findings_of(write_clean(tmp_path, changed(("</robot>", frame.format("fixed")))))
+    assert only(fixed, "inertia.moving_without") == []
+    turning = findings_of(write_clean(tmp_path, changed(("</robot>", frame.format("continuous")))))
+    assert [row["severity"] for row in only(turning, "inertia.moving_without")] == ["critical"]
+
+
+def test_what_is_fixed_to_a_massless_link_lends_it_its_inertia(tmp_path: Path) -> None:
+    text = changed(
+        ('<link name="upper">\n', '<link name="upper"/>\n  <link name="upper_body">\n'),
+        ('<parent link="upper"/>', '<parent link="upper_body"/>'),
+        (
+            "</robot>",
+            '  <joint name="glue" type="fixed"><parent link="upper"/><child link="upper_body"/>'
+            "</joint>\n</robot>",
+        ),
+    )
+    assert only(findings_of(write_clean(tmp_path, text)), "inertia.moving_without") == []
+
+
+def test_solids_have_the_mass_properties_of_the_textbook() -> None:
+    asset = Asset("urdf", HERE.path, "robot")
+    asset.bodies = [Body("b", HERE)]
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    asset.shapes = [
+        Shape(HERE, "b", "collision", "box", np.array([1.0, 0, 0]), turn, (0.3, 0.2, 0.1)),
+        Shape(HERE, "b", "visual", "cylinder", np.zeros(3), np.eye(3), (0.1, 0.4)),
+    ]
+    geometry = Geometry(asset)
+    box = geometry.body("b", "collision")
+    assert box is not None
+    assert box.volume == pytest.approx(0.006)
+    assert box.centroid == pytest.approx([1, 0, 0])
+    # Turned by 90 degrees: x and y change places.
+    expected = np.array([0.3**2 + 0.1**2, 0.2**2 + 0.1**2, 0.2**2 + 0.3**2]) / 12
+    assert np.diag(box.inertia) == pytest.approx(expected)
+    cylinder = geometry.body("b", "visual")
+    assert cylinder is not None
+    assert cylinder.volume == pytest.approx(np.pi * 0.01 * 0.4, rel=0.005)
+    assert cylinder.inertia[2, 2] == pytest.approx(0.1**2 / 2, rel=0.01)
+
+
+def test_a_hull_is_no_smaller_than_its_mesh(tmp_path: Path) -> None:
+    path = write_clean(tmp_path)
+    (tmp_path / "bar.stl").write_bytes(box_stl((0.2, 0.05, 0.05)))
+    rows = findings_of(path)
+    assert not only(rows, "meshes.not_convex")
