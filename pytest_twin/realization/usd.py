@@ -63,7 +63,8 @@ def convert(urdf: Path, target: Path) -> None:
     """Write the stage of a normalized URDF as one file, ``.usda`` or ``.usdc``.
 
     The converter writes orientations of links with single precision; they are stated again with
-    double precision from the same text, so that the stage stands as exactly as its schema lets it.
+    double precision from the same text, and oblique axes of joints as exactly as single precision
+    can, so that the stage stands and moves as exactly as its schema lets it.
     A frame that it merged into its parent, for its mass, is put back as a frame.
 
     Raises:
@@ -97,6 +98,7 @@ def _state_frames(stage_path: str, urdf: Path) -> None:
     from scipy.spatial.transform import Rotation
 
     from pytest_twin.realization import urdf as urdf_text
+    from pytest_twin.realization import usd_axes
     from pytest_twin.realization.usd_names import link_prims
 
     robot = urdf_text.read(urdf)
@@ -113,6 +115,7 @@ def _state_frames(stage_path: str, urdf: Path) -> None:
         made = prim.CreateAttribute("xformOp:orient", Sdf.ValueTypeNames.Quatd, custom=False)
         x, y, z, w = Rotation.from_matrix(joint.rotation).as_quat()
         made.Set(Gf.Quatd(w, x, y, z))
+    usd_axes.restate(stage, robot)
     stage.GetRootLayer().Save()
 
 

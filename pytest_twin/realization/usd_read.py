@@ -185,8 +185,7 @@ class _Reader:
         parent = self._above(prim)
         placement = np.eye(4)
         if parent is not None:
-            relative, _ = self.cache.ComputeRelativeTransform(prim, self.links[parent])
-            placement = _matrix(relative)
+            placement = _placement(prim, self.links[parent])
         mass, com, tensor = 0.0, np.zeros(3), np.zeros((3, 3))
         if prim.HasAPI(UsdPhysics.MassAPI):
             api = UsdPhysics.MassAPI(prim)
@@ -319,6 +318,35 @@ class _Reader:
         from pxr import UsdPhysics
 
         return sum(prim.HasAPI(UsdPhysics.MaterialAPI) for prim in self.stage.Traverse())
+
+
+def _placement(prim: Any, above: Any) -> Vector:
+    """(4, 4) of a prim in one above it, scale left out.
+
+    The quaternions are taken as they stand: OpenUSD goes by an angle on the way to a matrix,
+    which loses turns below 2e-8 rad.
+    """
+    from pxr import UsdGeom
+
+    pose = np.eye(4)
+    while prim != above:
+        local = np.eye(4)
+        for operation in UsdGeom.Xformable(prim).GetOrderedXformOps():
+            kind, value = operation.GetOpType(), operation.Get()
+            if operation.IsInverseOp():
+                step = _matrix(operation.GetOpTransform(0.0))
+            elif kind == UsdGeom.XformOp.TypeTranslate:
+                step = np.eye(4)
+                step[:3, 3] = np.array(value, dtype=np.float64)
+            elif kind == UsdGeom.XformOp.TypeOrient:
+                step = np.eye(4)
+                step[:3, :3] = _rotation(value)
+            else:
+                step = _matrix(operation.GetOpTransform(0.0))
+            local = local @ step
+        pose = local @ pose
+        prim = prim.GetParent()
+    return pose
 
 
 def _plain(prim: Any, name: str) -> float | None:
