@@ -13,7 +13,7 @@ class TwinError(Exception):
         path: the file at fault.
         line: 1-based line in that file.
         column: 1-based column in that line.
-        where: the field at fault, dotted (``tolerance.position``), or an element (``link 'wrist'``).
+        where: the field at fault, dotted (``tolerance.position``), or an element, ``link 'wrist'``.
         value: the offending value.
         unit: the unit of ``value``.
         expected: what would have been right.

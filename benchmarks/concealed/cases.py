@@ -86,7 +86,8 @@ def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> di
         "backlash": lambda: {"gap": u(0.02, 0.06)},
         "joint_elasticity": lambda: {"stiffness": u(0.3, 0.8) * band,
                                      "damping": u(0.003, 0.01) * band},
-        "joint_spring": lambda: {"stiffness": u(0.2, 0.5) * effort, "preload": u(-0.2, 0.2) * effort},
+        "joint_spring": lambda: {"stiffness": u(0.2, 0.5) * effort,
+                                 "preload": u(-0.2, 0.2) * effort},
         "joint_coupling": lambda: {"ratio": sign * u(0.08, 0.25)},
         "payload": lambda: {"mass": u(0.4, 1.0) * robot.joints[-1].mass, "distance": u(0.05, 0.2)},
         "inertial_parameters": lambda: {"relative_error": u(0.25, 0.6)},
@@ -111,7 +112,9 @@ def excitation(robot: Robot, kind: str, rng: np.random.Generator) -> np.ndarray:
     if kind == "multisine":
         tones = rng.uniform(0.15, 1.4, (4, n))
         phase = rng.uniform(0, 2 * np.pi, (4, n))
-        wave = sum(np.sin(2 * np.pi * f * t + p) / (1.0 + f) for f, p in zip(tones, phase))
+        wave = sum(
+            np.sin(2 * np.pi * f * t + p) / (1.0 + f) for f, p in zip(tones, phase, strict=True)
+        )
         out = center + amplitude * wave * np.minimum(t / 1.0, 1.0) * 0.8
     elif kind == "moves":
         targets = center + amplitude * rng.uniform(-1, 1, (8, n))

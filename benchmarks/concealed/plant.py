@@ -1,9 +1,9 @@
 """Reality for blind cases: a plant that is not MuJoCo and shares no code with pytest_twin.
 
 Pinocchio's rigid-body terms, a semi-implicit integrator at 10 kHz, motor side and link side apart
-where the transmission gives, friction with a bristle state (LuGre, Canudas de Wit et al. 1995) where
-the package fits static curves, a drive with its own current lag, sensors with noise, counts and
-jitter.
+where the transmission gives, friction with a bristle state (LuGre, Canudas de Wit et al. 1995)
+where the package fits static curves, a drive with its own current lag, sensors with noise, counts
+and jitter.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def simulate(
 ) -> Motion:
     """Run the plant under references (steps, recordings, joints) at 10 kHz.
 
-    All recordings run side by side; ``start`` is (recordings, joints). A position or velocity servo follows them itself; an effort drive gets the effort of an outer
-    PD loop with gravity compensation, which is then the recorded command.
+    All recordings run side by side; ``start`` is (recordings, joints). A position or velocity servo
+    follows them itself; an effort drive gets the effort of an outer PD loop with gravity compensation, which is then the recorded command.
     """
     n = len(robot.joints)
     j = robot.joints
@@ -82,8 +82,9 @@ def simulate(
     gain_v = kv * (1 + h("controller_gain", "damping_error"))
     constant = 1 + h("torque_constant", "relative_error")
     limit = np.minimum(peak, h("torque_saturation", "limit", np.inf))
-    stall, free_speed = h("torque_speed_limit", "stall", np.inf), h(
-        "torque_speed_limit", "no_load_speed", np.inf
+    stall, free_speed = (
+        h("torque_speed_limit", "stall", np.inf),
+        h("torque_speed_limit", "no_load_speed", np.inf),
     )
     lag = h("actuator_lag", "time_constant")
     lag_keep = np.exp(-STEP / np.maximum(lag, 1e-9))
@@ -103,7 +104,10 @@ def simulate(
     pre_level = h("presliding_hysteresis", "coulomb")
     pre_x = h("presliding_hysteresis", "presliding_distance", 1.0)
     warm, warm_time = h("thermal_friction", "excess"), h("thermal_friction", "warm_up_time", 1.0)
-    pos_m, pos_s = h("position_dependent_friction", "mean"), h("position_dependent_friction", "sine")
+    pos_m, pos_s = (
+        h("position_dependent_friction", "mean"),
+        h("position_dependent_friction", "sine"),
+    )
     pos_c = h("position_dependent_friction", "cosine")
     spring, preload = h("joint_spring", "stiffness"), h("joint_spring", "preload")
     coupling = h("joint_coupling", "ratio")

@@ -66,8 +66,8 @@ def draw(rng: np.random.Generator, count: int, mode: str) -> Robot:
         center = (0.4 * side, 0.0, 0.3 * side) if axis[2] else (0.02, 0.01, 0.5 * side)
         i_cross = m * side**2 / 12.0
         joints.append(
-            dict(slide=slide, along=along, axis=axis, side=side, mass=m, center=center,
-                 inertia=(i_cross, i_cross, 0.3 * i_cross))
+            {"slide": slide, "along": along, "axis": axis, "side": side, "mass": m,
+             "center": center, "inertia": (i_cross, i_cross, 0.3 * i_cross)}
         )  # fmt: skip
         distal[i] = m
         length *= 0.85
@@ -97,9 +97,7 @@ def mjcf(robot: Robot) -> str:
     """The nominal model, as an engineer would have it."""
     root = ElementTree.Element("mujoco", model=robot.name)
     ElementTree.SubElement(root, "compiler", angle="radian")
-    ElementTree.SubElement(
-        root, "option", timestep=repr(robot.timestep), integrator="implicitfast"
-    )
+    ElementTree.SubElement(root, "option", timestep=repr(robot.timestep), integrator="implicitfast")
     parent = ElementTree.SubElement(root, "worldbody")
     actuator = ElementTree.SubElement(root, "actuator")
 
@@ -109,16 +107,22 @@ def mjcf(robot: Robot) -> str:
     for i, j in enumerate(robot.joints):
         body = ElementTree.SubElement(parent, "body", name=f"link{i + 1}", pos=row(j.origin))
         ElementTree.SubElement(
-            body, "inertial", pos=row(j.center), mass=repr(float(j.mass)), diaginertia=row(j.inertia)
+            body,
+            "inertial",
+            pos=row(j.center),
+            mass=repr(float(j.mass)),
+            diaginertia=row(j.inertia),
         )
         ElementTree.SubElement(
             body, "joint", name=j.name, type="slide" if j.slide else "hinge", axis=row(j.axis),
-            damping=repr(float(j.damping)), frictionloss=repr(float(j.friction)), armature=repr(float(j.armature)),
+            damping=repr(float(j.damping)), frictionloss=repr(float(j.friction)),
+            armature=repr(float(j.armature)),
         )  # fmt: skip
         bound = row((-j.effort, j.effort))
         if robot.mode == "position":
             ElementTree.SubElement(actuator, "position", name=j.name, joint=j.name,
-                                   kp=repr(float(j.kp)), kv=repr(float(j.kv)), forcerange=bound)  # fmt: skip
+                                   kp=repr(float(j.kp)), kv=repr(float(j.kv)), forcerange=bound
+                                   )  # fmt: skip
         elif robot.mode == "velocity":
             ElementTree.SubElement(actuator, "velocity", name=j.name, joint=j.name,
                                    kv=repr(float(j.kv)), forcerange=bound)  # fmt: skip
@@ -149,7 +153,9 @@ def pinocchio_model(
     for i, j in enumerate(robot.joints):
         axis = np.array(j.axis)
         joint = (
-            pin.JointModelPrismaticUnaligned(axis) if j.slide else pin.JointModelRevoluteUnaligned(axis)
+            pin.JointModelPrismaticUnaligned(axis)
+            if j.slide
+            else pin.JointModelRevoluteUnaligned(axis)
         )
         placement = pin.SE3(np.eye(3), np.array(j.origin))
         parent = model.addJoint(parent, joint, placement, j.name)

@@ -1,1 +1,1 @@
-"""One file per command; each has ``HELP``, ``add_arguments(parser)`` and ``run(args) -> exit status``."""
+"""One file per command; each has ``HELP``, ``add_arguments(parser)``, ``run(args) -> status``."""

@@ -47,7 +47,9 @@ def test_second_order(zeta: float, omega: float, sign: float) -> None:
     assert found.rise_time == pytest.approx(ninety - ten, rel=1e-3)
     dense = np.linspace(0.0, 60.0 / omega, 200_001)
     outside = np.abs(second_order(dense, omega, zeta) - 1.0) > 0.02
-    assert found.settling_time == pytest.approx(dense[np.flatnonzero(outside)[-1]], abs=5e-3 / omega)
+    assert found.settling_time == pytest.approx(
+        dense[np.flatnonzero(outside)[-1]], abs=5e-3 / omega
+    )
 
 
 def test_steady_state_error_is_a_fraction_of_the_step() -> None:

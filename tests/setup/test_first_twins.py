@@ -129,7 +129,9 @@ def test_a_broken_robot_leaves_no_half_twin(tmp_path: Path) -> None:
 def test_the_demo_twin_releases(tmp_path: Path) -> None:
     twin = tmp_path / "golden"
     shutil.copytree(
-        DEMO, twin, ignore=shutil.ignore_patterns("releases", "keys", ".twin", "__pycache__", "make")
+        DEMO,
+        twin,
+        ignore=shutil.ignore_patterns("releases", "keys", ".twin", "__pycache__", "make"),
     )
     released = run("pytest", "--twin-release", "golden", cwd=tmp_path, state=tmp_path)
     assert released.returncode == 0, released.stdout[-4000:]
