@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
+from pytest_twin.asset.normalize import source_roots
 from pytest_twin.audit import read_urdf
 from pytest_twin.audit.asset import Asset
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
-from pytest_twin.realization.loading import urdf_roots
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
-def read(path: Path) -> Asset:
+def read(path: Path, packages: Mapping[str, Path] | None = None) -> Asset:
     """Read a URDF, MJCF or USD file for the audit.
+
+    Args:
+        packages: ROS package -> its folder, where it is not found above a URDF.
 
     Raises:
         TwinError: no robot that can be looked at.
@@ -27,7 +31,8 @@ def read(path: Path) -> Asset:
         return read_stage(path)
     tag = xml.parse(path).tag
     if tag == "robot":
-        return read_urdf.read(path, urdf_roots(path))
+        known = dict(packages or {})
+        return read_urdf.read(path, source_roots(path, known), known)
     if tag == "mujoco":
         from pytest_twin.audit.read_mjcf import read as read_model
 

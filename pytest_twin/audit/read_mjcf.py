@@ -22,7 +22,7 @@ from pytest_twin.audit.asset import (
     Shape,
     Vector,
 )
-from pytest_twin.audit.finding import Finding, Place, from_error
+from pytest_twin.audit.finding import LAYERS, Finding, Place, from_error
 from pytest_twin.errors import ModelError
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import inertia, mjcf
@@ -67,6 +67,7 @@ def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
         if not nodes.twice:
             raise
         _bodies_of_text(document.root, out)
+        out.unseen = dict.fromkeys(LAYERS[1:], "MuJoCo's parser refuses the model")
         return out
     try:
         model, warned = mjcf.compiled(spec)
@@ -82,6 +83,10 @@ def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
             )
         )
         _bodies_of_spec(spec, nodes, out)
+        looked_at = ("tree", "inertia")
+        out.unseen = {
+            layer: "the model does not compile" for layer in LAYERS if layer not in looked_at
+        }
         return out
     for words in warned:
         out.faults.append(

@@ -50,8 +50,18 @@ _KINDS: Mapping[str, JointKind] = {
 }
 
 
-def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
+def read(
+    path: Path,
+    roots: Roots,
+    packages: Mapping[str, Path] | None = None,
+    *,
+    limits: ModelLimits = LIMITS,
+) -> Asset:
     """Read a URDF file and its meshes.
+
+    Args:
+        roots: where meshes may lie.
+        packages: name -> folder for ``package://name/``.
 
     Raises:
         FormatError: not well-formed, or beyond a bound.
@@ -60,15 +70,24 @@ def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
     root = urdf.document(path, limits=limits)
     if not root.all("link"):
         raise root.error("a robot without links", expected="at least one <link>")
-    return _Reader(root, path, roots, limits).asset()
+    return _Reader(root, path, roots, packages or {}, limits).asset()
 
 
 class _Reader:
-    def __init__(self, root: Node, path: Path, roots: Roots, limits: ModelLimits) -> None:
+    def __init__(
+        self,
+        root: Node,
+        path: Path,
+        roots: Roots,
+        packages: Mapping[str, Path],
+        limits: ModelLimits,
+    ) -> None:
         self.root = root
+        self.packages = packages
         self.roots = roots
         self.meshes = MeshFiles(limits)
         self.out = Asset("urdf", path, root.attributes.get("name", ""), root)
+        self.out.roots_of_files = roots
         self.out.files = [path]
 
     def asset(self) -> Asset:
@@ -174,7 +193,7 @@ class _Reader:
 
     def _mesh(self, shape: Shape, node: Node, element: str) -> None:
         try:
-            shape.file = mesh_file(node, self.roots, {})
+            shape.file = mesh_file(node, self.roots, self.packages)
         except TwinError as error:
             escapes = "leaves the declared roots" in error.problem or "URL" in error.problem
             self.out.faults.append(

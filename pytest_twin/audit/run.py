@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
     """Every finding of the layers that need no simulator."""
     return [
         *asset.faults,
+        *(_unseen(asset, layer, why) for layer, why in asset.unseen.items()),
         *tree.check(asset),
         *joints.check(asset, known),
         *evidence.check(asset, known),
@@ -51,8 +52,23 @@ def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
     ]
 
 
+def _unseen(asset: Asset, layer: str, why: str) -> Finding:
+    return Finding(
+        f"{layer}.not_looked_at",
+        "unknown",
+        asset.place,
+        f"robot '{asset.name}'",
+        f"this layer could not be looked at: {why}",
+        why="what is not looked at is not sound",
+        settle="the same audit once the critical findings are mended",
+    )
+
+
 def audit_file(
-    path: str, evidence_path: str | None = None, progress: Callable[[float], None] | None = None
+    path: str,
+    evidence_path: str | None = None,
+    packages: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Read and audit a file; what stands in its JSON, and renders as base64 under ``renders``.
 
@@ -61,7 +77,7 @@ def audit_file(
     """
     say = progress or (lambda fraction: None)
     known = Evidence() if evidence_path is None else evidence.load(Path(evidence_path))
-    asset = read(Path(path))
+    asset = read(Path(path), {name: Path(folder) for name, folder in (packages or {}).items()})
     say(0.4)
     geometry = Geometry(asset)
     findings = audit(asset, known, geometry)

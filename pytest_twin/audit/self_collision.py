@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -94,25 +95,25 @@ def poses(asset: Asset, declared: Mapping[str, Mapping[str, float]]) -> dict[str
 def measure(
     asset: Asset, geometry: Geometry, declared: Mapping[str, Mapping[str, float]]
 ) -> tuple[list[PoseResult], list[Finding]]:
-    """Distances at every pose, and what they say; unknown where no simulator takes the model.
+    """Distances at every pose, and what they say.
 
-    URDF and MJCF are compiled and measured by MuJoCo, and what is near by coal too. A USD stage is
-    measured by coal alone, between the convex hulls of its shapes.
+    URDF and MJCF are compiled and measured by MuJoCo, and what is near by coal too. A USD stage,
+    and a model that does not compile, are measured by coal alone, between the convex hulls of the
+    shapes that could be read.
     """
     if not any(shape.role == "collision" for shape in asset.shapes):
         return [], [_unknown(asset, "it has no collision shape", "collision shapes, from CAD")]
-    if asset.kind == "usd":
+    realization = None
+    if asset.kind != "usd":
+        # What no simulator takes is still measured, between hulls.
+        with contextlib.suppress(TwinError):
+            realization = load(asset.path, roots=asset.roots_of_files, accept_invalid_inertia=True)
+    if realization is None:
         results = [
             by_hulls(asset, geometry, name, values)
             for name, values in poses(asset, declared).items()
         ]
         return results, [finding for result in results for finding in _findings(asset, result)]
-    try:
-        realization = load(asset.path, accept_invalid_inertia=True)
-    except TwinError as error:
-        return [], [
-            _unknown(asset, f"the model does not load: {error.problem}", "a model that loads")
-        ]
     if realization.model.ngeom > _MOST_SHAPES:
         return [], [_unknown(asset, "it has too many shapes", f"at most {_MOST_SHAPES} shapes")]
     shapes = Shapes(realization)

@@ -1,1 +1,1 @@
-"""One file per command; each has ``HELP``, ``add_arguments(parser)``, ``run(args) -> status``."""
+"""One file per command: ``HELP``, ``add_arguments(parser)``, ``run(args) -> exit status``."""

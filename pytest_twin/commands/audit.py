@@ -7,6 +7,7 @@ import json
 import sys
 from pathlib import Path
 
+from pytest_twin.commands import packages
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="YAML with what is known from elsewhere: signs, zeros, ranges, poses, commands",
     )
+    packages.add_argument(parser)
     parser.add_argument(
         "--all", action="store_true", help="list every finding, not one line for each kind"
     )
@@ -55,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
             "pytest_twin.audit.run:audit_file",
             {
                 "path": str(asset.resolve()),
+                "packages": packages.parse(args.package),
                 "evidence_path": None if args.evidence is None else str(args.evidence.resolve()),
             },
             progress=_say_progress,

@@ -13,6 +13,7 @@ from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.asset.placing import frozen_source, put_in_place
+from pytest_twin.commands import packages
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.realization.sandbox import Sandbox
 
@@ -32,13 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="accept one named repair of the asset, such as inertia-repair:LINK; once for each",
     )
-    parser.add_argument(
-        "--package",
-        metavar="NAME=FOLDER",
-        action="append",
-        default=[],
-        help="where a package:// of the URDF lies, when it is not found above the file",
-    )
+    packages.add_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
                     "source": str(source),
                     "folder": str(staging),
                     "accept": args.accept,
-                    "packages": _packages(args.package),
+                    "packages": packages.parse(args.package),
                 },
                 progress=_say_progress,
             )
@@ -81,18 +76,6 @@ def run(args: argparse.Namespace) -> int:
         shutil.rmtree(staging, ignore_errors=True)
     _tell(args.out, made)
     return CRITICAL if made["critical"] else CLEAN
-
-
-def _packages(words: list[str]) -> dict[str, str]:
-    found = {}
-    for word in words:
-        name, equals, folder = word.partition("=")
-        if not (name and equals and Path(folder).is_dir()):
-            raise SpecError(
-                "no package", where="--package", value=word, expected="NAME=FOLDER that exists"
-            )
-        found[name] = str(Path(folder).resolve())
-    return found
 
 
 def _tell(out: Path, made: dict[str, Any]) -> None:

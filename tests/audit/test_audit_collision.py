@@ -63,12 +63,21 @@ def test_zero_moves_into_the_ranges_and_followers_follow(tmp_path: Path) -> None
     assert base["thumb_slide"] == 0.01
 
 
-def test_a_model_that_does_not_load_leaves_distances_unknown(tmp_path: Path) -> None:
-    asset = read(write_clean(tmp_path, changed(('filename="bar.stl"', 'filename="no.stl"'))))
+def test_a_model_that_does_not_load_is_measured_by_its_hulls(tmp_path: Path) -> None:
+    # A missing master: no simulator takes it.
+    asset = read(write_clean(tmp_path, changed(('<mimic joint="grip"', '<mimic joint="grap"'))))
+    results, _ = self_collision.measure(asset, Geometry(asset), {})
+    assert results[0].engine == "coal"
+    near = {(n.first, n.second): n.distance for n in results[0].near}
+    assert near["finger", "thumb"] == pytest.approx(0.0145, abs=1e-6)
+
+
+def test_a_robot_without_collision_shapes_leaves_distances_unknown(tmp_path: Path) -> None:
+    text = "<robot name='r'><link name='a'/></robot>"
+    asset = read(write_clean(tmp_path, text))
     results, findings = self_collision.measure(asset, Geometry(asset), {})
     assert results == []
     assert [(f.code, f.severity) for f in findings] == [("meshes.distances_unknown", "unknown")]
-    assert "no such file" in findings[0].title
 
 
 def test_a_picture_shows_what_overlaps_in_red(tmp_path: Path) -> None:

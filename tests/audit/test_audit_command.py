@@ -226,3 +226,19 @@ def test_a_robot_of_huge_counts_ends_in_time(tmp_path: Path) -> None:
     assert "X coupling.mimic_loop: joint 'j1': joints follow each other in a circle" in said
     assert "X inertia.moving_without" in said
     assert len(said.splitlines()) < 80
+
+
+def test_a_package_may_be_named(tmp_path: Path) -> None:
+    text = changed(('filename="bar.stl"', 'filename="package://arm_meshes/bar.stl"'))
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    write_clean(folder)
+    (tmp_path / "robot").mkdir()
+    path = tmp_path / "robot/robot.urdf"
+    path.write_text(text)
+    lost = audit_file(str(path))
+    assert [row["code"] for row in lost["findings"][:1]] == ["meshes.missing"]
+    assert "package 'arm_meshes' is not found" in lost["findings"][0]["title"]
+    found = audit_file(str(path), packages={"arm_meshes": str(folder)})
+    assert found["counts"]["critical"] == 0
+    assert found["meshes"][0]["file"] == str(folder / "bar.stl")

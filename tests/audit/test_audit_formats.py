@@ -9,6 +9,7 @@ import pytest
 from audited import findings_of, line_of, only, robots, write_clean
 from scipy.spatial.transform import Rotation
 
+from pytest_twin.audit.finding import LAYERS
 from pytest_twin.audit.read import read
 from pytest_twin.audit.read_usd import fan
 from pytest_twin.errors import ModelError, PathError
@@ -118,6 +119,8 @@ def test_an_mjcf_that_does_not_compile_is_a_finding(tmp_path: Path) -> None:
     path.write_text(MJCF.replace('diaginertia="0.001 0.01 0.01"', 'diaginertia="1 0.1 0.1"'))
     rows = findings_of(path)
     assert only(rows, "inertia.refused")[0]["severity"] == "critical"
+    unseen = [row["layer"] for row in rows if row["code"].endswith("not_looked_at")]
+    assert sorted(unseen) == sorted(set(LAYERS) - {"tree", "inertia"})
     triangle = only(rows, "inertia.triangle")[0]
     assert (triangle["element"], triangle["line"]) == ("link 'a'", 6)
 
