@@ -1,0 +1,87 @@
+"""Intervals hold: on drawn data with correlated residuals they contain the truth as they claim."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales
+from pytest_twin.diagnosis.intervals import spread
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects.rows import Predicted
+
+SAMPLES, SEGMENTS = 600, 3
+TRUTH = np.array([1.0, -0.5])
+
+
+def problem(defect: np.ndarray | None = None) -> Problem:
+    """As much of a problem as intervals read: stamps, floors, and what the time step costs."""
+    segment = SimpleNamespace(time=np.arange(SAMPLES) * 0.01, effort=None)
+    none = np.zeros((SAMPLES, 1))
+    return Problem(
+        simulator=SimpleNamespace(segments=[segment] * SEGMENTS),  # type: ignore[arg-type]
+        fit=np.arange(SEGMENTS),
+        held_out=np.empty(0, int),
+        floor=np.array([1e-6]),
+        scales=Scales({}),
+        defect={}
+        if defect is None
+        else {i: Predicted(defect[i * SAMPLES : (i + 1) * SAMPLES], none, none)
+              for i in range(SEGMENTS)},
+    )  # fmt: skip
+
+
+def fitted(rng: np.random.Generator, correlation: float, likeness: float = 0.0) -> Fitted:
+    """Least squares of two regressors under first-order autoregressive noise."""
+    n = SAMPLES * SEGMENTS
+    t = np.arange(n) * 0.01
+    one = np.sin(2.1 * t + rng.uniform(0, 6))
+    two = likeness * one + np.sqrt(1 - likeness**2) * np.sin(3.7 * t + rng.uniform(0, 6))
+    design = np.stack([one, two], axis=1)
+    white = rng.standard_normal(n) * np.sqrt(1 - correlation**2)
+    y = design @ TRUTH + 0.1 * lfilter([1.0], [1.0, -correlation], white)
+    theta = np.linalg.lstsq(design, y, rcond=None)[0]
+    residual = (y - design @ theta)[:, None]
+    return Fitted(Hypothesis((), theta), residual, design[:, None, :], 0.0)
+
+
+def coverage(correlation: float, likeness: float = 0.0) -> float:
+    inside = []
+    for seed in range(150):
+        found = fitted(np.random.default_rng(seed), correlation, likeness)
+        width = spread(problem(), found).half_width
+        inside.append(np.abs(found.hypothesis.theta - TRUTH) <= width)
+    return float(np.mean(inside))
+
+
+def test_intervals_contain_the_truth_as_often_as_they_say() -> None:
+    for correlation in (0.0, 0.8, 0.95):
+        assert 0.9 <= coverage(correlation) <= 0.99, correlation
+
+
+def test_intervals_widen_with_correlation_and_are_no_wider_than_needed() -> None:
+    rng = np.random.default_rng(3)
+    white = spread(problem(), fitted(rng, 0.0)).half_width
+    red = spread(problem(), fitted(rng, 0.95)).half_width
+    assert (red > 2.0 * white).all()
+    # White noise of deviation 0.1 on a sine: 0.1 sqrt(2 / n) and Student's 1.96.
+    assert np.allclose(white, 1.96 * 0.1 * np.sqrt(2.0 / (SAMPLES * SEGMENTS)), rtol=0.5)
+
+
+def test_parameters_that_trade_off_are_known_in_combination() -> None:
+    found = spread(problem(), fitted(np.random.default_rng(0), 0.8, likeness=0.995))
+    assert found.correlation[0, 1] < -0.95
+    assert coverage(0.8, likeness=0.995) >= 0.9
+
+
+def test_what_the_time_step_leaves_is_in_the_interval() -> None:
+    given = fitted(np.random.default_rng(1), 0.0)
+    without = spread(problem(), given).half_width
+    pull = 0.4 * given.jacobian[:, :, 0]
+    with_it = spread(problem(pull), given).half_width
+    # An eighth of a defect that looks like the first parameter's response, 0.4 of it.
+    assert np.isclose(with_it[0] - without[0], 0.05, rtol=0.1)
+    assert with_it[1] - without[1] < 0.01
