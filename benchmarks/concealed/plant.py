@@ -56,7 +56,8 @@ def simulate(
     """Run the plant under references (steps, recordings, joints) at 10 kHz.
 
     All recordings run side by side; ``start`` is (recordings, joints). A position or velocity servo
-    follows them itself; an effort drive gets the effort of an outer PD loop with gravity compensation, which is then the recorded command.
+    follows them itself; an effort drive gets the effort of an outer PD loop with gravity
+    compensation, which is then the recorded command.
     """
     n = len(robot.joints)
     j = robot.joints
