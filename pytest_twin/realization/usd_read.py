@@ -358,7 +358,8 @@ def _plain(prim: Any, name: str) -> float | None:
 def _matrix(value: Any) -> Vector:
     """(4, 4) of a Gf matrix, which multiplies rows, with scale left out."""
     matrix: Vector = np.array(value, dtype=np.float64).T
-    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    matrix[:3, :3] /= np.where(scale > 0, scale, 1.0)
     return matrix
 
 
