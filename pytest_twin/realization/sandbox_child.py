@@ -7,7 +7,10 @@ import inspect
 import json
 import os
 import resource
+import signal
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO
@@ -19,6 +22,7 @@ def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> 
     """Answer calls until the parent closes its end."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     os.set_inheritable(request_descriptor, False)
     os.set_inheritable(answer_descriptor, False)
     with (
@@ -28,6 +32,13 @@ def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> 
         while head := requests.read(8):
             request = json.loads(requests.read(int.from_bytes(head, "big")))
             _send(answers, _answer(request, answers))
+
+
+def _end_with_parent(parent: int) -> None:
+    """A parent that was killed cannot end its child: no long call goes on for nobody."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _send(answers: BinaryIO, answer: Mapping[str, Any]) -> None:
