@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,10 +90,11 @@ def views(
             order = np.argsort(corners.mean(axis=1) @ direction)
             shade = 0.62 + 0.25 * np.abs(normals @ direction) + 0.22 * np.abs(normals @ _LIGHT)
             sign = -1.0 if labels[0].startswith("-") else 1.0
-            flat = np.stack([sign * corners[..., right], corners[..., up]], axis=-1)[order]
+            # One array: a list would be made into paths one by one.
+            flat: Any = np.stack([sign * corners[..., right], corners[..., up]], axis=-1)[order]
             fill = np.clip(colours * np.minimum(shade, 1.1)[:, None], 0, 1)[order]
             axis.add_collection(
-                PolyCollection(list(flat), facecolors=fill, edgecolors=fill, linewidths=0.3)
+                PolyCollection(flat, facecolors=fill, edgecolors=fill, linewidths=0.3)
             )
             ends = sorted((sign * low[right], sign * high[right]))
             axis.set_xlim(ends[0] - margin, ends[1] + margin)
