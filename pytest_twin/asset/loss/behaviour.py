@@ -1,0 +1,182 @@
+"""What a robot does, measured on both sides of a conversion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.asset.loss.description import Description, Dynamics
+from pytest_twin.asset.loss.matrix import Item, Row, Verdict
+from pytest_twin.asset.loss.table import EXACT, SINGLE, most
+from pytest_twin.realization.tree import inverse
+
+Vector = NDArray[np.float64]
+_STEP = 0.1
+_PARALLEL = 1e-12
+
+
+def rows(
+    source: Description,
+    target: Description,
+    reference: Dynamics,
+    by: str,
+    poses: list[dict[str, float]],
+) -> Iterable[Row]:
+    """Poses, directions, mass, gravity torque, mass matrix and default state.
+
+    Args:
+        reference: the source robot by an engine that is not the target's; ``by`` names it.
+        poses: configurations, rad and m by joint.
+    """
+    ran = f"{by} against {target.engine} at {len(poses)} configurations"
+    frames = [name for name in reference.frames if name in target.dynamics.frames]
+    metres = radians = 0.0
+    for q in poses:
+        first, second = reference.poses(q), target.dynamics.poses(q)
+        for frame in frames:
+            metres = max(metres, float(np.abs(first[frame] - second[frame])[:3, 3].max()))
+            radians = max(radians, turned(first[frame], second[frame]))
+    what = f"{len(frames)} frames"
+    yield _measured("forward kinematics, position", what, ran, metres, 1.0, "m")
+    yield _measured("forward kinematics, orientation", what, ran, radians, 1.0, "rad")
+    yield _directions(source, target, reference, by)
+    mass = reference.mass(), target.dynamics.mass()
+    yield _measured(
+        "mass",
+        f"{mass[0]:.9g} kg",
+        f"{by} against {target.engine}, all bodies",
+        abs(mass[0] - mass[1]),
+        max(mass[0], 1e-3),
+        "kg",
+        after=f"{mass[1]:.9g} kg",
+    )
+    centre = max(
+        float(np.abs(reference.center_of_mass(q) - target.dynamics.center_of_mass(q)).max())
+        for q in poses
+    )
+    yield _measured("centre of mass", "of all bodies", ran, centre, 1.0, "m")
+    mine, theirs = _orders(reference, target.dynamics, poses[0])
+    names = f"{len(mine)} joints"
+    torque, largest = 0.0, 1.0
+    matrix, heaviest = 0.0, 1e-3
+    for q in poses if mine else []:
+        one, two = reference.gravity_torque(q)[mine], target.dynamics.gravity_torque(q)[theirs]
+        torque, largest = max(torque, most(one - two)), max(largest, most(one))
+        big = reference.mass_matrix(q)[np.ix_(mine, mine)]
+        other = target.dynamics.mass_matrix(q)[np.ix_(theirs, theirs)]
+        matrix, heaviest = max(matrix, most(big - other)), max(heaviest, most(big))
+    yield _measured("gravity torque", names, ran, torque, largest, "N*m or N")
+    yield _measured("mass matrix", names, ran, matrix, heaviest, "kg*m^2, kg*m or kg")
+    yield _default_state(source, target)
+
+
+def turned(first: Vector, second: Vector) -> float:
+    """Angle between two rotations, exact where it is small, rad."""
+    chord = float(np.linalg.norm(first[:3, :3] - second[:3, :3])) / math.sqrt(8.0)
+    return 2.0 * math.asin(min(1.0, chord))
+
+
+def _orders(
+    first: Dynamics, second: Dynamics, shared: Mapping[str, float]
+) -> tuple[list[int], list[int]]:
+    """Where the shared joints stand in the two orders."""
+    return (
+        [first.joints.index(name) for name in shared],
+        [second.joints.index(name) for name in shared],
+    )
+
+
+def _measured(
+    feature: str,
+    before: str,
+    ran: str,
+    difference: float,
+    scale: float,
+    unit: str,
+    *,
+    after: str | None = None,
+    items: tuple[Item, ...] = (),
+) -> Row:
+    verdict: Verdict = "kept" if difference <= EXACT * scale else "changed"
+    told = after or before
+    if verdict == "changed" and after is None:
+        told = f"{before}, off by up to {difference:.3g} {unit}"
+    # What is not a number is no smaller than the tolerance either.
+    critical = not difference <= SINGLE * scale
+    if not math.isfinite(difference):
+        verdict, critical = "changed", True
+    return Row(
+        feature, verdict, before, told, ran, difference, EXACT * scale, unit, items, critical
+    )
+
+
+def _directions(source: Description, target: Description, reference: Dynamics, by: str) -> Row:
+    """Each joint moved alone from the state of zeros: the screw that it makes the robot follow."""
+    shared = [name for name in reference.joints if name in target.dynamics.joints]
+    frames = [name for name in reference.frames if name in target.dynamics.frames]
+    home_one, home_two = reference.poses({}), target.dynamics.poses({})
+    items, worst = [], 0.0
+    for name in shared:
+        one, two = reference.poses({name: _STEP}), target.dynamics.poses({name: _STEP})
+        angle = 0.0
+        for frame in frames:
+            first = _screw(one[frame] @ inverse(home_one[frame]))
+            if first is None:
+                continue
+            second = _screw(two[frame] @ inverse(home_two[frame]))
+            angle = math.pi if second is None else _between(first, second)
+            break
+        worst = max(worst, angle)
+        if angle > SINGLE:
+            turned_round = "the other way" if angle > math.pi / 2 else "about another axis"
+            items.append(Item(name, "changed", "as stated", f"{turned_round}, {angle:.4g} rad"))
+    ran = f"each joint moved by {_STEP:g} rad or m alone, {by} against {target.engine}"
+    return _measured(
+        "direction of every joint",
+        f"{len(shared)} joints",
+        ran,
+        worst,
+        1.0,
+        "rad",
+        items=tuple(items),
+    )
+
+
+def _screw(motion: Vector) -> Vector | None:
+    """Unit direction of a motion: of its rotation, else of its translation; None if it rests."""
+    skew = motion[:3, :3] - motion[:3, :3].T
+    axis = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    length = float(np.linalg.norm(axis))
+    if length < 1e-9:
+        axis = motion[:3, 3]
+        length = float(np.linalg.norm(axis))
+    return None if length < _PARALLEL else axis / length
+
+
+def _between(first: Vector, second: Vector) -> float:
+    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))
+
+
+def _default_state(source: Description, target: Description) -> Row:
+    items = []
+    worst = 0.0
+    shared = [name for name in source.joints if name in target.joints]
+    for name in shared:
+        apart = abs(source.joints[name].default - target.joints[name].default)
+        worst = max(worst, apart)
+        if apart > EXACT:
+            stated = (source.joints[name].default, target.joints[name].default)
+            items.append(Item(name, "changed", *(f"{value:.6g}" for value in stated)))
+    ran = f"joint values as {target.engine} loads the model"
+    return _measured(
+        "default state",
+        f"{len(shared)} joints at zero",
+        ran,
+        worst,
+        1.0,
+        "rad or m",
+        items=tuple(items),
+    )
