@@ -208,6 +208,13 @@ class _Maker:
     def series(self, role: str) -> JointSeries:
         found = self.recording.series.get(role)
         if found is None or not len(found.stamp):
+            if self.recording.damage:
+                raise self.error(
+                    f"no {role} messages in what could be read of a damaged file",
+                    role,
+                    value=str(self.recording.damage[0]),
+                    expected="a whole recording",
+                )
             raise self.error(
                 f"no {role} messages",
                 role,

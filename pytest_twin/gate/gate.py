@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -91,16 +91,17 @@ class Gate:
     def plan(self) -> Plan:
         """What is stale and why, found out once, before anything runs."""
         if self._plan is None:
-            goldens, broken = [], []
+            goldens: list[Golden] = []
+            broken: dict[Path, str] = {}
             for path in specs.spec_paths(self.twin):
                 try:
                     goldens.append(self.golden(path))
                 except TwinError as error:
-                    broken.append(str(error))
+                    broken[path] = str(error)
             self._plan = self._made(goldens, broken)
         return self._plan
 
-    def _made(self, goldens: list[Golden], broken: list[str]) -> Plan:
+    def _made(self, goldens: list[Golden], broken: Mapping[Path, str]) -> Plan:
         traces = specs.trace_paths(self.twin)
         today = look_around(self.twin, goldens, self.runner.child(self.twin), fresh=self.signing)
         baseline, known, notes = self._baseline()
@@ -119,8 +120,11 @@ class Gate:
             for golden in goldens
             for realization in golden.realizations
         }
-        missing, dropped = gone(known, tasks, self.twin.retired)
+        # What a broken spec stands for is neither missing nor without a spec.
+        there = {specs.golden_id(path, self.twin) for path in broken}
+        missing, dropped = gone(known, tasks, self.twin.retired, there)
         referred = {golden.path.parent / golden.trace.file for golden in goldens if golden.trace}
+        referred |= {path.with_suffix(".trace.csv") for path in broken}
         return Plan(
             tasks=tasks,
             parts=today.stock.parts,
@@ -131,7 +135,7 @@ class Gate:
                 path.relative_to(self.root).as_posix() for path in traces if path not in referred
             ),
             files=today.files,
-            problems=(*broken, *today.problems),
+            problems=(*broken.values(), *today.problems),
             notes=notes,
         )
 

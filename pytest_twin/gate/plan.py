@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -99,9 +99,12 @@ def vouched(release: Release) -> staleness.Baseline:
 
 
 def gone(
-    known: Release | None, tasks: Mapping[str, Task], retired: Mapping[str, str]
+    known: Release | None,
+    tasks: Mapping[str, Task],
+    retired: Mapping[str, str],
+    broken: Collection[str] = (),
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Goldens that a release knows and that are not there any more.
+    """Goldens that a release knows and that are not there any more; ``broken`` ids are there.
 
     Returns:
         Ids that are missing, and keys that were given up knowingly: retired, or on a realization
@@ -118,7 +121,7 @@ def gone(
             continue
         if ident in here or ident in retired:
             dropped.append(key)
-        else:
+        elif ident not in broken:
             missing[ident] = None
     return tuple(missing), tuple(dropped)
 

@@ -51,6 +51,7 @@ class TwinSession:
         self.options = options
         self.gates: dict[Path, Gate] = {}
         self.broken: dict[Path, TwinError] = {}
+        self.said: set[Path] = set()
         self.runner = Runner(options.seconds)
         self.progress = ProgressLine(config)
         self.failures: list[str] = []
@@ -84,10 +85,18 @@ class TwinSession:
         return self.gates.get(twin_file)
 
     def spec(self, path: Path, twin_file: Path, parent: pytest.Collector) -> GoldenFile | None:
-        """The collector of a spec, None where ``path`` is no spec."""
+        """The collector of a spec, None where ``path`` is no spec.
+
+        A broken ``twin.yaml`` is said once, by the first spec.
+        """
         gate = self.gate(twin_file)
         if gate is not None and not gate.is_spec(path):
             return None
+
+        if gate is None:
+            if twin_file in self.said:
+                return None
+            self.said.add(twin_file)
 
         def load() -> tuple[Gate, Golden]:
             if gate is None:

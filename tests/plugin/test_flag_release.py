@@ -137,6 +137,16 @@ def test_a_broken_spec_is_refused(released) -> None:
     assert released.releases == ["0001"]
 
 
+def test_what_a_broken_spec_stands_for_is_not_gone(released) -> None:
+    released.edit("golden/fk/home.yaml", "kind: fk", "kind: teleport")
+    released.write("golden/fk/home.trace.csv", "time [s]\n0\n")
+    result = released.run("--twin-release", "--continue-on-collection-errors")
+    refusal = result.stdout.str().partition("no release:")[2]
+    assert "home.yaml:2: kind: unknown kind (got 'teleport'" in refusal
+    assert "missing" not in refusal
+    assert "delete it" not in refusal
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

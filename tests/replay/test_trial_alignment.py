@@ -177,6 +177,14 @@ ERRORS: dict[str, tuple[Callable[[], Recording], str]] = {
         "made.mcap: command: no command messages (expected a topic for role 'command'; topics are "
         "mapped in twin.yaml or by --topics state=/x,command=/y)",
     ),
+    "nothing left": (
+        lambda: replace(
+            recording(sound().series["state"], None),
+            damage=(Damage("byte 120", "a chunk that ends early"),),
+        ),
+        "made.mcap: command: no command messages in what could be read of a damaged file "
+        "(got 'byte 120: a chunk that ends early'; expected a whole recording)",
+    ),
     "one state": (
         lambda: sound(1),
         "made.mcap: /joint_states: too few states (got 1; expected 2)",
