@@ -11,7 +11,7 @@ import numpy as np
 from pytest_twin.diagnosis.findings import Explained, explain, finding_json, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
-from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
 from pytest_twin.diagnosis.realize import (
     AppliedEffect,
     Patched,
@@ -240,18 +240,26 @@ def _left(
 ) -> dict[str, Left]:
     """The joints whose own force is missing, the clearest first."""
     problem = prepared.problem
-    force = missing_force(problem, after)
+    force = missing_force(problem, after, prepared.floor_parts[NOISE])
     strength = force.strength
     paths = motions(prepared, trials)
-    cause = strength >= max(_CAUSE * float(strength.max(initial=0.0)), 1e-9)
     found: dict[str, Left] = {}
-    for j in sorted(np.flatnonzero(cause), key=lambda j: -strength[j]):
+
+    def add(j: int, blame: FloatArray) -> None:
         joint = problem.joints[j]
-        if joint not in errors or errors[joint].fraction <= 0.0:
-            continue
-        blame = np.maximum((force.force[:, j] / force.noise[j]) ** 2 - 1.0, 0.0)
-        where = place_of(paths, blame, int(j), errors[joint].unit)
+        where = place_of(paths, np.nan_to_num(blame), j, errors[joint].unit)
         found[joint] = Left(errors[joint].fraction, where)
+
+    clear = max(_CAUSE * float(strength.max(initial=0.0)), 1e-9)
+    for j in sorted(map(int, np.flatnonzero(strength >= clear)), key=lambda j: -strength[j]):
+        if problem.joints[j] in errors and errors[problem.joints[j]].fraction > 0.0:
+            add(j, np.maximum((force.force[:, j] / force.noise[j]) ** 2 - 1.0, 0.0))
+    if not found:
+        # No force stands out of the encoders' noise: what is left is slow, and only shows.
+        for joint, error in errors.items():
+            if not error.explained:
+                j = problem.joints.index(joint)
+                add(j, (after[:, j] / problem.floor[j]) ** 2)
     return found
 
 

@@ -212,9 +212,13 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
         share, worst = max(weak)
         if share <= 0.0:
             return _Pruned(fitted, rests, notes)
+        top = float(base.max())
+        left = (
+            f"{100 * share:.0f} % of the squared mismatch" if share > 0.01 else f"{top:.0f} floors"
+        )
         notes.append(
-            f"nearest in the catalogue is {_label(problem, terms[worst])}, but with it "
-            f"{100 * share:.0f} % of the squared mismatch is left; it is not claimed"
+            f"nearest in the catalogue is {_label(problem, terms[worst])}, but with it {left} "
+            "are left; it is not claimed"
         )
         fitted = refitted[worst]
     return _Pruned(fitted, [], notes)

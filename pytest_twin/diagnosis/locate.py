@@ -273,7 +273,7 @@ class MissingForce:
 
     Attributes:
         force: (samples, joints) over all segments, N*m or N.
-        noise: (joints,) root mean square that the sensors' floor alone would give.
+        noise: (joints,) root mean square that the encoders' noise alone would give.
     """
 
     force: FloatArray
@@ -287,7 +287,7 @@ class MissingForce:
         return strength
 
 
-def missing_force(problem: Problem, residual: FloatArray) -> MissingForce:
+def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> MissingForce:
     """Turn position residuals back into the force that would remove them.
 
     Small deviations r of the simulated motion obey M(q) r'' + D r' + K r = f, with D and K of
@@ -296,6 +296,7 @@ def missing_force(problem: Problem, residual: FloatArray) -> MissingForce:
 
     Args:
         residual: (samples, signals) over all segments, positions first.
+        noise: (joints,) of the encoders, rad or m.
     """
     simulator = problem.simulator
     joints = len(simulator.joints)
@@ -327,11 +328,10 @@ def missing_force(problem: Problem, residual: FloatArray) -> MissingForce:
         basis = np.vander(np.arange(-half, half + 1) / half, 4, increasing=True)
         w = np.linalg.pinv(basis)
         gain = [np.linalg.norm(w[o]) * f / (half * usual) ** o for o, f in ((0, 1), (1, 1), (2, 2))]
-        floor = problem.floor
         noises.append(
-            (inertia**2 @ floor**2) * gain[2] ** 2
-            + (damping * floor * gain[1]) ** 2
-            + (stiffness * floor * gain[0]) ** 2
+            (inertia**2 @ noise**2) * gain[2] ** 2
+            + (damping * noise * gain[1]) ** 2
+            + (stiffness * noise * gain[0]) ** 2
         )
     return MissingForce(np.concatenate(forces), np.sqrt(np.maximum(np.mean(noises, axis=0), 1e-30)))
 

@@ -25,6 +25,7 @@ from pytest_twin.trial import Trial
 # long, then starts anew from the measured state.
 _EFFORT_WINDOW = 1.0
 REFINE = 4
+NOISE = "sensor noise and quantization"
 LEFT_BY_CORRECTION = 0.125
 
 
@@ -87,7 +88,7 @@ def prepare(
     steps = discretization(problem)
     # What the correction leaves of the step's error, at most an eighth as measured on arms.
     problem.floor = np.sqrt(noise**2 + (LEFT_BY_CORRECTION * steps) ** 2)
-    parts = {"sensor noise and quantization": noise, "discretization of the simulator": steps}
+    parts = {NOISE: noise, "discretization of the simulator": steps}
     return Prepared(problem, tuple(owner), parts)
 
 

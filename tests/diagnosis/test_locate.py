@@ -109,7 +109,7 @@ def test_a_push_is_located_at_the_joint_that_is_pushed(tmp_path: Path, cause: in
     residual = problem.residuals([EMPTY], np.array([0]))[0]
     shown = np.sqrt(np.mean(residual**2, axis=0)) / problem.floor
     assert shown.min() > 3.0, "both joints show it, or there is nothing to tell apart"
-    found = missing_force(problem, residual)
+    found = missing_force(problem, residual, np.full(2, 1e-4))
     other = 1 - cause
     assert found.strength[cause] > 3.0 * found.strength[other]
     pushed = (time > 1.3) & (time < 1.6)
