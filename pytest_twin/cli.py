@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -12,6 +13,7 @@ from pytest_twin.errors import TwinError
 
 COMMANDS: tuple[str, ...] = ("init", "intake", "audit", "realize", "replay", "diagnose", "verify")
 UNUSABLE_INPUT = 2
+READER_GONE = 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,6 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except TwinError as error:
         print(f"pytest-twin {args.command}: {error}", file=sys.stderr)
         return UNUSABLE_INPUT
+    except BrokenPipeError:
+        # Whoever read the output has gone (`| head`): what was to be written stands in its files.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return READER_GONE
     except KeyboardInterrupt:
         print(f"pytest-twin {args.command}: interrupted; nothing was half written", file=sys.stderr)
         return 130

@@ -164,8 +164,9 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
         "unknown",
         mimic.place,
         element,
-        f"it follows '{mimic.leader}' by geometry alone: what force passes, how stiffly, "
-        "with what play, is not said",
+        f"it follows '{mimic.leader}' by "
+        + ("geometry alone" if asset.kind == "urdf" else "a constraint as stiff as the solver's")
+        + ": what force passes, how stiffly, with what play, is not said",
         f"{mimic.multiplier:g} x + {mimic.offset:g}",
         follower.unit,
         None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,6 +51,51 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 _CAD,
             )
     yield from _moving(asset, geometry)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A body beside the hull of its shape, of uniform density.
+
+    Attributes:
+        mass: kg; density: mass over the hull's volume, kg/m^3.
+        moments: (3,) principal, kg*m^2; uniform: the same of the hull with the body's mass.
+        com_offset: from the hull's centroid to the centre of mass, m.
+        stated: False where a compiler took mass and inertia from the geometry.
+    """
+
+    body: str
+    mass: float
+    moments: tuple[float, ...]
+    stated: bool
+    density: float | None
+    uniform: tuple[float, ...] | None
+    com_offset: float | None
+
+
+def comparisons(asset: Asset, geometry: Geometry) -> list[Comparison]:
+    """Every body with mass beside its shape; None where it has no shape with a volume."""
+    found = []
+    for body in asset.body.values():
+        if not body.mass or body.inertia is None:
+            continue
+        solid = geometry.body(body.name)
+        moments = tuple(float(value) for value in principal(body.inertia))
+        if solid is None:
+            found.append(Comparison(body.name, body.mass, moments, body.stated, None, None, None))
+            continue
+        found.append(
+            Comparison(
+                body.name,
+                body.mass,
+                moments,
+                body.stated,
+                body.mass / solid.volume,
+                tuple(float(value) for value in body.mass * principal(solid.inertia)),
+                float(np.linalg.norm(body.com - solid.centroid)),
+            )
+        )
+    return found
 
 
 def _element(body: Body) -> str:

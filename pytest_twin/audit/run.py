@@ -151,6 +151,21 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             "files": [str(file) for file in asset.files],
         },
         "findings": rows,
+        "bodies": [
+            {
+                "body": row.body,
+                "mass": {"value": row.mass, "unit": "kg"},
+                "stated": row.stated,
+                "principal_moments": {"value": list(row.moments), "unit": "kg*m^2"},
+                "uniform_moments": {
+                    "value": None if row.uniform is None else list(row.uniform),
+                    "unit": "kg*m^2",
+                },
+                "hull_density": {"value": row.density, "unit": "kg/m^3"},
+                "com_offset": {"value": row.com_offset, "unit": "m"},
+            }
+            for row in inertia.comparisons(asset, geometry)
+        ],
         "meshes": [
             {
                 "file": str(fact.file),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -53,6 +55,11 @@ def test_a_clean_robot_exits_0_and_leaves_json_and_page(
     }
     assert found["poses"][0]["pose"] == "zeros, within the ranges"
     assert found["meshes"][0]["watertight"] is True
+    upper = next(row for row in found["bodies"] if row["body"] == "upper")
+    # 2 kg of 0.3 x 0.06 x 0.06 m, and the moments of that very bar.
+    assert upper["hull_density"] == {"value": pytest.approx(2 / 0.00108), "unit": "kg/m^3"}
+    assert upper["uniform_moments"]["value"] == pytest.approx([0.0012, 0.0156, 0.0156])
+    assert upper["principal_moments"]["value"] == pytest.approx([0.0012, 0.0156, 0.0156])
     page = (tmp_path / "out/robot.urdf.audit.html").read_text()
     assert "data:image/png;base64," in page
     # Self-contained: nothing is fetched, nothing runs.
@@ -242,3 +249,11 @@ def test_a_package_may_be_named(tmp_path: Path) -> None:
     found = audit_file(str(path), packages={"arm_meshes": str(folder)})
     assert found["counts"]["critical"] == 0
     assert found["meshes"][0]["file"] == str(folder / "bar.stl")
+
+
+def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
+    path = write_clean(tmp_path)
+    command = f"{sys.executable} -m pytest_twin.cli audit {path} --out {tmp_path} --all | true"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert (tmp_path / "robot.urdf.audit.json").exists()
