@@ -43,15 +43,15 @@ Element = Any
 Rng = np.random.Generator
 Key = tuple[str, str, str]
 
-PER_ROBOT = 8
-DRAWN = 4  # configurations for each robot, beside the generic one
-MEASURED = 64  # configurations at which a fault's effect is measured
+PER_ROBOT = 16
+DRAWN = 2  # configurations for each robot, beside the generic one
+MEASURED = 40  # configurations at which a fault's effect is measured
 HEAVY = 400_000  # bytes of a mesh above which the robot goes without it here
-MOST_JOINTS = 45
+MOST_JOINTS = 60  # of a real robot, fixed ones included
 TARGETS: Mapping[str, tuple[Callable[[Path], Form], float]] = {
     "MuJoCo": (mujoco_form, 0.5),
-    "Pinocchio": (pinocchio_form, 0.3),
-    "USD": (usd_form, 0.2),
+    "Pinocchio": (pinocchio_form, 0.35),
+    "USD": (usd_form, 0.15),
 }
 # What each form can hold of a joint: a fault elsewhere has nothing to show.
 CARRIES = {
@@ -757,7 +757,13 @@ def mutate(subject: Subject, source: str, rng: Rng, tally: Tally) -> None:
 def _catcher(subject: Subject, target: str, path: Path) -> str | None:
     """The property that sees the fault, or that the importer refuses it; None: nobody."""
     try:
-        faulty = TARGETS[target][0](path)
+        if b"scale=" in path.read_bytes():
+            # Realizations are made of normalized assets, whose meshes are in metres.
+            with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+                made = normalize(path, Path(folder), roots=source_roots(path))
+                faulty = TARGETS[target][0](made.urdf)
+        else:
+            faulty = TARGETS[target][0](path)
         forms = {**subject.forms, target: faulty}
         if target != "USD":
             forms.pop("USD", None)
@@ -771,8 +777,8 @@ def _catcher(subject: Subject, target: str, path: Path) -> str | None:
 
 def subjects(folder: Path, count: int, start: int, tally: Tally) -> Iterator[tuple[str, Subject]]:
     """Random and real robots in turn, for ever."""
-    drawn = iter(random_robots(count, start))
     real = real_robots()
+    drawn = iter(random_robots(count // 2 + 1 if real else count, start))
     np.random.default_rng(start).shuffle(real)  # type: ignore[arg-type]
     for number in range(count):
         place = folder / str(number)
@@ -783,8 +789,8 @@ def subjects(folder: Path, count: int, start: int, tally: Tally) -> Iterator[tup
                 path = real[number // 2 % len(real)]
                 source, name = "real", path.stem
                 urdf = normalized(path, place)
-                if len(etree.parse(str(urdf)).findall("joint")) > 2 * MOST_JOINTS:
-                    tally.skipped.append(f"{name}: more than {2 * MOST_JOINTS} joints")
+                if len(etree.parse(str(urdf)).findall("joint")) > MOST_JOINTS:
+                    tally.skipped.append(f"{name}: more than {MOST_JOINTS} joints")
                     continue
             else:
                 robot = next(drawn)
@@ -803,7 +809,7 @@ def run(mutations: int, start: int, *, say: Callable[[str], None] = lambda words
     tally = Tally()
     rng = np.random.default_rng(start)
     with tempfile.TemporaryDirectory() as folder:
-        count = 3 * math.ceil(mutations / PER_ROBOT) + 4
+        count = 2 * math.ceil(mutations / PER_ROBOT) + 4
         for source, made in subjects(Path(folder), count, start, tally):
             for _ in range(min(PER_ROBOT, mutations - tally.mutations)):
                 mutate(made, source, rng, tally)

@@ -79,6 +79,8 @@ def _first_motion(
 ) -> tuple[str, Vector] | None:
     """Frame and unit screw of the first frame that moves: what a joint carries moves as one."""
     for frame in frames:
+        if np.array_equal(after[frame], before[frame]):
+            continue
         motion = after[frame] @ inverse(before[frame])
         skew = motion[:3, :3] - motion[:3, :3].T
         turn = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])

@@ -142,14 +142,14 @@ def _same(
                 float(apart[i, k]),
                 float(bounds[i, k]),
                 "kg*m^2, kg*m or kg",
-                f"{form.name}, {other.name}",
+                f"{form.name}, imported again by {other.name}",
             )
 
 
 def _pose_off(
     asset: Asset, form: Form, frame: str, one: Vector, two: Vector, how: str, by: str
 ) -> Iterator[Broken]:
-    forms = f"{form.name}, {by}"
+    forms = f"{form.name}, imported again by {by}"
     apart = position_error(two[:3, 3], one[:3, 3])
     if not apart <= asset.tolerances.position:
         words = f"{how}, stands elsewhere"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,7 @@ class Spread:
     armature: float = 0.1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Perturbation:
     """A perturbed asset.
 
@@ -45,12 +46,17 @@ class Perturbation:
         patches: what is other, as the ``fit:`` of a ``twin.yaml`` states it: ``body`` and
             ``joint`` -> element -> attribute -> value in SI units.
         changes: the same in words, one for each number.
-        realization: the asset with these numbers, its Pinocchio reference too.
+        source: the asset as it stands.
     """
 
     patches: Patches
     changes: tuple[str, ...]
-    realization: Realization = field(repr=False)
+    source: Realization = field(repr=False)
+
+    @cached_property
+    def realization(self) -> Realization:
+        """The asset with these numbers, its Pinocchio reference too."""
+        return _with_patches(self.source, self.patches)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +147,7 @@ def _perturbed(
             patch[number.attribute] = moved
             words = (" ".join(f"{value:.6g}" for value in row) for row in (number.value, moved))
             changes.append(f"{where}: {' -> '.join(words)}{unit}")
-    return Perturbation(patches, tuple(changes), _with_patches(realization, patches))
+    return Perturbation(patches, tuple(changes), realization)
 
 
 def _scaled_inertia(realization: Realization, body: str, factor: float) -> tuple[float, ...]:
