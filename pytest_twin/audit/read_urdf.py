@@ -201,7 +201,6 @@ class _Reader:
                     error,
                     "meshes.escapes" if escapes else "meshes.missing",
                     element,
-                    severity="critical" if escapes or shape.role == "collision" else "warning",
                     why="a body without its shape collides with nothing"
                     if shape.role == "collision"
                     else "viewers refuse the robot or show it without this part",

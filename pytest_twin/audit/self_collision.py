@@ -22,7 +22,7 @@ from pytest_twin.realization.model import Realization
 BASE_POSE = "zeros, within the ranges"
 _NEAR = 0.05
 """m: pairs farther apart than this are not listed."""
-_MOST_PAIRS = 400
+_MOST_PAIRS = 1000
 """Pairs of one pose whose distance is computed, the nearest by their bounding spheres."""
 _MOST_POSES = 20
 _MOST_SHAPES = 3000

@@ -70,8 +70,11 @@ def groups(findings: Iterable[Mapping[str, Any]]) -> list[Group]:
 
 
 def table(audit: Mapping[str, Any], *, every: bool = False) -> str:
-    """What a terminal shows: what is critical in full, the rest by kind unless ``every``."""
-    lines = [headline(audit), ""]
+    """What a terminal shows: layers and counts, what is critical in full, the rest by kind.
+
+    ``every`` finding in full, where asked for.
+    """
+    lines = [headline(audit), "", *_layers(audit), ""]
     for group in groups(audit["findings"]):
         if group.severity == "info" and not every:
             continue
@@ -93,6 +96,16 @@ def table(audit: Mapping[str, Any], *, every: bool = False) -> str:
         f"{number(facts['mass']['value'])} kg",
     ]
     return "\n".join(printable(line) for line in lines)
+
+
+def _layers(audit: Mapping[str, Any]) -> list[str]:
+    """One line for each layer, one column for each severity."""
+    width = max(len(layer) for layer in audit["layers"])
+    lines = [" " * width + "".join(f"{severity:>10}" for severity in MARKS)]
+    for layer, counts in audit["layers"].items():
+        cells = "".join(f"{counts[severity] or '-':>10}" for severity in MARKS)
+        lines.append(f"{layer:<{width}}{cells}")
+    return lines
 
 
 def headline(audit: Mapping[str, Any]) -> str:

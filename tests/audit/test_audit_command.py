@@ -32,6 +32,10 @@ def test_a_clean_robot_exits_0_and_leaves_json_and_page(
     said = capsys.readouterr().out
     assert "clean: 0 critical, 0 warning" in said.splitlines()[0]
     assert "? commands.unknown (3)" in said
+    rows = [line.split() for line in said.splitlines()]
+    assert ["critical", "warning", "unknown", "info"] in rows
+    assert ["inertia", "-", "-", "-", "-"] in rows
+    assert ["commands", "-", "-", "3", "-"] in rows
     found = json.loads((tmp_path / "out/robot.urdf.audit.json").read_text())
     assert found["schema"] == 1
     assert found["verdict"] == "clean"

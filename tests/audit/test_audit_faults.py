@@ -122,7 +122,7 @@ FAULTS = [
         [('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>')],
         "joints.unreadable",
         "critical",
-        "axis.xyz",
+        "joint 'elbow'",
         '<axis xyz="0 0 0"/>',
     ),
     (
@@ -170,7 +170,7 @@ FAULTS = [
         [(ELBOW_LIMIT, '<limit lower="2" upper="-2" velocity="2" effort="20"/>')],
         "joints.unreadable",
         "critical",
-        "limit.lower",
+        "joint 'elbow'",
         '<limit lower="2"',
     ),
     (
@@ -202,7 +202,7 @@ FAULTS = [
         [('<limit lower="-1.5"', '<limit lower="nan"')],
         "joints.unreadable",
         "critical",
-        "limit.lower",
+        "joint 'shoulder'",
         '<limit lower="nan"',
     ),
     (
@@ -308,7 +308,7 @@ FAULTS = [
         [('<mass value="2"/>', '<mass value="-2"/>')],
         "inertia.unreadable",
         "critical",
-        "mass.value",
+        "link 'upper'",
         '<mass value="-2"/>',
     ),
     (
@@ -401,15 +401,28 @@ FAULTS = [
         [('filename="bar.stl"', 'filename="bra.stl"')],
         "meshes.missing",
         "critical",
-        "mesh.filename",
+        "collision of link 'lower'",
         'filename="bra.stl"',
+    ),
+    (
+        "a visual mesh that is not there",
+        [
+            (
+                '<visual><origin xyz="0.15 0 0"/><geometry><box size="0.3 0.06 0.06"/>',
+                '<visual><origin xyz="0.15 0 0"/><geometry><mesh filename="seen.dae"/>',
+            )
+        ],
+        "meshes.missing",
+        "critical",
+        "visual of link 'upper'",
+        'filename="seen.dae"',
     ),
     (
         "a mesh outside the roots",
         [('filename="bar.stl"', 'filename="../../../../etc/passwd"')],
         "meshes.escapes",
         "critical",
-        "mesh.filename",
+        "collision of link 'lower'",
         "etc/passwd",
     ),
     (
@@ -441,7 +454,7 @@ FAULTS = [
         [('<box size="0.04 0.015 0.015"/>', '<box size="1 1 1"/><sphere radius="1"/>')],
         "meshes.unreadable",
         "critical",
-        "collision",
+        "collision of link 'finger'",
         None,
     ),
     (
@@ -536,7 +549,7 @@ FAULTS = [
         [('<link name="tcp"/>', '<link name="tcp"/><link/>')],
         "tree.unreadable",
         "critical",
-        "link.name",
+        "link",
         "<link/>",
     ),
 ]

@@ -1,0 +1,103 @@
+"""Hostile values anywhere in a robot: findings or a plain error, and never anything else."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from audited import CLEAN, write_clean
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pytest_twin.audit import finding
+from pytest_twin.audit.evidence import Evidence
+from pytest_twin.audit.geometry import Geometry
+from pytest_twin.audit.read import read
+from pytest_twin.audit.run import audit, report
+from pytest_twin.errors import TwinError
+
+HOSTILE = (
+    *("", "nan", "inf", "-1", "0", "1e308", "1e-308", "1 2", "0 0 0", "1e10 1e10 1e10", "x", "1_0"),
+    *("world", "upper", "grip", "fixed", "floating", "planar", "../..", "/etc/passwd", "\u202e"),
+    *("file:///etc/passwd", "http://host/x", "package://a/b", ".", "robot.urdf", "a" * 300),
+)
+WITH_MORE = CLEAN.replace(
+    "</robot>",
+    '<transmission name="t"><type>x</type><joint name="elbow"/><actuator name="m">'
+    "<mechanicalReduction>50</mechanicalReduction></actuator></transmission>"
+    '<ros2_control name="c" type="system"><joint name="elbow"><command_interface name="position"/>'
+    '</joint></ros2_control><gazebo reference="upper"><sensor name="imu" type="imu"/></gazebo>'
+    "</robot>",
+)
+VALUES = [match.span(1) for match in re.finditer(r'="([^"]*)"', WITH_MORE)]
+MJCF = """<mujoco model="m">
+  <worldbody>
+    <body name="a" pos="0 0 1" quat="1 0 0 0">
+      <joint name="h" type="hinge" axis="0 0 1" pos="0 0 0" range="-90 90" damping="1"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <geom name="g" type="box" size="0.1 0.1 0.1"/>
+      <body name="b" pos="0.5 0 0"><joint name="s" type="slide"/><geom type="sphere" size="0.1"/>
+        <site name="tcp" pos="0 0 0"/></body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="s" joint2="h" polycoef="0 1 0 0 0"/></equality>
+  <actuator><position joint="h" kp="10" gear="1"/></actuator>
+  <keyframe><key name="k" qpos="0 0"/></keyframe>
+</mujoco>
+"""
+MJCF_VALUES = [match.span(1) for match in re.finditer(r'="([^"]*)"', MJCF)]
+
+
+def _look(path: Path) -> None:
+    try:
+        asset = read(path)
+    except TwinError:
+        return
+    geometry = Geometry(asset)
+    rows = report(asset, geometry, audit(asset, Evidence(), geometry))["findings"]
+    assert all(row["severity"] in finding.SEVERITIES for row in rows)
+
+
+def _put(text: str, places: list[tuple[int, int]], changes: dict[int, str]) -> str:
+    for at in sorted(changes, reverse=True):
+        start, end = places[at]
+        text = text[:start] + changes[at] + text[end:]
+    return text
+
+
+@settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.dictionaries(
+        st.integers(0, len(VALUES) - 1), st.sampled_from(HOSTILE), min_size=1, max_size=4
+    )
+)
+def test_any_value_of_a_urdf(tmp_path: Path, changes: dict[int, str]) -> None:
+    _look(write_clean(tmp_path, _put(WITH_MORE, VALUES, changes)))
+
+
+@pytest.mark.filterwarnings("ignore")
+@settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.dictionaries(
+        st.integers(0, len(MJCF_VALUES) - 1), st.sampled_from(HOSTILE), min_size=1, max_size=3
+    )
+)
+def test_any_value_of_an_mjcf(tmp_path: Path, changes: dict[int, str]) -> None:
+    path = tmp_path / "m.xml"
+    path.write_text(_put(MJCF, MJCF_VALUES, changes))
+    _look(path)
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.binary(max_size=400))
+def test_any_bytes_of_a_mesh(tmp_path: Path, data: bytes) -> None:
+    path = write_clean(tmp_path)
+    (tmp_path / "bar.stl").write_bytes(b"\0" * 80 + data)
+    _look(path)
