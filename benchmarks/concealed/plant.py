@@ -82,7 +82,7 @@ def simulate(
     gain_p = kp * (1 + h("controller_gain", "stiffness_error"))
     gain_v = kv * (1 + h("controller_gain", "damping_error"))
     constant = 1 + h("torque_constant", "relative_error")
-    limit = np.minimum(peak, h("torque_saturation", "limit", np.inf))
+    limit = h("torque_saturation", "limit", np.inf)
     stall, free_speed = (
         h("torque_speed_limit", "stall", np.inf),
         h("torque_speed_limit", "no_load_speed", np.inf),
