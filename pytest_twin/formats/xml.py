@@ -76,6 +76,8 @@ def parse_bytes(data: bytes, path: Path) -> Element:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
         line, column = error.position
+        if "Excessive depth" in str(error.msg):  # the parser's own bound, the same as ours
+            _too_deep(line or None, path)
         raise FormatError(
             f"not well-formed XML: {str(error.msg).rsplit(', line', 1)[0]}",
             path=path,
@@ -250,12 +252,7 @@ def _bound(root: Element, path: Path) -> None:
         elements += 1
         attributes += len(element.attrib)
         if depth > limits.XML.depth_levels:
-            raise LimitError(
-                "nested too deep",
-                path=path,
-                line=_line(element),
-                expected=f"at most {limits.XML.depth_levels} levels",
-            )
+            _too_deep(_line(element), path)
         if isinstance(element.tag, str) and element.tag.startswith(_XINCLUDE):
             raise FormatError(
                 "an XInclude", path=path, line=_line(element), expected="the elements themselves"
@@ -264,6 +261,15 @@ def _bound(root: Element, path: Path) -> None:
         _too_many("elements", limits.XML.elements_count, path)
     if attributes > limits.XML.attributes_count:
         _too_many("attributes", limits.XML.attributes_count, path)
+
+
+def _too_deep(line: int | None, path: Path) -> NoReturn:
+    raise LimitError(
+        "nested too deep",
+        path=path,
+        line=line,
+        expected=f"at most {limits.XML.depth_levels} levels",
+    )
 
 
 def _too_many(what: str, bound: int, path: Path) -> NoReturn:
