@@ -114,6 +114,24 @@ def test_a_compiled_model_is_read_as_it_is(tmp_path: Path) -> None:
     assert only(rows, "joints.axis_not_unit") == []
 
 
+def test_a_joint_beside_its_body_turns_about_its_own_place(tmp_path: Path) -> None:
+    import mujoco
+
+    text = MJCF.replace('<joint name="hinge"', '<joint name="hinge" pos="0.1 -0.2 0.3" ref="0.4"')
+    path = tmp_path / "m.xml"
+    path.write_text(text)
+    asset = read(path)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    for values in ((0.4, 0.0), (-0.7, 0.2)):
+        data.qpos[:] = values
+        mujoco.mj_kinematics(model, data)
+        found = asset.at({"hinge": values[0], "slide": values[1]})
+        for body in ("a", "b"):
+            assert found[body][0] == pytest.approx(data.body(body).xpos, abs=1e-12)
+            assert found[body][1].ravel() == pytest.approx(data.body(body).xmat, abs=1e-12)
+
+
 def test_an_mjcf_that_does_not_compile_is_a_finding(tmp_path: Path) -> None:
     path = tmp_path / "m.xml"
     path.write_text(MJCF.replace('diaginertia="0.001 0.01 0.01"', 'diaginertia="1 0.1 0.1"'))
@@ -170,6 +188,25 @@ def test_a_stage_in_other_units_is_read_in_metres(tmp_path: Path) -> None:
     triangle = only(findings_of(path), "inertia.triangle")
     assert [row["element"] for row in triangle] == ["link 'arm'"]
     assert triangle[0]["line"] == line_of(USDA, 'def Xform "arm"')
+
+
+def test_a_joint_whose_child_stands_first_turns_the_other_way(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    straight, turned = tmp_path / "straight.usda", tmp_path / "turned.usda"
+    straight.write_text(USDA)
+    text = USDA.replace(
+        "body0 = </robot/base>\n        rel physics:body1 = </robot/arm>",
+        "body0 = </robot/arm>\n        rel physics:body1 = </robot/base>",
+    ).replace("localPos0", "localPos1")
+    assert text.count("localPos1") == 1
+    turned.write_text(text)
+    assert read(turned).above["arm"].parent == "base"
+    one = read(straight).at({"turn": 0.3})["arm"]
+    other = read(turned).at({"turn": -0.3})["arm"]
+    # The arm against the base is the inverse of the base against the arm.
+    assert one[0] == pytest.approx(other[0])
+    assert one[1] == pytest.approx(other[1])
+    assert one[1][0, 2] == pytest.approx(np.sin(0.3))
 
 
 def test_a_loop_in_a_stage_is_a_coupling(tmp_path: Path) -> None:

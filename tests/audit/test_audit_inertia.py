@@ -136,6 +136,16 @@ def test_solids_have_the_mass_properties_of_the_textbook() -> None:
     # Turned by 90 degrees: x and y change places.
     expected = np.array([0.3**2 + 0.1**2, 0.2**2 + 0.1**2, 0.2**2 + 0.3**2]) / 12
     assert np.diag(box.inertia) == pytest.approx(expected)
+    # Two halves of a bar are the bar.
+    asset.bodies.append(Body("c", HERE))
+    asset.shapes += [
+        Shape(HERE, "c", "collision", "box", np.array([x, 0, 0]), np.eye(3), (0.2, 0.1, 0.1))
+        for x in (-0.1, 0.1)
+    ]
+    both = Geometry(asset).body("c", "collision")
+    assert both is not None
+    assert both.volume == pytest.approx(0.004)
+    assert np.diag(both.inertia) == pytest.approx(np.array([0.02, 0.17, 0.17]) / 12)
     cylinder = geometry.body("b", "visual")
     assert cylinder is not None
     assert cylinder.volume == pytest.approx(np.pi * 0.01 * 0.4, rel=0.005)
