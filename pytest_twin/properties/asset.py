@@ -16,6 +16,7 @@ from pytest_twin.properties.form import (
     pinocchio_form,
     realization_form,
     reference_form,
+    stage_form,
     text_form,
     usd_form,
 )
@@ -110,7 +111,7 @@ def load_asset(
     path: Path,
     *,
     tolerances: Tolerances | None = None,
-    usd: bool = True,
+    usd: bool | Path = True,
     packages: Mapping[str, Path] | None = None,
     accept: Iterable[str] = (),
 ) -> Asset:
@@ -119,10 +120,10 @@ def load_asset(
     - ``twin.yaml``: every realization as it is simulated, and each one's source in Pinocchio.
     - a URDF: its own text, MuJoCo, Pinocchio and USD, each through its own importer.
     - an MJCF: MuJoCo and Pinocchio.
-    - a USD stage has no couplings and limits of its own to draw from: give the folder's URDF.
 
     Args:
-        usd: whether a URDF becomes a USD stage too, where the extra ``usd`` is installed.
+        usd: of a URDF: a stage that is at hand; or whether one is made of it, where the extra
+            ``usd`` is installed.
         packages: ROS package -> its folder.
         accept: named repairs of a URDF, ``inertia-repair:<link>``.
 
@@ -143,7 +144,7 @@ def load_asset(
 def _of_urdf(
     path: Path,
     tolerances: Tolerances | None,
-    usd: bool,
+    usd: bool | Path,
     packages: Mapping[str, Path],
     accept: list[str],
 ) -> Asset:
@@ -166,7 +167,7 @@ def _of_urdf(
         forms = [text_form(made.urdf), mujoco_form(made.urdf), pinocchio_form(made.urdf)]
         if usd:
             try:
-                forms.append(usd_form(made.urdf))
+                forms.append(usd_form(made.urdf) if usd is True else stage_form(usd))
             except UsdMissingError as error:
                 left_out.append(str(error))
     return Asset(path.name, forms, tolerances, left_out)

@@ -90,7 +90,7 @@ def asset_properties(
     tolerances: Tolerances | None = None,
     leave_out: Collection[str] = (),
     examples: int = EXAMPLES,
-    usd: bool = True,
+    usd: bool | Path | str = True,
     packages: Mapping[str, Path] | None = None,
     accept: Iterable[str] = (),
 ) -> Callable[..., None]:
@@ -104,7 +104,8 @@ def asset_properties(
         tolerances: how far apart realizations may be.
         leave_out: names of properties that are not tested.
         examples: drawn configurations for each property, after a generic one.
-        usd: whether a URDF is tested as a USD stage too, where the extra ``usd`` is installed.
+        usd: of a URDF: a stage that is at hand, relative to the calling file; or whether one is
+            made of it, where the extra ``usd`` is installed.
         packages: ROS package -> its folder, for meshes of a URDF.
         accept: named repairs of a URDF, ``inertia-repair:<link>``.
 
@@ -118,10 +119,13 @@ def asset_properties(
 
     wanted = wanted_properties(leave_out)
     if isinstance(asset, str | Path):
-        caller = sys._getframe(1).f_globals.get("__file__")
-        path = Path(caller).parent / asset if caller else Path(asset)
+        beside = Path(sys._getframe(1).f_globals.get("__file__", "")).parent
         ready = _Later(
-            path, tolerances=tolerances, usd=usd, packages=packages, accept=tuple(accept)
+            beside / asset,
+            tolerances=tolerances,
+            usd=usd if isinstance(usd, bool) else beside / usd,
+            packages=packages,
+            accept=tuple(accept),
         )
     else:
         ready = _Later(asset)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,9 @@ from pytest_twin.errors import SpecError
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
+
+
+_STEPS = 2**20
 
 
 def configurations(
@@ -44,12 +48,27 @@ def configurations(
             )
     drawn = st.fixed_dictionaries(
         {
-            joint: st.just(held[joint]) if joint in held else st.floats(lower, upper)
+            joint: st.just(held[joint]) if joint in held else _between(lower, upper)
             for joint, (lower, upper) in free.independent.items()
         }
     )
     # What a closed loop does not reach is drawn again.
     return drawn.map(free.complete).filter(lambda q: q is not None)  # type: ignore[return-value]
+
+
+def _between(lower: float, upper: float) -> st.SearchStrategy[float]:
+    """Values spread evenly, both ends among them; they shrink towards 0, or the end next to it.
+
+    Plain floats would be drawn close to 0 most of the time, where many faults have no effect.
+    """
+    rest = min(max(0.0, lower), upper)
+    step = (upper - lower) / _STEPS
+    if not step > 0:
+        return st.just(rest)
+    below, above = math.ceil((rest - lower) / step), math.ceil((upper - rest) / step)
+    return st.integers(-below, above).map(
+        lambda number: min(max(rest + number * step, lower), upper)
+    )
 
 
 def _model(robot: Any) -> Any:

@@ -99,9 +99,10 @@ def _robots(
     return DrawnRobot("drawn", tuple(bodies), tuple(joints))
 
 
-def _number(low: float, high: float, digits: int = 6) -> st.SearchStrategy[float]:
-    """Readable: a failing robot is printed whole."""
-    return st.floats(low, high).map(lambda value: round(value, digits) + 0.0)
+def _number(low: float, high: float) -> st.SearchStrategy[float]:
+    """Spread evenly (plain floats would be 0 or next to it most of the time), and readable."""
+    scale = 10**6 if high - low < 16 else 10**4
+    return st.integers(round(low * scale), round(high * scale)).map(lambda number: number / scale)
 
 
 def _triple(reach: float) -> st.SearchStrategy[Triple]:

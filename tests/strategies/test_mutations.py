@@ -41,12 +41,12 @@ def test_every_fault_beyond_tolerance_is_caught(
         mutations, "TARGETS", {k: v for k, v in mutations.TARGETS.items() if k != "USD"}
     )
     monkeypatch.setattr(mutations, "real_robots", list)
-    tally = mutations.run(48, 5)
-    assert tally.mutations == 48
+    tally = mutations.run(32, 5)
+    assert tally.mutations == 32
     assert tally.missed == []
     assert tally.alarms == []
-    assert tally.above.total() > 30
-    assert tally.below.total() > 2
+    assert tally.above.total() > 20
+    assert tally.below.total() > 0
 
 
 def test_a_suite_that_looks_away_misses(
@@ -100,7 +100,7 @@ def test_effects_are_measured_in_tolerances(
 def test_every_kind_of_fault_can_be_injected(mutations: ModuleType) -> None:
     rng = np.random.default_rng(3)
     able = set()
-    for robot in mutations.random_robots(40, 2):
+    for robot in mutations.random_robots(20, 2):
         for kind, (edit, _) in mutations.FAULTS.items():
             root = etree.fromstring(robot.urdf)
             before = etree.tostring(root)

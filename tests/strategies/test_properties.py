@@ -414,8 +414,9 @@ def test_usd_is_held_with_the_others(tmp_path: Path) -> None:
     assert [form.name for form in asset.forms] == ["URDF", "MuJoCo", "Pinocchio", "USD"]
     for made in PROPERTIES.values():
         made.hold(asset)
-    wrong = asset_of(tmp_path, ARM.replace('multiplier="2"', 'multiplier="2.1"'), with_usd=True)
-    mixed = Asset("arm", [*asset.forms[:3], wrong.forms[3]])
+    (tmp_path / "other.urdf").write_text(ARM.replace('multiplier="2"', 'multiplier="2.1"'))
+    usd.convert(tmp_path / "other.urdf", tmp_path / "other.usdc")
+    mixed = load_asset(tmp_path / "arm.urdf", usd=tmp_path / "other.usdc")
     with pytest.raises(PropertyError, match=r"joint 'grip': follows with another ratio by 0\.1"):
         PROPERTIES["couplings"].hold(mixed)
 
