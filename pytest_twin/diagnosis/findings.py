@@ -30,7 +30,8 @@ _STANDS_OUT = 2.0
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.7, 0.5
-_MANY = 20.0
+# A name whose parameter stands at its physical bound is no surer than this.
+_BOUNDED = 0.5
 # A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
 _OPEN = 1e3
 
@@ -143,6 +144,12 @@ def explain(
         confidence = selected.confidence.get(term, 1.0)
         if not len(problem.held_out):
             confidence = min(confidence, _UNTESTED)
+        if at_bound(hypothesis, term):
+            confidence = min(confidence, _BOUNDED)
+            pruned.notes.append(
+                f"{_label(problem, term)}: a parameter stands at its physical bound; something "
+                "else may be at work"
+            )
         found.append(
             Finding(
                 effect=term.effect,
@@ -182,6 +189,8 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
     there, and the nearest name in the catalogue would be a wrong one.
     """
     notes: list[str] = []
+    # Once, with every term at work: afterwards each removal leaves more for the others.
+    judged = False
     fitted = selected.best.fitted
     tested = problem.held_out if len(problem.held_out) else problem.fit
     problem.refine_at(EMPTY)
@@ -205,22 +214,28 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
             )
             fitted = refitted[least]
             continue
-        weak = []
-        for i, t in enumerate(terms):
-            sure = selected.confidence.get(t, 1.0) >= _SURE and not _at_bound(fitted.hypothesis, t)
-            weak.append((_too_little(problem, t, before, base, sure=sure), i))
-        share, worst = max(weak)
-        if share <= 0.0:
+        if judged:
             return _Pruned(fitted, rests, notes)
-        top = float(base.max())
-        left = (
-            f"{100 * share:.0f} % of the squared mismatch" if share > 0.01 else f"{top:.0f} floors"
-        )
-        notes.append(
-            f"nearest in the catalogue is {_label(problem, terms[worst])}, but with it {left} "
-            "are left; it is not claimed"
-        )
-        fitted = refitted[worst]
+        judged = True
+        gone = []
+        for t in terms:
+            share = _too_little(
+                problem, t, before, base,
+                sure=selected.confidence.get(t, 1.0) >= _SURE
+                and not at_bound(fitted.hypothesis, t),
+            )  # fmt: skip
+            if share > 0.0:
+                gone.append(t)
+                notes.append(
+                    f"near in the catalogue is {_label(problem, t)}, but with all of them "
+                    f"{100 * share:.0f} % of the squared mismatch is left there; it is not claimed"
+                )
+        if not gone:
+            return _Pruned(fitted, rests, notes)
+        rest = fitted.hypothesis
+        for t in gone:
+            rest = rest.without(t)
+        fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
     return _Pruned(fitted, [], notes)
 
 
@@ -229,7 +244,7 @@ def _too_little(
 ) -> float:
     """Share of the squared mismatch that is left where a term acts, if it is too much, else 0.
 
-    An unsure name has to explain more, and may not leave many floors behind.
+    An unsure name has to explain more.
     """
     joints = len(problem.joints)
     columns = slice(None) if term.joint < 0 else slice(term.joint, None, joints)
@@ -237,13 +252,11 @@ def _too_little(
     left = float(np.maximum(after[columns] ** 2 - 1.0, 0.0).sum())
     share = left / mismatch if mismatch > 0.0 else 0.0
     top = float(after[columns].max())
-    if not sure and top > _MANY:
-        return share
     bound = _LEFT_SURE if sure else _LEFT_UNSURE
     return share if share > bound and top > _STANDS_OUT else 0.0
 
 
-def _at_bound(hypothesis: Hypothesis, term: Term) -> bool:
+def at_bound(hypothesis: Hypothesis, term: Term) -> bool:
     """Whether a parameter that switches the effect on stands at its physical bound."""
     theta = hypothesis.theta[hypothesis.slice_of(term)]
     return any(
