@@ -70,6 +70,11 @@ class Asset:
         return Configurations(self.simulated[0].model)
 
     @cached_property
+    def rest(self) -> dict[str, float]:
+        """Every joint at its reference, followers where that puts them, rad or m."""
+        return self.configurations.complete({}) or {}
+
+    @cached_property
     def generic(self) -> dict[str, float]:
         """One configuration with no joint at a special value, rad or m."""
         for turn in range(1, 50):
@@ -80,7 +85,7 @@ class Asset:
             found = self.configurations.complete(values)
             if found is not None:
                 return found
-        return self.configurations.complete({}) or {}
+        return self.rest
 
     @cached_property
     def carried(self) -> dict[str, float]:

@@ -43,6 +43,7 @@ class Property:
         Raises:
             PropertyError: it is broken.
         """
+        __tracebackhide__ = True
         if self.posed:
             at = asset.generic if q is None else q
             broken = list(self.check(asset, at))
@@ -132,10 +133,14 @@ def asset_properties(
 
     @pytest.mark.parametrize("robot_property", list(wanted))
     def test_property(robot_property: str) -> None:
+        __tracebackhide__ = True
         loaded = ready.asset
         made = wanted[robot_property]
         if made.compares and not loaded.others:
             pytest.skip("; ".join(loaded.left_out) or "one realization alone")
+        if made.posed:
+            # The simplest pose at which it can break is the one to be told.
+            made.hold(loaded, loaded.rest)
         made.hold(loaded)
         if made.posed and loaded.configurations.independent:
             _drawn(made, loaded, strategies.configurations(loaded.simulated[0]), examples)
