@@ -26,6 +26,7 @@ from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
 
 SECONDS = 300.0
+PAIRS = tuple((w, b) for w in ("audit", "realize") for b in ("MuJoCo", "Pinocchio"))
 POSITION, ORIENTATION = "forward kinematics, position", "forward kinematics, orientation"
 
 
@@ -218,7 +219,7 @@ def table(entries: list[Entry]) -> str:
         cells.append(f"{entry.audit.get('critical', 0)}, {entry.audit.get('warning', 0)}")
         for what in ("audit", "realize", "MuJoCo", "Pinocchio"):
             seconds = entry.times.get(what)
-            cells.append("refuses" if seconds is None else f"{seconds:.2f}")
+            cells.append("refuses" if seconds is None else f"{seconds:.2g}")
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -249,7 +250,23 @@ def _summary(entries: list[Entry], usable: list[Entry]) -> list[str]:
         f"- Crashes and hangs: {len(accidents)}.",
         f"- MuJoCo's own loader refuses {refused['MuJoCo']} of the files, Pinocchio's "
         f"{refused['Pinocchio']}.",
+        *(_ratio(entries, what, beside) for what, beside in PAIRS),
     ]
+
+
+def _ratio(entries: list[Entry], what: str, beside: str) -> str:
+    """The sums over the robots that both can read."""
+    both = [
+        (ours, theirs)
+        for entry in entries
+        if (ours := entry.times.get(what)) is not None
+        and (theirs := entry.times.get(beside)) is not None
+    ]
+    ours, theirs = (sum(times) for times in zip(*both, strict=True)) if both else (0.0, 1.0)
+    return (
+        f"- {what} of {len(both)} robots: {ours:.3g} s, {ours / theirs:.3g} times {beside}'s own "
+        f"load of them ({theirs:.2g} s)."
+    )
 
 
 def _pair(worst: tuple[float, float] | None) -> str:
