@@ -148,8 +148,8 @@ def smooth_state(
     time: FloatArray, position: FloatArray, at: float, width: float
 ) -> tuple[FloatArray, FloatArray]:
     """Position and velocity (joints,) at a time, by a local cubic over ``width`` s."""
-    near = np.abs(time - at) <= width / 2
-    if near.sum() < 6:
+    near = np.flatnonzero(np.abs(time - at) <= width / 2)
+    if len(near) < 6:
         near = np.argsort(np.abs(time - at))[:6]
     t = (time[near] - at) / (width / 2)
     basis = np.vander(t, 4, increasing=True)
