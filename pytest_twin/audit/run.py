@@ -29,6 +29,7 @@ from pytest_twin.audit.finding import LAYERS, SEVERITIES, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
 from pytest_twin.audit.self_collision import PoseResult
+from pytest_twin.realization.quiet import quiet
 
 SCHEMA = 1
 _MOST_PICTURES = 6
@@ -77,12 +78,14 @@ def audit_file(
     """
     say = progress or (lambda fraction: None)
     known = Evidence() if evidence_path is None else evidence.load(Path(evidence_path))
-    asset = read(Path(path), {name: Path(folder) for name, folder in (packages or {}).items()})
-    say(0.4)
-    geometry = Geometry(asset)
-    findings = audit(asset, known, geometry)
-    say(0.6)
-    results, more = self_collision.measure(asset, geometry, known.poses)
+    folders = {name: Path(folder) for name, folder in (packages or {}).items()}
+    with quiet():
+        asset = read(Path(path), folders)
+        say(0.4)
+        geometry = Geometry(asset)
+        findings = audit(asset, known, geometry)
+        say(0.6)
+        results, more = self_collision.measure(asset, geometry, known.poses)
     say(0.8)
     found = report(asset, geometry, [*findings, *more])
     found["poses"] = self_collision.to_json(results)

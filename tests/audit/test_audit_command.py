@@ -261,3 +261,11 @@ def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.stderr == ""
     assert (tmp_path / "robot.urdf.audit.json").exists()
+
+
+def test_a_file_where_the_folder_should_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_clean(tmp_path)
+    assert main(["audit", str(path), "--out", str(tmp_path / "bar.stl")]) == 2
+    assert "bar.stl: --out: no folder to write to: File exists" in capsys.readouterr().err
