@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from pytest_twin.metrics.pose import rotation_of
 from pytest_twin.realization.tree import RigidTree, TreeBody, TreeJoint, inverse
 
 Vector = NDArray[np.float64]
@@ -203,9 +203,8 @@ def _name(model: Any, index: int) -> str:
 
 
 def _pose(position: Vector, quaternion: Vector) -> Vector:
-    w, x, y, z = quaternion
     pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
+    pose[:3, :3] = rotation_of(quaternion)
     pose[:3, 3] = position
     return pose
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,15 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
 
 from pytest_twin.errors import ModelError, SpecError
 from pytest_twin.properties import PROPERTIES, Asset, Form, PropertyError, Tolerances
 from pytest_twin.properties.asset import load_asset
+from pytest_twin.properties.form import realization_form, reference_form
 from pytest_twin.properties.trees import leaves, mirrored, rerooted, tree_of, urdf_text
 from pytest_twin.realization import load, usd
-from pytest_twin.strategies import DrawnRobot, robots
+from pytest_twin.strategies import DrawnRobot, perturbed_assets, robots
 
 DEMO = Path(__file__).resolve().parents[2] / "golden"
 ARM = """<robot name="arm">
@@ -75,6 +78,18 @@ def test_holds_on_the_demo_twin_and_its_usd() -> None:
             assert ("USD" in names) != any("USD is left out" in words for words in asset.left_out)
 
 
+@pytest.mark.parametrize("name", ["panda.urdf", "bolt.urdf", "iris.urdf", "double_pendulum.urdf"])
+def test_holds_on_robots_that_others_built(name: str) -> None:
+    try:
+        files = distribution("example-robot-data").files or []
+    except PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    path = next(Path(str(file.locate())) for file in files if str(file).endswith(f"/{name}"))
+    asset = load_asset(path, usd=False)
+    for made in PROPERTIES.values():
+        made.hold(asset)
+
+
 @settings(
     max_examples=6,
     deadline=None,
@@ -85,6 +100,26 @@ def test_holds_on_the_demo_twin_and_its_usd() -> None:
 @given(robot=robots(links=(3, 7)))
 def test_holds_on_random_robots(robot: DrawnRobot, tmp_path: Path) -> None:
     asset = load_asset(robot.write(tmp_path), usd=False)
+    for made in PROPERTIES.values():
+        made.hold(asset)
+
+
+@settings(
+    max_examples=4,
+    deadline=None,
+    derandomize=True,
+    phases=(Phase.generate,),
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(data=st.data())
+def test_holds_on_perturbed_assets(data: st.DataObject, tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(ARM)
+    other = data.draw(perturbed_assets(tmp_path / "arm.urdf")).realization
+    forms = [
+        realization_form(other, "MuJoCo", complete=True),
+        reference_form(other, "Pinocchio", complete=True),
+    ]
+    asset = Asset("perturbed arm", forms)
     for made in PROPERTIES.values():
         made.hold(asset)
 
