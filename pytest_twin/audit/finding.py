@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,12 +78,19 @@ class Finding:
             "line": None if self.place is None else self.place.line,
             "element": self.element,
             "title": self.title,
-            "value": self.value,
+            "value": _plain(self.value),
             "unit": self.unit,
             "expected": self.expected,
             "why": self.why,
             "settle": self.settle,
         }
+
+
+def _plain(value: float | str | None) -> float | str | None:
+    """JSON has no infinity."""
+    if isinstance(value, int | float) and not math.isfinite(value):
+        return str(value)
+    return value
 
 
 def from_error(

@@ -46,7 +46,8 @@ class Solid:
     @property
     def gyration(self) -> float:
         """Radius of gyration about the centroid, sqrt(tr(I) / 2 m), m."""
-        return float(np.sqrt(np.trace(self.inertia) / 2))
+        # Far from the origin rounding can leave less than nothing of a small shape.
+        return float(np.sqrt(max(float(np.trace(self.inertia)), 0.0) / 2))
 
     def reach(self, point: Vector) -> float:
         """Distance from ``point`` to the corner farthest from it, m."""

@@ -329,7 +329,8 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
 def _about_origin(stated: Vector, shifted_back: Vector, uniform: Vector, shift: Vector) -> bool:
     """Whether moving the inertia to the centre of mass makes it fit its shape, and only that."""
     size = float(np.linalg.norm(uniform))
-    if float(np.linalg.norm(shift)) < 1.0 * size or violation(shifted_back) > 0.05:
+    # Of a mass near the smallest number nothing is left of its square.
+    if size <= 0 or float(np.linalg.norm(shift)) < size or violation(shifted_back) > 0.05:
         return False
     before = float(np.linalg.norm(stated - uniform)) / size
     after = float(np.linalg.norm(shifted_back - uniform)) / size

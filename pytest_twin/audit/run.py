@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -89,9 +90,19 @@ def audit_file(
     say(0.8)
     found = report(asset, geometry, [*findings, *more])
     found["poses"] = self_collision.to_json(results)
-    found["renders"] = pictures(asset, results)
+    plain: dict[str, Any] = _finite(found)
+    plain["renders"] = pictures(asset, results)
     say(1.0)
-    return found
+    return plain
+
+
+def _finite(data: Any) -> Any:
+    """Plain data with None where a number is not finite: JSON has no other."""
+    if isinstance(data, dict):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_finite(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
 def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:

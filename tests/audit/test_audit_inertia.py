@@ -142,6 +142,13 @@ def test_solids_have_the_mass_properties_of_the_textbook() -> None:
     assert cylinder.inertia[2, 2] == pytest.approx(0.1**2 / 2, rel=0.01)
 
 
+def test_a_mass_near_the_smallest_number_is_judged_all_the_same(tmp_path: Path) -> None:
+    rows = findings_of(
+        write_clean(tmp_path, changed(('<mass value="2"/>', '<mass value="1e-308"/>')))
+    )
+    assert [row["element"] for row in only(rows, "inertia.density")] == ["link 'upper'"]
+
+
 def test_two_halves_of_a_bar_are_the_bar() -> None:
     asset = Asset("urdf", HERE.path, "robot")
     asset.bodies = [Body("b", HERE)]
