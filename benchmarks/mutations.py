@@ -41,11 +41,12 @@ from pytest_twin.strategies import configurations, robots
 
 Element = Any
 Rng = np.random.Generator
-Key = tuple[str, str, str]
+Key = tuple[str, str, str, str]
 
 PER_ROBOT = 16
 DRAWN = 2  # configurations for each robot, beside the generic one
 MEASURED = 40  # configurations at which a fault's effect is measured
+ENDLESS = 1e10  # rad, m, ...: bounds beyond it are none
 HEAVY = 400_000  # bytes of a mesh above which the robot goes without it here
 MOST_JOINTS = 60  # of a real robot, fixed ones included
 TARGETS: Mapping[str, tuple[Callable[[Path], Form], float]] = {
@@ -533,6 +534,8 @@ def _stated(right: Element, wrong: Element, target: str, bounds: Tolerances) -> 
             elif a is not None:
                 standard = "1" if key == "multiplier" else "0"
                 before, after = float(a.get(key, standard)), float(b.get(key, standard))
+                if min(abs(before), abs(after)) > ENDLESS:
+                    continue
                 yield abs(before - after) / (bounds.limit * max(1.0, abs(before)))
     for one, two in zip(right.findall("link"), wrong.findall("link"), strict=True):
         if "links" in carries:
@@ -686,7 +689,7 @@ def _broken(
     for name, made in PROPERTIES.items():
         for q in qs if made.posed else [None]:
             for broken in made.check(asset) if q is None else made.check(asset, q):
-                key = (name, broken.element, broken.forms)
+                key = (name, broken.element, broken.what, broken.forms)
                 if known is None or key not in known:
                     yield broken, key
 

@@ -18,7 +18,7 @@ class Tolerances:
             gyration, g * sqrt(M_jj m): the most that gravity could ask of the joint.
         mass_matrix: of M_ij, share of sqrt(M_ii M_jj).
         limit: of ranges, velocities, efforts, damping, friction and couplings; share of the larger
-            value, or rad, m, and so on, where that is below 1.
+            value, or rad, m, and so on, where that is below 1. Bounds beyond 1e10 are none.
         shape: of the box that holds a collision shape, along each axis, m.
         differences: of what is held against finite differences, share of the same scales.
         energy: growth or loss of a system that nothing damps or drives, share of the kinetic
