@@ -19,6 +19,8 @@ _ONE_HELD_OUT_OF = 4
 _FOLLOWS = 0.9
 _LIKE = 0.15
 _COUNTS = 100.0
+# An encoder that stands still for this share of a recording under a moving command is stuck.
+_STUCK_SHARE = 0.6
 # Share of messages with the very same greatest speed.
 _CLIPPED = 0.02
 
@@ -129,7 +131,12 @@ def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozen
     """Leave out recordings with a stuck encoder where others remain, else the joint itself."""
 
     def stuck(trial: Trial) -> set[str]:
-        return {m.joint for m in trial.marks if m.kind == "stuck" and m.joint is not None}
+        # For a while dry friction holds a joint as well; a dead encoder stays where it is.
+        still: dict[str, float] = {}
+        for m in trial.marks:
+            if m.kind == "stuck" and m.joint is not None:
+                still[m.joint] = still.get(m.joint, 0.0) + m.end - m.start
+        return {j for j, seconds in still.items() if seconds > _STUCK_SHARE * trial.duration}
 
     bad = [t for t in [*trials, *aside] if stuck(t)]
     sound_fit = [t for t in trials if not stuck(t)]

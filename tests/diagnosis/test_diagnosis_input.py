@@ -135,6 +135,18 @@ def test_a_stuck_encoder_costs_its_recording_where_others_remain(bench: Bench) -
     assert any("encoder of left is stuck" in note for note in found.notes)
 
 
+def test_a_joint_that_friction_holds_for_a_while_is_not_a_stuck_encoder(bench: Bench) -> None:
+    held = bench.seen.copy()
+    held[60:270, 0] = held[60, 0]
+    longer = np.concatenate([held, bench.seen, bench.seen])
+    bench.seen_at = np.arange(len(longer)) * 0.005
+    bench.sent_at = np.arange(3 * len(bench.sent)) * 0.01
+    bench.sent = np.concatenate([bench.sent] * 3)
+    found = bench.read(bench.put("a.mcap", seen=longer))
+    assert (names(found.fit), found.unseen) == (["a.mcap"], frozenset())
+    assert any(note.startswith("stuck in /joint_states left") for note in found.notes)
+
+
 def test_a_stuck_encoder_everywhere_costs_its_joint_alone(bench: Bench) -> None:
     trials = bench.read(bench.put("stuck.mcap", seen=stuck(bench)))
     assert trials.unseen == {"left"}
