@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.problem import Problem, joint_scales, sensor_noise, smooth_state
+from pytest_twin.diagnosis.start import free_starts
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
 from pytest_twin.errors import RecordingError
@@ -24,6 +25,7 @@ from pytest_twin.trial import Trial
 # Under an effort command errors integrate twice: a simulation is held to the recording for this
 # long, then starts anew from the measured state.
 _EFFORT_WINDOW = 1.0
+_START_SAMPLES = 12
 REFINE = 4
 NOISE = "sensor noise and quantization"
 LEFT_BY_CORRECTION = 0.125
@@ -84,12 +86,17 @@ def prepare(
         effort_floor,
         refined,
     )
+    problem.starts = free_starts(segments, joints, noise, _start_width(segments[0]), threads)
     problem.refine_at(EMPTY)
     steps = discretization(problem)
     # What the correction leaves of the step's error, at most an eighth as measured on arms.
     problem.floor = np.sqrt(noise**2 + (LEFT_BY_CORRECTION * steps) ** 2)
     parts = {NOISE: noise, "discretization of the simulator": steps}
     return Prepared(problem, tuple(owner), parts)
+
+
+def _start_width(segment: Segment) -> float:
+    return _START_SAMPLES * float(np.median(np.diff(segment.time)))
 
 
 def discretization(problem: Problem) -> FloatArray:
@@ -161,7 +168,7 @@ def _segments(
         inside = (time >= start) & (time <= end)
         if inside.sum() < 8:
             continue
-        q, v = smooth_state(time, position, float(start), 12 * interval)
+        q, v = smooth_state(time, position, float(start), _START_SAMPLES * interval)
         out.append(
             Segment(start=float(start), time=time[inside], position=position[inside],
                     velocity=None if velocity is None else velocity[inside],

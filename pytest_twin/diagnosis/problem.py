@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
+from pytest_twin.diagnosis.start import FreeStart
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
 
@@ -27,6 +28,7 @@ class Problem:
         refined: the same segments with a finer step, to measure what the model's own step costs.
         defect: segment -> what the finer step adds to a prediction of the current best
             hypothesis; every prediction is corrected by it (defect correction, Stetter 1978).
+        starts: segment -> its free initial state, where errors of it would grow.
     """
 
     simulator: RowSimulator
@@ -37,6 +39,7 @@ class Problem:
     effort_floor: FloatArray | None = None
     refined: RowSimulator | None = None
     defect: dict[int, Predicted] = field(default_factory=dict)
+    starts: dict[int, FreeStart] = field(default_factory=dict)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -99,7 +102,9 @@ class Problem:
             parts = []
             for s, p in zip(segments, predictions, strict=True):
                 segment = self.simulator.segments[s]
-                columns = [segment.position - p.position]
+                off = segment.position - p.position
+                start = self.starts.get(int(s))
+                columns = [off if start is None else start.freed(off)]
                 if self.effort_floor is not None and segment.effort is not None:
                     columns.append(segment.effort - p.effort)
                 parts.append(np.concatenate(columns, axis=1))

@@ -20,6 +20,9 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import FloatArray
 
+# Laws with one period a turn say nothing of a slide.
+_OF_A_TURN = frozenset({"cogging", "encoder_eccentricity", "position_dependent_friction"})
+
 
 @dataclass(frozen=True, slots=True)
 class Response:
@@ -61,6 +64,8 @@ def candidates(problem: Problem) -> list[Term]:
             if effect.family in ("actuation", "timing") and servo[j] not in effect.modes:
                 continue
             if effect.id == "joint_coupling" and j == 0:
+                continue
+            if effect.id in _OF_A_TURN and problem.simulator.slides[j]:
                 continue
             found.append(Term(effect.id, j))
     return found

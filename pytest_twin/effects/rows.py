@@ -103,6 +103,7 @@ class RowSimulator:
         self.qpos_index = model.jnt_qposadr[self.joint_ids]
         self.dof_index = model.jnt_dofadr[self.joint_ids]
         self.body_index = model.jnt_bodyid[self.joint_ids]
+        self.slides = model.jnt_type[self.joint_ids] == int(mujoco.mjtJoint.mjJNT_SLIDE)
         self.timestep = float(model.opt.timestep) / refine
         self.steps = np.array(
             [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]

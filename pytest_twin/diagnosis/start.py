@@ -1,0 +1,97 @@
+"""Where a window starts is known as well as its samples say: the rest is taken out of residuals.
+
+Under an effort command an error of the initial velocity grows with time, far above the sensors'
+noise. Every window therefore has its initial state free, held by a Gaussian prior of what a local
+cubic leaves open: residuals are freed of what a shifted start explains (partialled-out nuisance
+parameters; Golub, Pereyra, SIAM J. Numer. Anal. 10, 1973).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.diagnosis.hypothesis import EMPTY, Scales, effect_values
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import RowSimulator, Segment
+
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class FreeStart:
+    """The start of one window.
+
+    Attributes:
+        response: (samples * joints, 2 joints) positions per unit of initial position and velocity.
+        solve: (2 joints, samples * joints) the start's most probable shift under a residual.
+    """
+
+    response: FloatArray
+    solve: FloatArray
+
+    def freed(self, residual: FloatArray) -> FloatArray:
+        """(samples, joints) residual without what a shifted start explains."""
+        flat = residual.ravel()
+        left: FloatArray = (flat - self.response @ (self.solve @ flat)).reshape(residual.shape)
+        return left
+
+
+def free_starts(
+    segments: Sequence[Segment],
+    joints: Sequence[str],
+    noise: FloatArray,
+    width: float,
+    threads: int,
+) -> dict[int, FreeStart]:
+    """A free start for every window of an effort command.
+
+    Args:
+        segments: all of the problem.
+        joints: their columns.
+        noise: (joints,) deviation of a sample, rad or m.
+        width: s, of the local cubic that gave the initial states.
+        threads: of the batch.
+    """
+    which = [i for i, s in enumerate(segments) if s.mode == "effort"]
+    if not which:
+        return {}
+    count = len(joints)
+    shifted: list[Segment] = []
+    for i in which:
+        s = segments[i]
+        shifted.append(s)
+        for k in range(2 * count):
+            q, v = s.initial_position.copy(), s.initial_velocity.copy()
+            (q if k < count else v)[k % count] += _STEP
+            shifted.append(replace(s, initial_position=q, initial_velocity=v))
+    rows = np.arange(len(shifted))
+    values = effect_values([EMPTY] * len(rows), count, Scales({}))
+    found = RowSimulator(shifted, joints, threads=threads).simulate(rows, values)
+    out: dict[int, FreeStart] = {}
+    each = 2 * count + 1
+    for n, i in enumerate(which):
+        base, *moved = found[n * each : (n + 1) * each]
+        response = np.stack([(m.position - base.position).ravel() / _STEP for m in moved], axis=1)
+        if not np.isfinite(response).all():
+            continue
+        weight = np.tile(1.0 / noise**2, len(base.position))
+        prior = 1.0 / _start_variance(segments[i], noise, width)
+        normal = response.T @ (weight[:, None] * response) + np.diag(prior)
+        solve: FloatArray = np.linalg.solve(normal, response.T * weight).astype(np.float64)
+        out[i] = FreeStart(response, solve)
+    return out
+
+
+def _start_variance(segment: Segment, noise: FloatArray, width: float) -> FloatArray:
+    """(2 joints,) variance of initial position and velocity from a local cubic over ``width`` s."""
+    interval = float(np.median(np.diff(segment.time)))
+    t = np.arange(-width / 2, width / 2 + interval / 2, interval) / (width / 2)
+    basis = np.vander(t, 4, increasing=True)
+    covariance = np.linalg.inv(basis.T @ basis)
+    spread = np.array([covariance[0, 0], covariance[1, 1] / (width / 2) ** 2])
+    variance: FloatArray = np.outer(spread, noise**2).ravel()
+    # A cubic bends less than a motion that reverses: leave the start more room than noise alone.
+    return 4.0 * variance
