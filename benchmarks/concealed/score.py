@@ -39,9 +39,8 @@ def removed(diagnosis: dict[str, Any]) -> float | None:
 
 def covered(truth: dict[str, Any], finding: dict[str, Any]) -> list[bool]:
     """Whether each interval of a right finding holds the true value."""
-    hidden = next(
-        e for e in truth["effects"] if (e["effect"], e["joint"]) == (finding["effect"], finding["joint"])
-    )  # fmt: skip
+    named = (finding["effect"], finding["joint"])
+    hidden = next(e for e in truth["effects"] if (e["effect"], e["joint"]) == named)
     found = []
     for name, parameter in finding["parameters"].items():
         if name in hidden["parameters"] and parameter.get("ci95"):
