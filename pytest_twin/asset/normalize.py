@@ -36,6 +36,8 @@ INERTIA_REPAIR = "inertia-repair"
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UNITS = "units: metre, kilogram, second, radian; newton, newton metre"
 _UNIT_LENGTH = 1e-9
+_FLAT = 1e-9
+"""Share of the largest principal moment below which another is zero, as in the audit."""
 _SAFE = re.compile(r"[^A-Za-z0-9_-]+")
 # One component of a path, and no hidden file.
 _FILE_NAME = re.compile(r"[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}")
@@ -214,6 +216,7 @@ class _Normalizer:
             share = inertia.violation(link.inertia)
             # What is left of a zero after a change of frame is no inertia at all.
             if share <= inertia.ROUNDING or np.abs(link.inertia).max() < inertia.MASS_FLOOR:
+                self._flag_line(element, link)
                 continue
             patch = f"{INERTIA_REPAIR}:{link.name}"
             self.known_patches.add(patch)
@@ -234,6 +237,22 @@ class _Normalizer:
                 )
                 continue
             self._repair(element, node, link, patch)
+
+    def _flag_line(self, element: Any, link: urdf.Link) -> None:
+        """A mass on a line, which every form can hold and no body has."""
+        moments = np.linalg.eigvalsh(link.inertia)
+        if link.mass <= 0 or moments[2] < inertia.MASS_FLOOR or moments[0] > _FLAT * moments[2]:
+            return
+        self.out.flags.append(
+            Flag(
+                self._file(),
+                element.find("inertial/inertia").sourceline or 1,
+                f"link '{link.name}'.inertia",
+                f"principal moments {urdf.principal_text(link.inertia)} kg*m^2",
+                "a principal moment is zero: only a line without thickness has it; it stands in "
+                "every form as the source states it",
+            )
+        )
 
     def _state_inertial(self, element: Any) -> None:
         """Zeros that the text leaves out: some parsers drop the whole element for them."""

@@ -75,6 +75,8 @@ def realize(
         told.node.attributes.get("name", path.stem), path.name, tuple(c for c, _ in forms)
     )
     command: tuple[str, ...] = ("pytest-twin", "realize", path.name, "--out", "DIR")
+    for name in sorted(where):
+        command += ("--package", f"{name}=FOLDER")
     for patch in sorted(accept):
         command += ("--accept", patch)
     log = ChangeLog(command, tuple(made.changes), tuple(made.flags))
@@ -151,7 +153,7 @@ def _mjcf(
         after = from_mujoco.describe(model, robot.root)
     except TwinError as error:
         path.unlink(missing_ok=True)
-        return _failed("MJCF", error), None
+        return _failed("MJCF", error, path.parent), None
     return compare.compare(before, after, from_pinocchio.reference(told), "Pinocchio"), path
 
 
@@ -165,7 +167,7 @@ def _usd(made: Normalized, told: urdf.Robot, before: Description) -> _Form:
         return Conversion("URDF", "USD", "none", problem=str(error)), None
     except TwinError as error:
         path.unlink(missing_ok=True)
-        return _failed("USD", error), None
+        return _failed("USD", error, path.parent), None
     return compare.compare(before, after, from_pinocchio.reference(told), "Pinocchio"), path
 
 
@@ -173,12 +175,14 @@ def _pinocchio(made: Normalized, robot: urdf.Robot, told: urdf.Robot, before: De
     try:
         after = from_pinocchio.describe(made.urdf, robot)
     except TwinError as error:
-        return _failed("Pinocchio", error), None
+        return _failed("Pinocchio", error, made.urdf.parent), None
     return compare.compare(before, after, before.dynamics, "the URDF's own numbers"), None
 
 
-def _failed(target: str, error: TwinError) -> Conversion:
-    return Conversion("URDF", target, "none", problem=str(error), critical=True)
+def _failed(target: str, error: TwinError, folder: Path) -> Conversion:
+    # Files are told apart by their names in the asset: where they were made is gone afterwards.
+    problem = str(error).replace(f"{folder}/", "")
+    return Conversion("URDF", target, "none", problem=problem, critical=True)
 
 
 def _write(out: Path, matrix: Matrix, log: ChangeLog) -> None:

@@ -201,6 +201,9 @@ class _Reader:
                     error,
                     "meshes.escapes" if escapes else "meshes.missing",
                     element,
+                    # What is only looked at misleads no simulator; a path out of the roots is
+                    # hostile wherever it stands.
+                    severity="critical" if escapes or shape.role == "collision" else "warning",
                     why="a body without its shape collides with nothing"
                     if shape.role == "collision"
                     else "viewers refuse the robot or show it without this part",

@@ -7,8 +7,8 @@ import json
 import sys
 from pathlib import Path
 
-from pytest_twin.commands import packages
-from pytest_twin.errors import PathError, TwinError
+from pytest_twin.commands import folders, packages
+from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.audit import render, table
@@ -63,12 +63,7 @@ def run(args: argparse.Namespace) -> int:
             progress=_say_progress,
         )
     renders = found.pop("renders", [])
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PathError(
-            f"no folder to write to: {error.strerror}", path=out, where="--out"
-        ) from None
+    folders.make(out)
     name = f"{asset.name}.audit"
     atomic.write_text(out / f"{name}.json", json.dumps(found, indent=2) + "\n")
     atomic.write_text(out / f"{name}.html", render(found, renders))

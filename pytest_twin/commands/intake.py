@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pytest_twin.asset import evidence, manifest
 from pytest_twin.asset.manifest import Manifest, State
+from pytest_twin.commands import folders
 from pytest_twin.errors import FormatError, PathError, SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     if origin.is_dir() and out.is_relative_to(origin.resolve()):
         raise SpecError("the asset would lie in its own source", path=out)
     date = _date(args.date)
-    out.mkdir(parents=True, exist_ok=True)
+    folders.make(out)
     staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
     try:
         with Sandbox(memory_bytes=_MEMORY_BYTES, seconds=_SECONDS) as sandbox:

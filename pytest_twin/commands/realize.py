@@ -13,7 +13,7 @@ from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.asset.placing import frozen_source, put_in_place
-from pytest_twin.commands import packages
+from pytest_twin.commands import folders, packages
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.realization.sandbox import Sandbox
 
@@ -55,9 +55,7 @@ def run(args: argparse.Namespace) -> int:
             )
     frozen_source(source)
     out: Path = args.out.resolve()
-    if out.exists() and not out.is_dir():
-        raise PathError("not a folder", path=args.out)
-    out.mkdir(parents=True, exist_ok=True)
+    folders.make(out)
     staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
     try:
         with Sandbox() as sandbox:

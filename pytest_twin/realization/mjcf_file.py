@@ -24,7 +24,8 @@ def write(spec: mujoco.MjSpec, path: Path, meshes: Mapping[str, Path]) -> mujoco
     MuJoCo's own writer keeps six digits; the numbers here are those of the spec.
 
     Args:
-        meshes: mesh of the spec -> its file, beside or below ``path``.
+        meshes: mesh of the spec -> its file, beside or below ``path``. Its vertices are those of
+            the spec, in metres, as in a normalized asset: the file's own scale is not written.
 
     Raises:
         ModelError: MuJoCo refuses the spec.

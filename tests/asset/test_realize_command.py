@@ -175,3 +175,70 @@ def test_the_source_is_never_written_over(
     assert main(["realize", str(urdf), "--out", str(urdf.parent)]) == 2
     assert "the source would be written over" in capsys.readouterr().err
     assert urdf.read_bytes() == before
+
+
+@pytest.mark.parametrize("command", ["realize", "intake", "audit"])
+def test_a_file_in_the_way_of_the_output_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    urdf = write_arm(source)
+    (tmp_path / "file").write_text("kept")
+    asset = source if command == "intake" else urdf
+    for out in (tmp_path / "file", tmp_path / "file/below"):
+        assert main([command, str(asset), "--out", str(out)]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"pytest-twin {command}: ")
+        assert said.count("\n") == 1
+        assert "no folder to write to" in said
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_what_fails_names_no_folder_of_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tube = 'ixx="0.02" iyy="0.02" izz="0.003" ixy="0.0002"'
+    urdf = write_arm(tmp_path, ARM.replace(tube, 'ixx="1" iyy="0.1" izz="0.1"'))
+    made = []
+    for name in ("first", "second"):
+        out = tmp_path / name
+        assert main(["realize", str(urdf), "--out", str(out)]) == 1
+        assert ".twin-" not in capsys.readouterr().err
+        made.append({p.name: p.read_bytes() for p in out.rglob("*") if p.is_file()})
+        assert not [n for n, data in made[-1].items() if b".twin-" in data]
+    assert b"URDF -> MJCF: arm.urdf:" in made[0]["loss.json"]
+    assert made[0] == made[1]
+
+
+def test_a_moment_of_zero_stands_in_the_log(tmp_path: Path) -> None:
+    out = tmp_path / "finger"
+    assert main(["realize", str(FINGER), "--out", str(out)]) == 0
+    flags = json.loads((out / "changes.json").read_text())["flags"]
+    assert [(flag["where"], flag["line"]) for flag in flags] == [
+        ("link 'finger_lower_link'.inertia", 167)
+    ]
+    assert flags[0]["value"].startswith("principal moments 0, ")
+    assert not flags[0]["critical"]
+
+
+def test_the_command_of_the_log_names_the_packages(tmp_path: Path) -> None:
+    urdf = write_arm(tmp_path)
+    out = tmp_path / "out"
+    words = ["realize", str(urdf), "--out", str(out), "--package", f"arm_meshes={tmp_path}"]
+    assert main(words) == 0
+    command = json.loads((out / "changes.json").read_text())["command"]
+    assert command[-2:] == ["--package", "arm_meshes=FOLDER"]
+
+
+@pytest.mark.parametrize(("role", "audited", "realized"), [("visual", 0, 0), ("collision", 1, 2)])
+def test_a_missing_mesh_means_the_same_to_audit_and_realize(
+    tmp_path: Path, role: str, audited: int, realized: int
+) -> None:
+    shape = f'<{role}><geometry><mesh filename="nope.stl"/></geometry></{role}>'
+    urdf = write_arm(
+        tmp_path, ARM.replace("</link>", f"{shape}</link>", 1).replace("0 2 1", "0 0 1")
+    )
+    out = str(tmp_path / "out")
+    assert main(["audit", str(urdf), "--out", out]) == audited
+    assert main(["realize", str(urdf), "--out", out]) == realized

@@ -413,7 +413,7 @@ FAULTS = [
             )
         ],
         "meshes.missing",
-        "critical",
+        "warning",
         "visual of link 'upper'",
         'filename="seen.dae"',
     ),
