@@ -191,7 +191,7 @@ def table(entries: list[Entry]) -> str:
     lines = [
         "# Every URDF of example-robot-data",
         "",
-        "Written by `python benchmarks/assets.py`: example-robot-data "
+        "Written by `python benchmarks/assets.py --table docs/assets-table.md`: example-robot-data "
         f"{version('example-robot-data')}, MuJoCo {version('mujoco')}, Pinocchio {version('pin')}, "
         f"urdf-usd-converter {version('urdf-usd-converter')}.",
         "",

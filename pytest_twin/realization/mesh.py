@@ -19,6 +19,8 @@ from pytest_twin.realization.limits import ModelLimits
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int32]
 SUFFIXES = (".stl", ".obj", ".dae")
+_STL_HEAD, _STL_TRIANGLE = 84, 50
+"""Bytes of a binary STL."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,7 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
         raise FormatError("not a mesh that can be read", path=path, expected=" or ".join(SUFFIXES))
     data = read_bytes(path, limits.asset_bytes)
     try:
-        triangles = _collada(data, path) if suffix == ".dae" else _trimesh(data, suffix[1:])
+        triangles = _collada(data, path) if suffix == ".dae" else _trimesh(data, path)
     except (FormatError, MemoryError):
         raise
     except Exception as error:
@@ -95,15 +97,40 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
     return triangles
 
 
-def _trimesh(data: bytes, kind: str) -> Triangles:
+def _trimesh(data: bytes, path: Path) -> Triangles:
     import trimesh
 
+    kind = path.suffix.lower()[1:]
     loaded: Any = trimesh.load(
-        io.BytesIO(data), file_type=kind, force="mesh", process=False, skip_materials=True
+        io.BytesIO(_readable(data, path)),
+        file_type=kind,
+        force="mesh",
+        process=False,
+        skip_materials=True,
     )
     every: Vertices = np.asarray(loaded.vertices, dtype=np.float64)
     vertices, inverse = _merged(every)
     return Triangles(vertices, inverse[np.asarray(loaded.faces)].astype(np.int32))
+
+
+def _readable(data: bytes, path: Path) -> bytes:
+    """Binary STL as it is, text in UTF-8: its names may be in any encoding, and none is used.
+
+    Raises:
+        FormatError: an STL that is neither.
+    """
+    if path.suffix.lower() == ".stl":
+        stated = int.from_bytes(data[80:84], "little")
+        if len(data) == _STL_HEAD + stated * _STL_TRIANGLE:
+            return data
+        if b"facet" not in data.lower():
+            raise FormatError(
+                "broken STL mesh: neither text nor as long as its count of triangles says",
+                path=path,
+                value=f"{stated} triangles in {len(data)} bytes",
+                expected=f"{_STL_HEAD} bytes and {_STL_TRIANGLE} for each triangle",
+            )
+    return data.decode("utf-8", "replace").encode("utf-8")
 
 
 def _merged(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_mjcf_loading import binary_stl
 
+from pytest_twin.errors import FormatError
 from pytest_twin.realization import mesh
 from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.shapes import hull, polyhedron
@@ -41,3 +42,25 @@ def test_a_flat_mesh_has_no_volume() -> None:
     assert hull(square) is None
     assert polyhedron(square, faces) is None
     assert mesh.Triangles(square, faces).thickness < 1e-12
+
+
+def test_a_name_in_another_encoding_is_no_fault(tmp_path: Path) -> None:
+    facet = b"facet normal 0 0 1 outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet"
+    (tmp_path / "t.stl").write_bytes(
+        b"solid pi\xe8ce\n" + facet.replace(b" outer", b"\nouter").replace(b" vertex", b"\nvertex")
+        .replace(b" end", b"\nend") + b"\nendsolid pi\xe8ce\n"
+    )  # fmt: skip
+    (tmp_path / "t.obj").write_bytes(b"# pi\xe8ce\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for name in ("t.stl", "t.obj"):
+        found = mesh.read(tmp_path / name, LIMITS)
+        np.testing.assert_allclose(found.vertices.max(axis=0), [1, 1, 0])
+        assert len(found.faces) == 1
+
+
+@pytest.mark.parametrize("stated", [4_000_000_000, 3, 5])
+def test_an_stl_of_another_length_than_it_says(tmp_path: Path, stated: int) -> None:
+    data = bytearray(binary_stl())
+    data[80:84] = stated.to_bytes(4, "little")
+    (tmp_path / "t.stl").write_bytes(data)
+    with pytest.raises(FormatError, match=f"as its count of triangles says.*'{stated} triangles"):
+        mesh.read(tmp_path / "t.stl", LIMITS)
