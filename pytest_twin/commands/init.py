@@ -8,6 +8,7 @@ import re
 import sys
 from pathlib import Path
 
+from pytest_twin.commands import folders
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.gate.gate import Gate
@@ -54,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
 def _set_up(robot: Path, folder: Path) -> int:
     with Sandbox(cwd=None) as sandbox:
         seen = sandbox.call("pytest_twin.setup.inspection:look", {"model": str(robot)})
-        folder.mkdir(parents=True, exist_ok=True)
+        folders.make(folder)
         files = [Path(path) for path in seen["files"]]
         model, source = writing.bring_in(robot, files, folder)
         twin_file = writing.write_twin_file(

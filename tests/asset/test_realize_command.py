@@ -177,7 +177,7 @@ def test_the_source_is_never_written_over(
     assert urdf.read_bytes() == before
 
 
-@pytest.mark.parametrize("command", ["realize", "intake", "audit"])
+@pytest.mark.parametrize("command", ["realize", "intake", "audit", "init"])
 def test_a_file_in_the_way_of_the_output_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
