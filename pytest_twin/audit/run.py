@@ -96,6 +96,30 @@ def audit_file(
     return plain
 
 
+def criticals(path: str) -> list[str]:
+    """What of a file no robot can have, one line each: file, line, element and why.
+
+    Raises:
+        TwinError: no robot that can be looked at.
+    """
+    with quiet():
+        asset = read(Path(path), {})
+        findings = audit(asset, Evidence(), Geometry(asset))
+    return [
+        ": ".join(
+            str(word)
+            for word in (
+                None if f.place is None else f"{f.place.path.name}:{f.place.line}",
+                f.element,
+                f.title,
+            )
+            if word
+        )
+        for f in findings
+        if f.severity == "critical"
+    ]
+
+
 def _finite(data: Any) -> Any:
     """Plain data with None where a number is not finite: JSON has no other."""
     if isinstance(data, dict):

@@ -54,11 +54,11 @@ def test_panda(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_usd_is_written_and_read_back(tmp_path: Path) -> None:
     pytest.importorskip("urdf_usd_converter")
     out = tmp_path / "finger"
-    assert main(["realize", str(FINGER), "--out", str(out)]) == 0
+    assert main(["realize", str(FINGER), "--out", str(out)]) == 1
     assert (out / "finger_edu.usdc").is_file()
     assert rows(out, "USD")["forward kinematics, position"]["difference"] < 1e-9
     again = tmp_path / "again"
-    assert main(["realize", str(FINGER), "--out", str(again)]) == 0
+    assert main(["realize", str(FINGER), "--out", str(again)]) == 1
     first, second = ((folder / "manifest.json").read_text() for folder in (out, again))
     assert first == second
 
@@ -211,14 +211,20 @@ def test_what_fails_names_no_folder_of_the_work(
     assert made[0] == made[1]
 
 
-def test_a_moment_of_zero_stands_in_the_log(tmp_path: Path) -> None:
+def test_a_moment_of_zero_fails_as_it_fails_the_audit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "finger"
-    assert main(["realize", str(FINGER), "--out", str(out)]) == 0
+    assert main(["realize", str(FINGER), "--out", str(out)]) == 1
     flags = json.loads((out / "changes.json").read_text())["flags"]
     assert [(flag["where"], flag["line"]) for flag in flags] == [
         ("link 'finger_lower_link'.inertia", 167)
     ]
     assert flags[0]["value"].startswith("principal moments 0, ")
+    assert capsys.readouterr().err == (
+        "FAILS: finger_edu.urdf:127: link 'finger_lower_link': a principal moment of its inertia "
+        "is zero: it is not positive definite\n"
+    )
     assert not flags[0]["critical"]
 
 
