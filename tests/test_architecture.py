@@ -32,6 +32,11 @@ def test_nothing_imports_pytest_internals() -> None:
     assert offenders == []
 
 
-def test_the_demo_plant_shares_no_code_with_the_package() -> None:
-    for path in (PROJECT / "golden" / "make").glob("*.py"):
+def test_no_plant_shares_code_with_the_package() -> None:
+    plants = [
+        *(PROJECT / "golden" / "make").glob("*.py"),
+        *(PROJECT / "benchmarks" / "concealed").glob("*.py"),
+    ]
+    assert len(plants) >= 6
+    for path in plants:
         assert not re.search(r"^\s*(from|import)\s+pytest_twin\b", path.read_text(), re.MULTILINE)
