@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import EMPTY
-from pytest_twin.diagnosis.problem import Problem, joint_scales, sensor_noise, smooth_state
+from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, sensor_noise, smooth_state
 from pytest_twin.diagnosis.start import free_starts
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
@@ -26,7 +26,6 @@ from pytest_twin.trial import Trial
 # long, then starts anew from the measured state.
 _EFFORT_WINDOW = 1.0
 _START_SAMPLES = 12
-REFINE = 4
 NOISE = "sensor noise and quantization"
 LEFT_BY_CORRECTION = 0.125
 

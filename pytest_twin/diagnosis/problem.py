@@ -14,6 +14,32 @@ from pytest_twin.diagnosis.start import FreeStart
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
 
+REFINE = 4
+"""How much finer the step is by which the error of the model's own is measured."""
+
+
+def step_error(coarse: Predicted, fine: Predicted) -> Predicted:
+    """What the model's own step leaves out of a prediction.
+
+    Richardson's extrapolation from the step to one ``REFINE`` times finer, for an integrator of
+    first order.
+    """
+    whole = REFINE / (REFINE - 1.0)
+    return Predicted(
+        whole * (fine.position - coarse.position),
+        whole * (fine.velocity - coarse.velocity),
+        whole * (fine.effort - coarse.effort),
+    )
+
+
+def corrected(coarse: Predicted, error: Predicted) -> Predicted:
+    """A prediction with the error of its step taken out."""
+    return Predicted(
+        coarse.position + error.position,
+        coarse.velocity + error.velocity,
+        coarse.effort + error.effort,
+    )
+
 
 @dataclass(slots=True)
 class Problem:
@@ -61,12 +87,8 @@ class Problem:
         return [flat[i * n : (i + 1) * n] for i in range(len(hypotheses))]
 
     def _corrected(self, segment: int, p: Predicted) -> Predicted:
-        add = self.defect.get(segment)
-        if add is None:
-            return p
-        return Predicted(
-            p.position + add.position, p.velocity + add.velocity, p.effort + add.effort
-        )
+        error = self.defect.get(segment)
+        return p if error is None else corrected(p, error)
 
     def refine_at(self, hypothesis: Hypothesis) -> None:
         """Measure the defect of the model's step at a hypothesis, on every segment."""
@@ -76,18 +98,8 @@ class Problem:
         values = effect_values([hypothesis] * len(rows), len(self.joints), self.scales)
         coarse = self.simulator.simulate(rows, values)
         fine = self.refined.simulate(rows, values)
-        # An integrator of first order at a quarter of the step is still off by a third of the
-        # difference.
-        whole = 4.0 / 3.0
-        found = {}
-        for i, (c, f) in enumerate(zip(coarse, fine, strict=True)):
-            add = Predicted(
-                whole * (f.position - c.position),
-                whole * (f.velocity - c.velocity),
-                whole * (f.effort - c.effort),
-            )
-            if np.isfinite(add.position).all():
-                found[i] = add
+        errors = (step_error(c, f) for c, f in zip(coarse, fine, strict=True))
+        found = {i: add for i, add in enumerate(errors) if np.isfinite(add.position).all()}
         self.defect = found
 
     def residuals(

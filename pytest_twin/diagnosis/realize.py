@@ -18,8 +18,8 @@ import numpy as np
 import yaml
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.prepare import REFINE, _segments
-from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.prepare import _segments
+from pytest_twin.diagnosis.problem import REFINE, Problem, corrected, step_error
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import EffectValues, Predicted, RowSimulator, Segment
@@ -599,10 +599,7 @@ def replay_patched(
 
 
 def _predict(segment: Segment, patched: Patched, threads: int) -> Predicted:
-    """As the diagnosis predicts: with the error of the model's own step taken out.
-
-    Richardson's extrapolation from the step to a quarter of it, for an integrator of first order.
-    """
+    """As the diagnosis predicts: with the error of the model's own step taken out."""
     values = fixed_values(stepped_beside(patched), patched.joints, 1)
     row = np.zeros(1, dtype=np.int64)
     coarse, fine = (
@@ -613,12 +610,7 @@ def _predict(segment: Segment, patched: Patched, threads: int) -> Predicted:
     )
     if not np.isfinite(fine.position).all():
         return coarse
-    whole = REFINE / (REFINE - 1.0)
-    return Predicted(
-        coarse.position + whole * (fine.position - coarse.position),
-        coarse.velocity + whole * (fine.velocity - coarse.velocity),
-        coarse.effort + whole * (fine.effort - coarse.effort),
-    )
+    return corrected(coarse, step_error(coarse, fine))
 
 
 def _as_measured(
