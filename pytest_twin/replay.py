@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
+from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.inputs import command_input, joint_inputs, steady_activation
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.trial import Trial
@@ -50,7 +51,6 @@ _ON_STEP = 1e-5
 _STATE = mujoco.mjtState
 _TIME = int(_STATE.mjSTATE_TIME)
 _INITIAL = ("qpos", "qvel", "act", "history", "ctrl")
-_IDENTITY = JointCalibration()
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,12 +176,6 @@ def replay_rows(
     return [run.result() for run in runs]
 
 
-def calibration_of(realization: Realization) -> Mapping[str, JointCalibration]:
-    """Joint -> how its encoder relates to the model; empty where the twin does not say."""
-    twin = realization.twin
-    return {} if twin is None or twin.calibration is None else twin.calibration.joints
-
-
 def frame_poses(realization: Realization, qpos: FloatArray, frame: str) -> FloatArray:
     """(n, 7) position (m) and quaternion (w x y z) of a frame in the world.
 
@@ -210,13 +204,11 @@ def measured_qpos(realization: Realization, replayed: Replayed) -> FloatArray:
 
     Joints outside the recording are where the replay has them.
     """
-    calibration = calibration_of(realization)
+    trial = replayed.trial
+    encoders = Encoders.of(calibration_of(realization), trial.joints)
     qpos = replayed.qpos.copy()
-    for column, joint in enumerate(replayed.trial.joints):
-        item = calibration.get(joint, _IDENTITY)
-        qpos[:, realization.joint_qpos_index(joint)] = (
-            item.sign * replayed.trial.position[:, column] + item.offset
-        )
+    columns = [realization.joint_qpos_index(joint) for joint in trial.joints]
+    qpos[:, columns] = encoders.model_position(trial.position)
     return qpos
 
 
@@ -235,9 +227,7 @@ class _Run:
         self.joint_ids = [self._joint_id(joint) for joint in self.trial.joints]
         self.qpos_index = self.model.jnt_qposadr[self.joint_ids]
         self.dof_index = self.model.jnt_dofadr[self.joint_ids]
-        calibration = [row.calibration.get(joint, _IDENTITY) for joint in self.trial.joints]
-        self.sign = np.array([item.sign for item in calibration])
-        self.offset = np.array([item.offset for item in calibration])
+        self.encoders = Encoders.of(row.calibration, self.trial.joints)
         self.applies_effort = False
         self._place_samples()
         self._set_first_state(data)
@@ -280,9 +270,9 @@ class _Run:
 
     def _set_first_state(self, data: mujoco.MjData) -> None:
         mujoco.mj_resetData(self.model, data)
-        data.qpos[self.qpos_index] = self.sign * self.trial.position[0] + self.offset
+        data.qpos[self.qpos_index] = self.encoders.model_position(self.trial.position[0])
         if self.trial.velocity is not None:
-            velocity = self.sign * self.trial.velocity[0]
+            velocity = self.encoders.signed(self.trial.velocity[0])
             data.qvel[self.dof_index] = np.where(np.isfinite(velocity), velocity, 0.0)
         _follow_joint_equalities(self.model, data, set(self.joint_ids))
 
@@ -293,12 +283,10 @@ class _Run:
         base = np.zeros(width + model.nv)
         self._hold_uncommanded(base, data)
         values = np.tile(base, (len(trial.command_time), 1))
-        for column, joint in enumerate(trial.command_joints):
+        encoders = Encoders.of(self.row.calibration, trial.command_joints)
+        commands = encoders.model_command(trial.command, trial.command_mode)
+        for joint, command in zip(trial.command_joints, commands.T, strict=True):
             joint_id = self._joint_id(joint)
-            item = self.row.calibration.get(joint, _IDENTITY)
-            command = item.sign * trial.command[:, column]
-            if trial.command_mode == "position":
-                command = command + item.offset
             try:
                 target = command_input(model, joint, trial.command_mode)
             except SpecError as error:
@@ -400,9 +388,9 @@ class _Run:
         return Replayed(
             trial=self.trial,
             time=self.trial.time,
-            position=self.sign * (self.qpos[:, self.qpos_index] - self.offset),
-            velocity=self.sign * self.velocity,
-            effort=self.sign * self.effort,
+            position=self.encoders.read_position(self.qpos[:, self.qpos_index]),
+            velocity=self.encoders.signed(self.velocity),
+            effort=self.encoders.signed(self.effort),
             qpos=self.qpos,
             error=self.error,
         )

@@ -114,7 +114,7 @@ def diagnose_files(
     """
     from pytest_twin.commands.replay import load_model
     from pytest_twin.diagnosis.diagnose import diagnose
-    from pytest_twin.diagnosis.realize import write_realization
+    from pytest_twin.diagnosis.patched_write import write_realization
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.realization.quiet import quiet
     from pytest_twin.report.diagnosis import render, words

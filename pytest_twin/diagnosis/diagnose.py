@@ -11,14 +11,9 @@ import numpy as np
 from pytest_twin.diagnosis.findings import Explained, explain, finding_json, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
+from pytest_twin.diagnosis.patched import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched_replay import fixed_values, stepped_beside, without_delays
 from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
-from pytest_twin.diagnosis.realize import (
-    AppliedEffect,
-    Patched,
-    fixed_values,
-    stepped_beside,
-    without_delays,
-)
 from pytest_twin.diagnosis.select import Selected, Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict

@@ -18,8 +18,8 @@ from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
+from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.mjcf import compiled
-from pytest_twin.replay import calibration_of
 from pytest_twin.trial import Trial
 
 # Under an effort command errors integrate twice: a simulation is held to the recording for this
@@ -63,7 +63,7 @@ def prepare(
     segments: list[Segment] = []
     owner: list[int] = []
     for i, trial in enumerate(trials):
-        made = _segments(realization, trial, i, joints)
+        made = segments_of(realization, trial, i, joints)
         segments += made
         owner += [i] * len(made)
     simulator = RowSimulator(segments, joints, threads=threads)
@@ -126,25 +126,33 @@ def _shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[s
     return joints
 
 
-def _segments(
+def segments_of(
     realization: Realization, trial: Trial, index: int, joints: Sequence[str]
 ) -> list[Segment]:
+    """A trial in the model's terms: one segment, or, under effort commands, one for each second.
+
+    Args:
+        realization: what it is stepped on, under the trial's own controller and payload.
+        trial: what was recorded.
+        index: of the trial, kept in its segments.
+        joints: columns; all are in the trial.
+
+    Raises:
+        SpecError: a controller or payload that the model lacks.
+    """
     columns = [trial.joints.index(j) for j in joints]
-    calibration = calibration_of(realization)
-    sign = np.array([calibration[j].sign if j in calibration else 1.0 for j in joints])
-    offset = np.array([calibration[j].offset if j in calibration else 0.0 for j in joints])
+    encoders = Encoders.of(calibration_of(realization), joints)
     model = _model(realization, trial)
     keep = np.concatenate([[True], np.diff(trial.time) > 0])
     time = trial.time[keep]
-    position = sign * trial.position[keep][:, columns] + offset
-    velocity = _columns(trial.velocity, keep, columns, sign)
-    effort = _columns(trial.effort, keep, columns, sign)
+    position = encoders.model_position(trial.position[keep][:, columns])
+    velocity = _columns(trial.velocity, keep, columns, encoders)
+    effort = _columns(trial.effort, keep, columns, encoders)
     command = np.full((len(trial.command_time), len(joints)), np.nan)
     for j, joint in enumerate(joints):
         if joint in trial.command_joints:
-            command[:, j] = sign[j] * trial.command[:, trial.command_joints.index(joint)]
-            if trial.command_mode == "position":
-                command[:, j] += offset[j]
+            command[:, j] = trial.command[:, trial.command_joints.index(joint)]
+    command = encoders.model_command(command, trial.command_mode)
     ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
     common = {
         "trial": index,
@@ -178,9 +186,9 @@ def _segments(
 
 
 def _columns(
-    values: FloatArray | None, keep: NDArray[np.bool_], columns: list[int], sign: FloatArray
+    values: FloatArray | None, keep: NDArray[np.bool_], columns: list[int], encoders: Encoders
 ) -> FloatArray | None:
-    return None if values is None else sign * values[keep][:, columns]
+    return None if values is None else encoders.signed(values[keep][:, columns])
 
 
 _MODELS: weakref.WeakKeyDictionary[Realization, dict[tuple[str | None, ...], mujoco.MjModel]] = (

@@ -1,0 +1,291 @@
+"""Effects in MuJoCo's own terms: which of them an MJCF holds, and how they are written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.patched import AppliedEffect
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import FloatArray, ModelFields
+from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.realization import Realization, patch
+from pytest_twin.realization.mjcf import compiled
+from pytest_twin.twin import Payload
+
+# A delay line holds this many steps beyond the delay itself.
+_SPARE_SAMPLES = 3
+
+
+class NativeWriter:
+    """Writes effects into a spec, one after another, where MuJoCo has their law."""
+
+    def __init__(self, spec: mujoco.MjSpec, realization: Realization, problem: Problem) -> None:
+        self.spec, self.problem = spec, problem
+        self.simulator = problem.simulator
+        twin = realization.twin
+        # Controllers and payloads overwrite gains and add masses when a trial asks for them: what
+        # is in proportion to those has to come after.
+        self.fixed_gains = twin is None or not twin.controllers
+        self.fixed_masses = twin is None or not twin.payloads
+        self.model = compiled(spec)[0]
+
+    def take(self, term: Term, values: Mapping[str, float]) -> list[AppliedEffect]:
+        """Write the effect into the model as far as it goes; what is left stays beside it."""
+        joint = None if term.joint < 0 else self.problem.joints[term.joint]
+        beside = AppliedEffect(term.effect, joint, dict(values), in_model=False)
+        write = _NATIVE.get(term.effect)
+        if write is None:
+            return [beside]
+        before = self.spec.copy()
+        try:
+            written = write(self, term.joint, dict(values))
+            if written is None:
+                self.spec = before
+                return [beside]
+            text, rest = written
+            self.model = compiled(self.spec)[0]
+        except (TwinError, ValueError, RuntimeError, mujoco.FatalError):
+            # A value that MJCF does not take, such as a damping below zero, is stepped beside it.
+            self.spec = before
+            self.model = compiled(self.spec)[0]
+            return [beside]
+        inside = {k: v for k, v in values.items() if k not in rest}
+        out = [AppliedEffect(term.effect, joint, inside, in_model=True, written=text)]
+        if rest:
+            neutral = {p.name: p.neutral or 0.0 for p in term.parameters}
+            out.append(AppliedEffect(term.effect, joint, {**neutral, **rest}, in_model=False))
+        return out
+
+    def settle(self) -> None:
+        """State the solver settings under which the findings hold."""
+        timestep = float(self.model.opt.timestep)
+        by_name = {j.name: j for j in self.spec.joints}
+        for name in self.problem.joints:
+            # As the row simulator has them: MuJoCo's default lets dry friction creep under load.
+            joint = by_name[name]
+            joint.solref_friction[:] = (2.0 * timestep, 1.0)
+            joint.solimp_friction[:3] = (0.999, 0.9999, 0.001)
+        self.model = compiled(self.spec)[0]
+
+    def text(self) -> str:
+        """The MJCF."""
+        return str(self.spec.to_xml())
+
+    # -- helpers of the laws below
+
+    def refuse(self, where: str, problem: str, **details: Any) -> SpecError:
+        """An error to be raised; :meth:`take` then leaves the effect beside the model."""
+        return SpecError(problem, where=where, **details)
+
+    def fit(self, family: str, name: str, values: Mapping[str, Any]) -> None:
+        """Set attributes of one element, as a twin's ``fit`` would."""
+        patch.apply_fit(self.spec, {family: {name: values}}, {}, refuse=self.refuse)
+
+    def joint_index(self, joint: int) -> tuple[str, int, int]:
+        """Name, joint id and dof of a column."""
+        return (
+            self.problem.joints[joint],
+            int(self.simulator.joint_ids[joint]),
+            int(self.simulator.dof_index[joint]),
+        )
+
+    def actuator_name(self, joint: int) -> str | None:
+        """Of the drive of a column, or None without one that has a name."""
+        at = int(self.simulator.actuator[joint])
+        if at < 0:
+            return None
+        return mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, at) or None
+
+    def body_name(self, joint: int) -> str:
+        """Of the body that a column moves."""
+        at = int(self.simulator.body_index[joint])
+        return str(mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_BODY, at))
+
+
+Written = tuple[str, dict[str, float]] | None
+"""What of the MJCF says it, and the parameters that are left over."""
+
+
+def _viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name, _, dof = w.joint_index(joint)
+    total = float(w.model.dof_damping[dof]) + values["coefficient"]
+    if total < 0.0:
+        return None
+    _add_damping(w, name, 0, values["coefficient"])
+    return f"joint '{name}' damping", {}
+
+
+def _add_damping(w: NativeWriter, name: str, order: int, value: float) -> None:
+    joint = next(j for j in w.spec.joints if j.name == name)
+    poly = np.array(joint.damping, dtype=float)
+    poly[order] += value
+    joint.damping = poly
+
+
+def _drag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name, _, dof = w.joint_index(joint)
+    if values["coefficient"] + float(w.model.dof_dampingpoly[dof, 0]) < 0.0:
+        return None
+    _add_damping(w, name, 1, values["coefficient"])
+    return f"joint '{name}' damping, second coefficient", {}
+
+
+def _dry(w: NativeWriter, joint: int, level: float) -> str:
+    name, _, dof = w.joint_index(joint)
+    total = max(float(w.model.dof_frictionloss[dof]) + level, 0.0)
+    w.fit("joint", name, {"frictionloss": total})
+    return f"joint '{name}' frictionloss"
+
+
+def _coulomb(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    return _dry(w, joint, values["coulomb"]), {}
+
+
+def _asymmetric(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    return _dry(w, joint, values["coulomb"]), {"offset": values["offset"]}
+
+
+def _armature(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name, _, dof = w.joint_index(joint)
+    total = float(w.model.dof_armature[dof]) + values["inertia"]
+    if total < 0.0:
+        return None
+    w.fit("joint", name, {"armature": total})
+    return f"joint '{name}' armature", {}
+
+
+def _spring(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name, index, _ = w.joint_index(joint)
+    address = int(w.simulator.qpos_index[joint])
+    total = float(w.model.jnt_stiffness[index]) + values["stiffness"]
+    if total <= 0.0:
+        return None
+    rest = float(w.model.qpos_spring[address]) + values["preload"] / total
+    w.fit("joint", name, {"stiffness": total, "springref": rest})
+    return f"joint '{name}' stiffness and springref", {}
+
+
+def _gains(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name = w.actuator_name(joint)
+    if name is None or not w.fixed_gains:
+        return None
+    at = int(w.simulator.actuator[joint])
+    stiffness, damping = 1.0 + values["stiffness_error"], 1.0 + values["damping_error"]
+    gain, bias = w.model.actuator_gainprm[at].copy(), w.model.actuator_biasprm[at].copy()
+    gain[0] *= damping if w.simulator.servo[joint] == "velocity" else stiffness
+    bias[1] *= stiffness
+    bias[2] *= damping
+    w.fit("actuator", name, {"gainprm": gain.tolist(), "biasprm": bias.tolist()})
+    return f"actuator '{name}' gains", {}
+
+
+def _torque_constant(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name = w.actuator_name(joint)
+    if name is None or not w.fixed_gains:
+        return None
+    at, factor = int(w.simulator.actuator[joint]), 1.0 + values["relative_error"]
+    if factor <= 0.0:
+        return None
+    changed: dict[str, Any] = {
+        "gainprm": (w.model.actuator_gainprm[at] * factor).tolist(),
+        "biasprm": (w.model.actuator_biasprm[at] * factor).tolist(),
+    }
+    if w.model.actuator_forcelimited[at]:
+        changed["forcerange"] = (w.model.actuator_forcerange[at] * factor).tolist()
+    w.fit("actuator", name, changed)
+    return f"actuator '{name}' gains and forcerange", {}
+
+
+def _saturation(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name = w.actuator_name(joint)
+    if name is None or not w.fixed_gains or values["inverse_limit"] <= 0.0:
+        return None
+    at = int(w.simulator.actuator[joint])
+    limit = 1.0 / values["inverse_limit"] / abs(float(w.simulator.gear[joint]))
+    ends = np.array([-limit, limit])
+    if w.model.actuator_forcelimited[at]:
+        ends = np.clip(w.model.actuator_forcerange[at], -limit, limit)
+    if ends[0] >= ends[1]:
+        return None
+    w.fit("actuator", name, {"forcerange": ends.tolist()})
+    return f"actuator '{name}' forcerange", {}
+
+
+def _delay(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name = w.actuator_name(joint)
+    if name is None:
+        return None
+    actuator = next(a for a in w.spec.actuators if a.name == name)
+    total = float(actuator.delay) + values["delay"]
+    actuator.delay = total
+    actuator.nsample = math.ceil(total / float(w.model.opt.timestep)) + _SPARE_SAMPLES
+    actuator.interp = 1
+    return f"actuator '{name}' delay", {}
+
+
+def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    if not w.fixed_masses:
+        return None
+    body, factor = w.body_name(joint), 1.0 + values["relative_error"]
+    mass, tensor = _compiled_inertia(w.model, int(w.simulator.body_index[joint]))
+    w.fit("body", body, {"mass": mass * factor, "inertia": _six(tensor * factor)})
+    return f"body '{body}' mass and inertia", {}
+
+
+def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    del joint
+    last = len(w.problem.joints) - 1
+    body = w.body_name(last)
+    model, at = w.model, int(w.simulator.joint_ids[last])
+    center = model.jnt_pos[at] + values["distance"] * w.simulator.directions[last]
+    index = int(w.simulator.body_index[last])
+    if not w.fixed_masses or float(model.body_mass[index]) + values["mass"] <= 1e-6:
+        return None
+    x, y, z = (float(c) for c in center)
+    payload = Payload(values["mass"], (x, y, z))
+    patch.apply_payload(w.spec, {body: payload}, where="payload", refuse=w.refuse)
+    return f"body '{body}' mass, centre and inertia", {}
+
+
+def _tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    del joint
+    one = np.zeros((1, 1))
+    fields = ModelFields(one, one, one, one, one, np.array([w.model.opt.gravity]), one, one, one)
+    catalogue()["base_tilt"].fields(fields, {k: np.full((1, 1), v) for k, v in values.items()})
+    w.spec.option.gravity = fields.gravity[0]
+    return "option gravity", {}
+
+
+def _compiled_inertia(model: mujoco.MjModel, body: int) -> tuple[float, FloatArray]:
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, model.body_iquat[body])
+    rotation = flat.reshape(3, 3)
+    return float(model.body_mass[body]), rotation @ np.diag(model.body_inertia[body]) @ rotation.T
+
+
+def _six(tensor: FloatArray) -> list[float]:
+    return [float(tensor[i, k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+
+
+_NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] = {
+    "viscous_friction": _viscous,
+    "quadratic_drag": _drag,
+    "coulomb_friction": _coulomb,
+    "asymmetric_friction": _asymmetric,
+    "armature": _armature,
+    "joint_spring": _spring,
+    "controller_gain": _gains,
+    "torque_constant": _torque_constant,
+    "torque_saturation": _saturation,
+    "command_delay": _delay,
+    "inertial_parameters": _inertial,
+    "payload": _payload,
+    "base_tilt": _tilt,
+}

@@ -1,0 +1,125 @@
+"""What a diagnosis adds to a model: the effects it found, and the file that lists them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.effects import catalogue
+from pytest_twin.errors import SpecError
+
+EFFECTS_FILE = "effects.json"
+MODEL_FILE = "model.xml"
+_MAX_EFFECTS = 256
+_MAX_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class AppliedEffect:
+    """One effect of a patched realization.
+
+    Attributes:
+        effect, joint: what and where; joint None for the whole robot's.
+        values: parameter -> SI value, as the law takes it.
+        in_model: whether the MJCF holds it.
+        written: what of the MJCF says it; empty where nothing does.
+    """
+
+    effect: str
+    joint: str | None
+    values: Mapping[str, float]
+    in_model: bool
+    written: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Patched:
+    """What stands in ``effects.json``.
+
+    Attributes:
+        joints: columns that laws act on, in order.
+        effects: all, those in the model too.
+    """
+
+    joints: tuple[str, ...]
+    effects: tuple[AppliedEffect, ...] = field(default=())
+
+    @property
+    def beside(self) -> tuple[AppliedEffect, ...]:
+        """Those that are stepped beside the model."""
+        return tuple(e for e in self.effects if not e.in_model)
+
+
+def effects_json(patched: Patched) -> dict[str, Any]:
+    """As the file has it."""
+    laws = catalogue()
+    return {
+        "schema": 1,
+        "joints": list(patched.joints),
+        "effects": [
+            {
+                "effect": e.effect,
+                "joint": e.joint,
+                "values": dict(e.values),
+                "in_model": e.in_model,
+                **({"written": e.written} if e.written else {}),
+                "law": laws[e.effect].law,
+            }
+            for e in patched.effects
+        ],
+    }
+
+
+def read_effects(path: Path) -> Patched:
+    """Read ``effects.json``.
+
+    Raises:
+        SpecError: a field that is unknown, missing, or means nothing.
+    """
+    if path.stat().st_size > _MAX_BYTES:
+        raise SpecError("too large", path=path, expected=f"at most {_MAX_BYTES} bytes")
+    try:
+        data = json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise SpecError(f"not JSON: {error}", path=path) from None
+
+    def need(good: bool, where: str, expected: str, value: object = None) -> None:
+        if not good:
+            raise SpecError(
+                "not a list of effects", path=path, where=where, value=value, expected=expected
+            )
+
+    need(isinstance(data, dict) and data.get("schema") == 1, "schema", "1")
+    joints = data.get("joints")
+    need(
+        isinstance(joints, list) and bool(joints) and all(isinstance(j, str) for j in joints),
+        "joints",
+        "names of joints",
+    )
+    listed = data.get("effects")
+    need(isinstance(listed, list) and len(listed) <= _MAX_EFFECTS, "effects", "a list")
+    found = []
+    for i, item in enumerate(listed):
+        here = f"effects.{i}"
+        need(isinstance(item, dict), here, "a table")
+        name, joint, values = item.get("effect"), item.get("joint"), item.get("values")
+        need(name in catalogue(), f"{here}.effect", "an effect of the catalogue", name)
+        need(joint is None or joint in joints, f"{here}.joint", "one of joints, or null", joint)
+        robot = catalogue()[name].scope == "robot"
+        need(robot == (joint is None), f"{here}.joint", "null for the whole robot's effects")
+        need(isinstance(item.get("in_model"), bool), f"{here}.in_model", "true or false")
+        known = {p.name for p in catalogue()[name].parameters}
+        need(isinstance(values, dict) and set(values) <= known, f"{here}.values", str(known))
+        for key, value in values.items():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            need(number and math.isfinite(value), f"{here}.values.{key}", "a finite number", value)
+        if not item["in_model"]:
+            need(set(values) == known, f"{here}.values", str(known))
+        found.append(
+            AppliedEffect(name, joint, {k: float(v) for k, v in values.items()}, item["in_model"])
+        )
+    return Patched(tuple(joints), tuple(found))

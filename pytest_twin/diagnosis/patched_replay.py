@@ -1,0 +1,171 @@
+"""Replay of a patched realization: the model, and the effects beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.diagnosis.patched import AppliedEffect, Patched
+from pytest_twin.diagnosis.prepare import segments_of
+from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import EffectValues, Predicted, RowSimulator, Segment
+from pytest_twin.errors import RecordingError, SimulationError
+from pytest_twin.realization import Realization
+from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.realization.mjcf import compiled
+from pytest_twin.trial import Trial
+
+
+def stepped_beside(patched: Patched) -> tuple[AppliedEffect, ...]:
+    """Effects that the row simulator applies: those beside the model, and delays.
+
+    MuJoCo's delay lines start at a command of zero, a recording does not: delays are taken out of
+    the model that is stepped (:func:`without_delays`) and applied to the commands.
+    """
+    delays = tuple(e for e in patched.effects if e.in_model and e.effect == "command_delay")
+    return patched.beside + delays
+
+
+def without_delays(realization: Realization, patched: Patched) -> Realization:
+    """The realization with the delay lines of :func:`stepped_beside` taken out."""
+    delayed = {
+        e.joint: e.values["delay"]
+        for e in patched.effects
+        if e.in_model and e.effect == "command_delay"
+    }
+    if not delayed:
+        return realization
+    spec = realization.spec.copy()
+    for actuator in spec.actuators:
+        if actuator.target in delayed and actuator.delay > 0.0:
+            left = float(actuator.delay) - delayed[actuator.target]
+            # MJCF is written with six digits.
+            actuator.delay = left if left > 1e-5 * float(actuator.delay) else 0.0
+            if actuator.delay == 0.0:
+                actuator.nsample = 0
+    return Realization(
+        name=realization.name,
+        path=realization.path,
+        spec=spec,
+        model=compiled(spec)[0],
+        source=realization.source,
+        twin=realization.twin,
+    )
+
+
+def fixed_values(
+    effects: Sequence[AppliedEffect], joints: Sequence[str], rows: int
+) -> EffectValues:
+    """Parameters as (rows, joints) arrays; neutral where an effect is absent.
+
+    Several entries of one effect at one joint add up in their switching parameters.
+    """
+    out: dict[str, dict[str, FloatArray]] = {}
+    for e in effects:
+        law = catalogue()[e.effect]
+        if e.effect not in out:
+            out[e.effect] = {
+                p.name: np.full(
+                    (rows, len(joints)), p.starts[0] if p.neutral is None else p.neutral
+                )
+                for p in law.parameters
+            }
+        column: slice | int = slice(None) if e.joint is None else list(joints).index(e.joint)
+        for p in law.parameters:
+            value = e.values.get(p.name)
+            if value is None:
+                continue
+            array = out[e.effect][p.name]
+            array[:, column] = value if p.neutral is None else array[:, column] + value
+    return out
+
+
+def replay_patched(
+    realization: Realization, patched: Patched, trials: Sequence[Trial], *, threads: int = 0
+) -> list[Predicted]:
+    """Open-loop predictions of whole trials, at their own stamps, as the sensors would read.
+
+    Args:
+        realization: loaded from the patched folder.
+        patched: what stands beside it.
+        trials: commands and first states are read, nothing else.
+
+    Returns:
+        Columns are ``patched.joints``, rows the trials' own states.
+
+    Raises:
+        RecordingError: a joint that the effects act on is not in a recording.
+        SimulationError: a simulation diverged.
+    """
+    stepped = without_delays(realization, patched)
+    out = []
+    for trial in trials:
+        missing = [j for j in patched.joints if j not in trial.joints]
+        if missing:
+            raise RecordingError(
+                "a joint of the diagnosed model is not in the recording",
+                path=trial.path,
+                value=", ".join(missing),
+                expected=", ".join(patched.joints),
+            )
+        segment = whole_segment(stepped, trial, patched.joints)
+        predicted = _predict(segment, patched, threads)
+        if not np.isfinite(predicted.position).all():
+            raise SimulationError("the simulation diverged", path=trial.path)
+        out.append(_as_measured(predicted, segment, trial, realization, patched.joints))
+    return out
+
+
+def _predict(segment: Segment, patched: Patched, threads: int) -> Predicted:
+    """As the diagnosis predicts: with the error of the model's own step taken out."""
+    values = fixed_values(stepped_beside(patched), patched.joints, 1)
+    row = np.zeros(1, dtype=np.int64)
+    coarse, fine = (
+        RowSimulator([segment], patched.joints, threads=threads, refine=refine).simulate(
+            row, values
+        )[0]
+        for refine in (1, REFINE)
+    )
+    if not np.isfinite(fine.position).all():
+        return coarse
+    return corrected(coarse, step_error(coarse, fine))
+
+
+def _as_measured(
+    predicted: Predicted,
+    segment: Segment,
+    trial: Trial,
+    realization: Realization,
+    joints: Sequence[str],
+) -> Predicted:
+    """At every state of the trial, doubled stamps too, and as its encoders count."""
+    encoders = Encoders.of(calibration_of(realization), joints)
+    at = np.clip(np.searchsorted(segment.time, trial.time), 0, len(segment.time) - 1)
+    return Predicted(
+        encoders.read_position(predicted.position[at]),
+        encoders.signed(predicted.velocity[at]),
+        encoders.signed(predicted.effort[at]),
+    )
+
+
+def whole_segment(realization: Realization, trial: Trial, joints: Sequence[str]) -> Segment:
+    """One segment from the first state of a trial to its last."""
+    parts = segments_of(realization, trial, 0, joints)
+    if len(parts) == 1:
+        return parts[0]
+    kept = [np.concatenate([[True], np.diff(p.time) > 0]) for p in parts]
+    for before, here, keep in zip(parts[:-1], parts[1:], kept[1:], strict=True):
+        keep &= here.time > before.time[-1]
+
+    def joined(name: str) -> Any:
+        values = [getattr(p, name) for p in parts]
+        if any(v is None for v in values):
+            return None
+        return np.concatenate([v[k] for v, k in zip(values, kept, strict=True)])
+
+    return replace(parts[0], **{n: joined(n) for n in ("time", "position", "velocity", "effort")})

@@ -1,0 +1,100 @@
+"""The patched realization on disk: plain MJCF where MuJoCo has the physics, a list for the rest.
+
+The asset is never touched: what is written is a model of its own, that plain MuJoCo loads, and a
+list of effects that are stepped beside it.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.native import NativeWriter
+from pytest_twin.diagnosis.patched import EFFECTS_FILE, MODEL_FILE, Patched, effects_json
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.formats import atomic
+from pytest_twin.realization import Realization
+from pytest_twin.twin import FILE_NAME, Twin
+
+
+def write_realization(
+    folder: Path,
+    realization: Realization,
+    problem: Problem,
+    hypothesis: Hypothesis,
+    inherited: Patched | None = None,
+) -> Patched:
+    """Write ``model.xml``, ``effects.json`` and, with controllers or payloads, ``twin.yaml``.
+
+    Args:
+        folder: new, empty.
+        realization: the model as it came.
+        problem: that was explained.
+        hypothesis: its findings.
+        inherited: effects of the realization that was diagnosed, where it was a patched one.
+
+    Raises:
+        PathError: the folder cannot be written.
+    """
+    spec = realization.spec.copy()
+    writer = NativeWriter(spec, realization, problem)
+    effects = list(inherited.effects) if inherited is not None else []
+    for term in hypothesis.terms:
+        theta = hypothesis.theta[hypothesis.slice_of(term)]
+        values = {
+            p.name: float(t * problem.scales.value(p, term.joint))
+            for p, t in zip(term.parameters, theta, strict=True)
+        }
+        effects += writer.take(term, values)
+    patched = Patched(problem.joints, tuple(effects))
+    writer.settle()
+    text = writer.text()
+    if realization.source.kind == "mjcf":
+        for name, path in realization.source.assets.items():
+            if not name.endswith(".xml"):
+                atomic.write_bytes(folder / name, path.read_bytes())
+    atomic.write_text(folder / MODEL_FILE, text)
+    atomic.write_text(folder / EFFECTS_FILE, json.dumps(effects_json(patched), indent=2) + "\n")
+    if realization.twin is not None:
+        atomic.write_text(folder / FILE_NAME, _twin_text(realization.twin))
+    return patched
+
+
+def _twin_text(twin: Twin) -> str:
+    """A ``twin.yaml`` for the patched model: what trials' metadata selects stays selectable."""
+    data: dict[str, Any] = {
+        "name": f"{twin.name}-diagnosed",
+        "model": MODEL_FILE,
+        "topics": dict(twin.topics),
+    }
+    if twin.controllers:
+        data["controllers"] = {
+            name: {a: {k: _plain(v) for k, v in p.items()} for a, p in actuators.items()}
+            for name, actuators in twin.controllers.items()
+        }
+    if twin.payloads:
+        data["payloads"] = {
+            name: {
+                body: {"mass": p.mass, "com": list(p.com), "inertia": list(p.inertia)}
+                for body, p in bodies.items()
+            }
+            for name, bodies in twin.payloads.items()
+        }
+    if twin.calibration is not None and twin.calibration.joints:
+        data["calibration"] = {
+            "id": twin.calibration.id,
+            "joints": {
+                j: {"offset": c.offset, "sign": c.sign} for j, c in twin.calibration.joints.items()
+            },
+        }
+    if twin.tcp is not None:
+        data["tcp"] = twin.tcp
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+
+
+def _plain(value: float | tuple[float, ...]) -> float | list[float]:
+    return list(value) if isinstance(value, tuple) else value

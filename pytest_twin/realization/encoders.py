@@ -1,0 +1,64 @@
+"""Between what a robot's encoders read and what its model means: ``model = sign * read + offset``.
+
+Offsets are of positions alone; velocities and efforts follow the sign. Position commands are in
+the encoders' terms too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.realization.model import Realization
+from pytest_twin.twin import JointCalibration
+
+FloatArray = NDArray[np.float64]
+_IDENTITY = JointCalibration()
+
+
+def calibration_of(realization: Realization) -> Mapping[str, JointCalibration]:
+    """Joint -> how its encoder relates to the model; empty where the twin does not say."""
+    twin = realization.twin
+    return {} if twin is None or twin.calibration is None else twin.calibration.joints
+
+
+@dataclass(frozen=True, slots=True)
+class Encoders:
+    """The encoders of some joints; arrays have a column for each.
+
+    Attributes:
+        sign: (j,) 1.0 or -1.0.
+        offset: (j,) rad or m.
+    """
+
+    sign: FloatArray
+    offset: FloatArray
+
+    @classmethod
+    def of(cls, calibration: Mapping[str, JointCalibration], joints: Sequence[str]) -> Self:
+        """Those of ``joints``; a joint without a calibration has the identity."""
+        items = [calibration.get(joint, _IDENTITY) for joint in joints]
+        return cls(np.array([i.sign for i in items]), np.array([i.offset for i in items]))
+
+    def model_position(self, read: FloatArray) -> FloatArray:
+        """Positions (..., j) as the model has them, rad or m."""
+        position: FloatArray = self.sign * read + self.offset
+        return position
+
+    def read_position(self, model: FloatArray) -> FloatArray:
+        """Positions (..., j) as the encoders read them, rad or m."""
+        position: FloatArray = self.sign * (model - self.offset)
+        return position
+
+    def signed(self, values: FloatArray) -> FloatArray:
+        """Velocities or efforts (..., j), from either side to the other."""
+        signed: FloatArray = self.sign * values
+        return signed
+
+    def model_command(self, sent: FloatArray, mode: str) -> FloatArray:
+        """Commands (..., j) of mode ``position``, ``velocity`` or ``effort``."""
+        return self.model_position(sent) if mode == "position" else self.signed(sent)
