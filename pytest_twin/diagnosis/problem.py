@@ -222,6 +222,7 @@ def joint_scales(simulator: RowSimulator, segments: Sequence[Segment]) -> Scales
             "inverse_effort": 1.0 / np.maximum(peak, 1e-4),
             "command": np.maximum(np.nan_to_num(command), 1e-4),
             "mass": ones * max(subtree, 0.05),
+            "clearance": 0.01 * ones,
             "length": ones * float(simulator.link_length[-1]),
         }
     )

@@ -57,6 +57,8 @@ def candidates(problem: Problem) -> list[Term]:
     for effect in catalogue().values():
         if effect.id.startswith("effort_") and problem.effort_floor is None:
             continue
+        if effect.family == "contact" and not problem.simulator.contact.has(effect.id):
+            continue
         if effect.scope == "robot":
             found.append(Term(effect.id, -1))
             continue

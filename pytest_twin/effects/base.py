@@ -62,7 +62,7 @@ class Parameter:
         reference: the joint's own scale that bounds and starts are multiples of: ``one``,
             ``effort`` (root mean square of the drive's effort), ``velocity``, ``position``,
             ``twelfth`` (of the longest trial, s), ``inertia`` (reflected), ``damping`` (effort /
-            velocity), ``stiffness`` (effort / position).
+            velocity), ``stiffness`` (effort / position), ``clearance`` (1 cm).
         reciprocal_of: name and quantity of what is reported in its place: a law that is absent at
             infinity is fitted by its reciprocal.
     """
@@ -242,6 +242,9 @@ class ModelFields:
         added_distance: where, m from the joint along the link's own direction (from the joint to
             the link's centre of mass).
         inertia_scale: (rows, joints) factor on mass and inertia of that link.
+        contact_offset: (rows,) or (1,) m, of the surfaces that the robot meets.
+        contact_stiffness, contact_damping: the same, relative errors.
+        contact_friction: the same, added to the sliding friction coefficient.
     """
 
     damping: FloatArray
@@ -253,3 +256,7 @@ class ModelFields:
     added_mass: FloatArray
     added_distance: FloatArray
     inertia_scale: FloatArray
+    contact_offset: FloatArray = field(default_factory=lambda: np.zeros(1))
+    contact_stiffness: FloatArray = field(default_factory=lambda: np.zeros(1))
+    contact_damping: FloatArray = field(default_factory=lambda: np.zeros(1))
+    contact_friction: FloatArray = field(default_factory=lambda: np.zeros(1))

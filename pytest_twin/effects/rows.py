@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
+from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
@@ -115,6 +116,7 @@ class RowSimulator:
         self._inputs(model)
         self._models: dict[int, mujoco.MjModel] = {}
         self._commands: dict[int, FloatArray] = {}
+        self._contact: ContactGeoms | None = None
         self.directions = self._link_directions(model)
 
     def _inputs(self, model: mujoco.MjModel) -> None:
@@ -142,6 +144,14 @@ class RowSimulator:
         length = np.linalg.norm(offset, axis=1, keepdims=True)
         self.link_length = np.maximum(length[:, 0], 1e-3)
         return np.where(length > 1e-6, offset / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
+
+    @property
+    def contact(self) -> ContactGeoms:
+        """What the robot touches, or nearly, in the segments as measured."""
+        if self._contact is None:
+            poses = [s.position for s in self.segments]
+            self._contact = contact_geoms(self.segments[0].model, self.joint_ids, poses)
+        return self._contact
 
     # -- commands
 
@@ -375,7 +385,11 @@ class RowSimulator:
             self._range = expand("actuator_forcerange")
             self._write_bounds(world)
         self._constant = fields.constant_force
-        if several or batch.expanded("body_mass") is not None or fields.armature.any():
+        if any(effect.family == "contact" for effect, _ in effects):
+            self.contact.write(expand, fields, least_time_constant(models[0], self.timestep))
+        # A geom that moves takes its frame and its body's bounding volume along.
+        changed = ("body_mass", "geom_pos")
+        if several or fields.armature.any() or any(batch.expanded(n) is not None for n in changed):
             batch.set_const()
 
     def _write_bounds(self, world: World) -> None:

@@ -1,0 +1,245 @@
+"""Which geoms a robot and the world around it meet with, and how their contacts are changed."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.effects.base import FloatArray, ModelFields
+
+NEAR = 0.05
+"""m: geoms that come this near each other in a recording may really touch."""
+_MOST_POSES = 3000
+_FLAT = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+_BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+
+Ids = NDArray[np.int64]
+
+
+def _none() -> Ids:
+    return np.empty(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactGeoms:
+    """Geoms that come near each other in recordings.
+
+    Attributes:
+        world: geoms that stand still, apart from those of the robot's own base.
+        normal: (world, 3) unit vectors out of their surfaces, frames of their bodies.
+        robot: geoms that move with the joints.
+        pairs: explicit contact pairs between the two; their own parameters count.
+        frictional: whether any of these contacts has friction.
+    """
+
+    world: Ids = field(default_factory=_none)
+    normal: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    robot: Ids = field(default_factory=_none)
+    pairs: Ids = field(default_factory=_none)
+    frictional: bool = False
+
+    def has(self, effect: str) -> bool:
+        """Whether a contact effect has anything to act on."""
+        return bool(self.world.size) and (self.frictional or effect != "contact_friction")
+
+    @property
+    def geoms(self) -> Ids:
+        """All of them: the engine mixes the parameters of the two geoms of a contact.
+
+        The mix is a weighted mean, a minimum or a maximum: scaled or shifted alike on both sides,
+        it is scaled or shifted itself.
+        """
+        return np.concatenate([self.world, self.robot])
+
+    def write(
+        self, expand: Callable[[str], FloatArray], fields: ModelFields, least_time: float
+    ) -> None:
+        """Write contact effects into the rows' fields.
+
+        Args:
+            expand: gives the (rows, ...) array of a field, as the model has it.
+            fields: what the effects ask for.
+            least_time: s, of :func:`scaled_solref`.
+        """
+        if not self.world.size:
+            return
+        if fields.contact_offset.any():
+            moved = fields.contact_offset[:, None, None] * self.normal
+            expand("geom_pos")[:, self.world] += moved
+        if fields.contact_stiffness.any() or fields.contact_damping.any():
+            stiffness = 1.0 + np.atleast_1d(fields.contact_stiffness)[:, None]
+            damping = 1.0 + np.atleast_1d(fields.contact_damping)[:, None]
+            for name, which in (("geom_solref", self.geoms), ("pair_solref", self.pairs)):
+                if which.size:
+                    array = expand(name)
+                    array[:, which] = scaled_solref(array[:, which], stiffness, damping, least_time)
+        if fields.contact_friction.any():
+            added = np.atleast_1d(fields.contact_friction)[:, None]
+            array = expand("geom_friction")
+            array[:, self.geoms, 0] = np.maximum(array[:, self.geoms, 0] + added, 0.0)
+            if self.pairs.size:
+                array = expand("pair_friction")
+                both = array[:, self.pairs, :2] + added[:, :, None]
+                array[:, self.pairs, :2] = np.maximum(both, 0.0)
+
+
+def least_time_constant(model: mujoco.MjModel, timestep: float) -> float:
+    """s below which the engine takes no time constant of a contact."""
+    free = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
+    return 0.0 if free else 2.0 * timestep
+
+
+def scaled_solref(
+    solref: FloatArray, stiffness: FloatArray, damping: FloatArray, least_time: float
+) -> FloatArray:
+    """(..., 2) ``solref`` with stiffness and damping times (...) factors.
+
+    Of (time constant T, damping ratio Z) b is 2 / T and k is 1 / (T Z)^2, T no less than
+    ``least_time``; of (-k, -b) each stands for itself (MuJoCo, Modeling, Reference).
+    """
+    first, second = solref[..., 0], solref[..., 1]
+    standard = first > 0.0
+    time = np.maximum(first, least_time)
+    new_time = np.maximum(time / damping, least_time)
+    ratio = second * time / (np.where(standard, new_time, 1.0) * np.sqrt(stiffness))
+    # What the engine holds at its least stays as it is written.
+    written = np.where(new_time == time, first, new_time)
+    return np.stack(
+        [
+            np.where(standard, written, first * stiffness),
+            np.where(standard, ratio, second * damping),
+        ],
+        axis=-1,
+    )
+
+
+def contact_geoms(
+    model: mujoco.MjModel, joint_ids: Ids, poses: Iterable[FloatArray]
+) -> ContactGeoms:
+    """Find them among poses that were measured.
+
+    Args:
+        model: as it came.
+        joint_ids: (joints,) of the poses' columns; other joints rest where the model has them.
+        poses: (n, joints) arrays, rad or m.
+    """
+    robot, world = _sides(model, joint_ids)
+    if not _may_touch(model, robot, world):
+        return ContactGeoms()
+    everywhere = np.concatenate(list(poses))
+    everywhere = everywhere[:: max(1, -(-len(everywhere) // _MOST_POSES))]
+    near = copy.copy(model)
+    near.geom_gap[world] += NEAR
+    near.pair_gap[:] += NEAR
+    # Bounding volumes of static bodies were made without the gap.
+    near.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    near.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data = mujoco.MjData(near)
+    found: dict[tuple[int, int], tuple[int, FloatArray, int]] = {}
+    index = model.jnt_qposadr[joint_ids]
+    for pose in everywhere:
+        data.qpos[index] = pose
+        mujoco.mj_kinematics(near, data)
+        mujoco.mj_collision(near, data)
+        seen: set[tuple[int, int]] = set()
+        for k in np.flatnonzero(data.contact.dist < NEAR):
+            one, two = (int(g) for g in data.contact.geom[k])
+            if min(one, two) < 0:
+                continue
+            sign = 1.0 if world[one] else -1.0
+            key = (one, two) if world[one] else (two, one)
+            if not (world[key[0]] and robot[key[1]]):
+                continue
+            count, normal, dim = found.get(key, (0, np.zeros(3), 1))
+            depth = NEAR - float(data.contact.dist[k])
+            normal = normal + sign * depth * data.contact.frame[k, :3]
+            dim = max(dim, int(data.contact.dim[k]))
+            found[key] = (count + (key not in seen), normal, dim)
+            seen.add(key)
+    for key, (count, _, _) in list(found.items()):
+        if count == len(everywhere) and _own_base(model, *key):
+            del found[key]
+    return _collected(model, data, found)
+
+
+def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(geoms,) those that move with the joints, and those that stand still around the robot."""
+    moves = np.zeros(model.nbody, dtype=bool)
+    moves[model.jnt_bodyid[joint_ids]] = True
+    base = np.zeros(model.nbody, dtype=bool)
+    for body in range(1, model.nbody):
+        moves[body] |= moves[model.body_parentid[body]]
+    for body in range(model.nbody - 1, 0, -1):
+        if moves[body] or base[body]:
+            base[model.body_parentid[body]] = True
+    base[0] = False
+    still = (model.body_weldid == 0) & ~base
+    owner = model.geom_bodyid
+    return moves[owner], still[owner]
+
+
+def _may_touch(model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]) -> bool:
+    def bits(name: str, which: NDArray[np.bool_]) -> int:
+        return int(np.bitwise_or.reduce(getattr(model, name)[which], initial=0))
+
+    if not (robot.any() and world.any()):
+        return False
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
+        return False
+    masks = bits("geom_contype", robot) & bits("geom_conaffinity", world)
+    masks |= bits("geom_contype", world) & bits("geom_conaffinity", robot)
+    return bool(masks) or bool(_between(model, robot, world).any())
+
+
+def _between(
+    model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """(pairs,) explicit pairs of a geom of the robot and one of the world."""
+    one, two = model.pair_geom1, model.pair_geom2
+    between: NDArray[np.bool_] = (world[one] & robot[two]) | (world[two] & robot[one])
+    return between
+
+
+def _own_base(model: mujoco.MjModel, world: int, robot: int) -> bool:
+    """Whether a geom of the world may be the base of the link that is never far from it.
+
+    A reader that fuses fixed bodies leaves the base's geoms in the world.
+    """
+    first = model.body_weldid[model.body_parentid[model.geom_bodyid[robot]]] == 0
+    return bool(first) and int(model.geom_type[world]) not in _FLAT
+
+
+def _collected(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    found: dict[tuple[int, int], tuple[int, FloatArray, int]],
+) -> ContactGeoms:
+    if not found:
+        return ContactGeoms()
+    world = np.array(sorted({w for w, _ in found}), dtype=np.int64)
+    robot = np.array(sorted({r for _, r in found}), dtype=np.int64)
+    normal = np.empty((len(world), 3))
+    for i, geom in enumerate(world):
+        out = np.sum([n for (w, _), (_, n, _) in found.items() if w == geom], axis=0)
+        body = data.xmat[model.geom_bodyid[geom]].reshape(3, 3)
+        axes = data.geom_xmat[geom].reshape(3, 3)
+        if int(model.geom_type[geom]) in _FLAT:
+            out = axes[:, 2]
+        elif int(model.geom_type[geom]) == _BOX:
+            along = axes.T @ out
+            face = int(np.argmax(np.abs(along)))
+            out = np.sign(along[face]) * axes[:, face]
+        normal[i] = body.T @ (out / max(float(np.linalg.norm(out)), 1e-12))
+    sides = [np.isin(np.arange(model.ngeom), ids) for ids in (robot, world)]
+    return ContactGeoms(
+        world=world,
+        normal=normal,
+        robot=robot,
+        pairs=np.flatnonzero(_between(model, *sides)).astype(np.int64),
+        frictional=any(dim > 1 for _, _, dim in found.values()),
+    )
