@@ -12,7 +12,6 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import FloatArray
 
-_STEP = 1e-3
 _DAMPINGS = (1e-4, 1e-1)
 
 
@@ -106,8 +105,9 @@ def _fill_jacobians(
     for i in which:
         h = current[i]
         _, upper = h.bounds
+        parameters = [p for t in h.terms for p in t.parameters]
         for k in range(h.theta.size):
-            step = _STEP * max(1.0, abs(h.theta[k]))
+            step = parameters[k].step * max(1.0, abs(h.theta[k]))
             step = -step if h.theta[k] + step > upper[k] else step
             theta = h.theta.copy()
             theta[k] += step

@@ -65,6 +65,8 @@ class Parameter:
             velocity), ``stiffness`` (effort / position), ``clearance`` (1 cm).
         reciprocal_of: name and quantity of what is reported in its place: a law that is absent at
             infinity is fitted by its reciprocal.
+        step: finite difference of a fit's Jacobian, in multiples of ``reference``; wide where the
+            motion follows the parameter in small leaps, as impacts between steps make it.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Parameter:
     starts: tuple[float, ...]
     reference: str = "one"
     reciprocal_of: tuple[str, Quantity] | None = None
+    step: float = 1e-3
 
     @property
     def reported_name(self) -> str:

@@ -26,7 +26,9 @@ class ContactOffset(Effect):
     source = "Siciliano, Khatib, Springer Handbook of Robotics (2016), ch. 37: contact modeling"
     scope = "robot"
     parameters = (
-        Parameter("offset", "length", 0.0, -5.0, 5.0, (0.3, -0.3, 1.0, -1.0, 3.0), "clearance"),
+        Parameter(
+            "offset", "length", 0.0, -5.0, 5.0, (0.3, -0.3, 1.0, -1.0, 3.0), "clearance", step=0.02
+        ),
     )
     confused_with: ClassVar = {
         "contact_stiffness": "press with two forces: a spring gives in proportion, an offset stays",
@@ -46,7 +48,9 @@ class ContactStiffness(Effect):
     law = "k times 1 + relative_error; b as it was"
     source = "Todorov, ICRA (2014): convex and analytically-invertible dynamics with contacts"
     scope = "robot"
-    parameters = (Parameter("relative_error", "one", 0.0, -0.95, 20.0, (0.5, -0.5, 3.0)),)
+    parameters = (
+        Parameter("relative_error", "one", 0.0, -0.95, 20.0, (0.5, -0.5, 3.0), step=0.05),
+    )
     confused_with: ClassVar = {
         "contact_offset": "press with two forces: a spring gives in proportion, an offset stays",
         "contact_damping": "hold still against the surface: a damper has no part in it",
@@ -65,7 +69,9 @@ class ContactDamping(Effect):
     law = "b times 1 + relative_error; k as it was (b also slows what slips within the cone)"
     source = "Hunt, Crossley, J. Appl. Mech. 42 (1975): restitution as damping in vibroimpact"
     scope = "robot"
-    parameters = (Parameter("relative_error", "one", 0.0, -0.95, 10.0, (0.5, -0.5, 3.0)),)
+    parameters = (
+        Parameter("relative_error", "one", 0.0, -0.95, 10.0, (0.5, -0.5, 3.0), step=0.05),
+    )
     confused_with: ClassVar = {
         "contact_stiffness": "hold still against the surface: a damper has no part in it",
         "viscous_friction": _IN_THE_AIR,
@@ -83,7 +89,7 @@ class ContactFriction(Effect):
     law = "|tangential force| <= (mu + coefficient) normal force; sliding only, mu at least 0"
     source = "Stewart, Trinkle, Int. J. Numer. Meth. Eng. 39 (1996): Coulomb friction in steps"
     scope = "robot"
-    parameters = (Parameter("coefficient", "one", 0.0, -1.5, 2.0, (0.1, -0.1, 0.5)),)
+    parameters = (Parameter("coefficient", "one", 0.0, -1.5, 2.0, (0.1, -0.1, 0.5), step=0.02),)
     confused_with: ClassVar = {
         "coulomb_friction": _IN_THE_AIR,
         "contact_damping": "slide at two speeds: friction does not heed them",
