@@ -166,6 +166,10 @@ class Structure:
         """What the model's file gives to a body that is added to the scene, or to a payload."""
         return frozenset(self._known({self._id("additions")}))
 
+    def effects(self) -> frozenset[str]:
+        """What a diagnosis put beside the model, for checks that step it."""
+        return frozenset(self._known({self._id("effects")}))
+
     def everything(self) -> frozenset[str]:
         """All parts but shapes that are only seen: for checks that may look at anything."""
         seen = self._id("geom:")

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pytest_twin.session.session import TwinSession
 
 _TWIN_FILE = "twin.yaml"
+_EFFECTS_FILE = "effects.json"
 _GOLDEN_FOLDER = "golden"
 _OWN_OUTPUT = ("releases", "keys", ".twin")
 _OPTIONS: pytest.StashKey[Options] = pytest.StashKey()
@@ -57,6 +58,9 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Col
     if file_path.suffix != ".yaml":
         return None
     if file_path.name == _TWIN_FILE:
+        if (file_path.parent / _EFFECTS_FILE).is_file():
+            # A diagnosis wrote it beside a patched model: a realization, and no twin of its own.
+            return None
         _session(parent.config).gate(file_path)
         return None
     if _GOLDEN_FOLDER not in file_path.parts:

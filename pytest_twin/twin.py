@@ -17,6 +17,10 @@ from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
 
 FILE_NAME = "twin.yaml"
+EFFECTS_FILE = "effects.json"
+"""Beside a model that a diagnosis wrote: what is stepped with it and stands in no MJCF."""
+# In a folder that a diagnosis wrote, the first of these that is there.
+_IN_DIAGNOSIS = ("realization/model.xml", "model.xml")
 DEFAULT_TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 
@@ -73,6 +77,17 @@ class RealizationRef:
     name: str
     file: Path
     simulator: str = "mujoco"
+
+    @property
+    def effects(self) -> Path | None:
+        """What a diagnosis put beside the model, where it did."""
+        return effects_beside(self.file)
+
+
+def effects_beside(model: Path) -> Path | None:
+    """The list of effects beside a model, or None."""
+    path = model.parent / EFFECTS_FILE
+    return path if path.is_file() else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,6 +266,8 @@ class Twin:
                 found[item.path] = None
         for ref in self.realizations.values():
             found[ref.file] = None
+            if ref.effects is not None:
+                found[ref.effects] = None
         for part in self.parts.values():
             if part.file is not None:
                 found[part.file] = None
@@ -385,11 +402,14 @@ class _Reader:
 
     def _model(self, reference: str, where: str) -> Path:
         if Path(reference).suffix.lower() not in MODEL_SUFFIXES:
+            for name in _IN_DIAGNOSIS:
+                if (self.path.parent / reference / name).is_file():
+                    return self._file(f"{reference}/{name}", where)
             raise self.section.error(
                 where,
                 "not a kind of model that can be loaded",
                 value=reference,
-                expected="MJCF (.xml, .mjcf) or URDF (.urdf)",
+                expected="MJCF (.xml, .mjcf), URDF (.urdf), or the folder of a diagnosis",
             )
         return self._file(reference, where)
 

@@ -106,6 +106,7 @@ class Replay(Check):
         target = golden.target
         joints = list(target["joints"]) if "joints" in target else None
         parts = set(structure.dynamics(joints)) | {f"recording:{target['recording']}"}
+        parts |= structure.effects()
         parts |= {f"{key}:{target[key]}" for key in ("controller", "payload") if key in target}
         if "controller" in target or "payload" in target:
             # The variant is compiled anew.
@@ -131,7 +132,7 @@ class Replay(Check):
         names = list(golden.target.get("joints", trial.joints))
         for i, joint in enumerate(names):
             known_name(golden, f"target.joints.{i}", joint, trial.joints, "recorded joint")
-        result = replay.replay(realization, [trial], tcp=False, progress=progress)[0]
+        result = _replayed(realization, trial, progress)
         if result.error is not None:
             raise result.error
         joints = {
@@ -205,6 +206,18 @@ class Replay(Check):
     ) -> tuple[Mapping[str, Any], Trace | None]:
         """The residuals of the day; the recording itself stays where it is."""
         return observation.values, None
+
+
+def _replayed(realization: Realization, trial: Trial, progress: Progress) -> Replayed:
+    """The replay, with what a diagnosis put beside the model where it did."""
+    from pytest_twin.diagnosis.patched import patched_of
+    from pytest_twin.diagnosis.patched_replay import replay_whole
+    from pytest_twin.replay import replay
+
+    patched = patched_of(realization)
+    if patched is None:
+        return replay(realization, [trial], tcp=False, progress=progress)[0]
+    return replay_whole(realization, patched, trial, progress=progress)
 
 
 def _of_joint(result: Replayed, column: int, structure: Structure) -> dict[str, Any]:

@@ -168,27 +168,25 @@ def load_model(file: Path) -> LoadedModel:
     Raises:
         TwinError: it cannot be loaded.
     """
-    from pytest_twin.diagnosis.patched import EFFECTS_FILE, read_effects
+    from pytest_twin.diagnosis.patched import patched_of
     from pytest_twin.realization import load
 
     twin: Twin | None = None
-    beside, name = file.parent / EFFECTS_FILE, "mujoco"
+    name = "mujoco"
     if file.suffix.lower() in (".yaml", ".yml"):
         twin = load_twin(file)
         if not twin.realizations:
             raise SpecError("this twin has no model", path=file, where="model")
         name, reference = next(iter(twin.realizations.items()))
         file = reference.file
-    return LoadedModel(
-        realization=load(file, twin=twin, name=name),
-        topics=dict(TOPICS if twin is None else twin.topics),
-        patched=read_effects(beside) if beside.is_file() else None,
-    )
+    realization = load(file, twin=twin, name=name)
+    topics = dict(TOPICS if twin is None else twin.topics)
+    return LoadedModel(realization, topics, patched_of(realization))
 
 
 def _predict(loaded: LoadedModel, trial: Trial) -> tuple[JointSeries, tuple[str, ...]]:
     """The joint states that the model predicts for a trial, and notes."""
-    from pytest_twin.diagnosis.patched_replay import replay_patched
+    from pytest_twin.diagnosis.patched_replay import beside_in_words, replay_patched
     from pytest_twin.replay import replay
 
     stamps = trial.stamps
@@ -210,11 +208,7 @@ def _predict(loaded: LoadedModel, trial: Trial) -> tuple[JointSeries, tuple[str,
             raise result.error
         return series(trial.joints, result), result.notes
     predicted = replay_patched(loaded.realization, loaded.patched, [trial])[0]
-    beside = ", ".join(
-        e.effect + ("" if e.joint is None else f" of {e.joint}") for e in loaded.patched.beside
-    )
-    note = (f"stepped beside the model: {beside}",) if beside else ()
-    return series(loaded.patched.joints, predicted), note
+    return series(loaded.patched.joints, predicted), beside_in_words(loaded.patched)
 
 
 def _joints(trial: Trial, predicted: JointSeries, types: Mapping[str, str]) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from typing import Any
 
 from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError
+from pytest_twin.realization import Realization
 
-EFFECTS_FILE = "effects.json"
 MODEL_FILE = "model.xml"
 _MAX_EFFECTS = 256
 _MAX_BYTES = 1 << 20
@@ -52,6 +52,16 @@ class Patched:
     def beside(self) -> tuple[AppliedEffect, ...]:
         """Those that are stepped beside the model."""
         return tuple(e for e in self.effects if not e.in_model)
+
+
+def patched_of(realization: Realization) -> Patched | None:
+    """What is stepped beside a realization, or None where no diagnosis wrote it.
+
+    Raises:
+        SpecError: as :func:`read_effects`.
+    """
+    path = realization.source.effects
+    return None if path is None else read_effects(path)
 
 
 def effects_json(patched: Patched) -> dict[str, Any]:

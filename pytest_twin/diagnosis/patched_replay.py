@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,10 @@ from pytest_twin.errors import RecordingError, SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.mjcf import compiled
+from pytest_twin.replay import Replayed, replay
 from pytest_twin.trial import Trial
+
+Progress = Callable[[float], None]
 
 
 def stepped_beside(patched: Patched) -> tuple[AppliedEffect, ...]:
@@ -119,6 +122,46 @@ def replay_patched(
             raise SimulationError("the simulation diverged", path=trial.path)
         out.append(_as_measured(predicted, segment, trial, realization, patched.joints))
     return out
+
+
+def replay_whole(
+    realization: Realization, patched: Patched, trial: Trial, *, progress: Progress | None = None
+) -> Replayed:
+    """The replay of one trial with what stands beside the model, in the words of a plain one.
+
+    Joints that the effects do not act on, and the rest of the configuration, are as the model
+    alone has them.
+
+    Raises:
+        RecordingError, SimulationError: as :func:`replay_patched`.
+    """
+    plain = replay(realization, [trial], tcp=False, progress=progress)[0]
+    predicted = replay_patched(realization, patched, [trial])[0]
+    columns = [trial.joints.index(joint) for joint in patched.joints]
+    encoders = Encoders.of(calibration_of(realization), patched.joints)
+    configuration = [realization.joint_qpos_index(joint) for joint in patched.joints]
+    return replace(
+        plain,
+        position=_with_columns(plain.position, columns, predicted.position),
+        velocity=_with_columns(plain.velocity, columns, predicted.velocity),
+        effort=_with_columns(plain.effort, columns, predicted.effort),
+        qpos=_with_columns(plain.qpos, configuration, encoders.model_position(predicted.position)),
+        error=None,
+        notes=(*plain.notes, *beside_in_words(patched)),
+    )
+
+
+def _with_columns(table: FloatArray, columns: list[int], values: FloatArray) -> FloatArray:
+    changed = table.copy()
+    changed[:, columns] = values
+    return changed
+
+
+def beside_in_words(patched: Patched) -> tuple[str, ...]:
+    """One line that names what is stepped beside the model, none where nothing is."""
+    named = (e.effect + ("" if e.joint is None else f" of {e.joint}") for e in patched.beside)
+    text = ", ".join(named)
+    return (f"stepped beside the model: {text}",) if text else ()
 
 
 def _predict(segment: Segment, patched: Patched, threads: int) -> Predicted:

@@ -14,11 +14,11 @@ import yaml
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.native import NativeWriter
-from pytest_twin.diagnosis.patched import EFFECTS_FILE, MODEL_FILE, Patched, effects_json
+from pytest_twin.diagnosis.patched import MODEL_FILE, Patched, effects_json
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.formats import atomic
 from pytest_twin.realization import Realization
-from pytest_twin.twin import FILE_NAME, Twin
+from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin
 
 
 def write_realization(

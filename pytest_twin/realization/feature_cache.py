@@ -95,7 +95,15 @@ def features_of(
     path = twin.root / FOLDER / f"{realization}.json"
     # The place too: a copied folder brings along an entry that speaks of the files it came from.
     place = str(twin.path)
-    key = {"schema": _SCHEMA, "reader": _reader(), "versions": dict(versions), "twin": place}
+    # A list of effects that came beside the model since is in no digest of the entry.
+    beside = twin.realizations[realization].effects is not None
+    key = {
+        "schema": _SCHEMA,
+        "reader": _reader(),
+        "versions": dict(versions),
+        "twin": place,
+        "effects": beside,
+    }
     found = None if fresh else _stored(path, key, realization)
     if found is not None:
         return found

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.dependency import Part, Structure
+from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.feature_fields import CUSTOM, FLEX, layer_of, model_fields
 
 if TYPE_CHECKING:
@@ -36,8 +37,11 @@ _LAYOUT_BYTES = 2**20
 def parts(realization: Realization) -> dict[str, Part]:
     """Part id -> part of a realization, ids with the realization's name in front."""
     found = model_parts(realization.model, realization.name, realization.velocity_limit)
-    ident = f"{realization.name}/additions"
-    return {**found, ident: Part(ident, additions(realization.spec))}
+    more = {"additions": additions(realization.spec)}
+    if realization.source.effects is not None:
+        more["effects"] = {"sha256": file_sha256(realization.source.effects)}
+    idents = ((f"{realization.name}/{key}", content) for key, content in more.items())
+    return {**found, **{ident: Part(ident, content) for ident, content in idents}}
 
 
 def structure(realization: Realization) -> Structure:

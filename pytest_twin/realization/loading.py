@@ -16,7 +16,7 @@ from pytest_twin.realization import mjcf, patch, urdf, urdf_spec
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.node import Node
-from pytest_twin.twin import Fit, Twin
+from pytest_twin.twin import Fit, Twin, effects_beside
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +34,7 @@ class Source:
         inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that stands for one
             that no body can have, where such a repair was accepted.
         velocity_limit: joint -> rad/s or m/s.
+        effects: the file of what is stepped beside the model, where a diagnosis wrote it.
     """
 
     kind: Literal["mjcf", "urdf"]
@@ -44,12 +45,14 @@ class Source:
     inertia_repairs: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     velocity_limit: Mapping[str, float] = field(default_factory=dict)
     read: frozenset[Path] = frozenset()
+    effects: Path | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that was read, sorted."""
         named = {node.path for node in self.root.walk()} | set(self.assets.values())
-        return tuple(sorted(named | self.read))
+        beside = set() if self.effects is None else {self.effects}
+        return tuple(sorted(named | self.read | beside))
 
 
 def load(
@@ -65,7 +68,8 @@ def load(
 
     Args:
         path: the file; what it is, its root element says.
-        twin: the twin that it belongs to: its fit is applied, its roots hold.
+        twin: the twin that it belongs to: its fit is applied, its roots hold. A model that a
+            diagnosis wrote has the fit and the base's pose in it.
         name: the realization's name.
         roots: folders that references may lead into; the twin's, or the file's own, by default.
         accept_invalid_inertia: of a URDF, repair inertias that no body can have and note it,
@@ -80,7 +84,8 @@ def load(
     """
     # Its folder without links, as the roots have it; a link in place of the file is refused.
     path = path.parent.resolve() / path.name
-    fit = None if twin is None else twin.fit
+    effects = effects_beside(path)
+    fit = None if twin is None or effects is not None else twin.fit
     tag = xml.parse(path).tag
     if tag == "mujoco":
         roots = roots or (Roots(path.parent) if twin is None else twin.path_roots)
@@ -115,14 +120,14 @@ def load(
     if fit is not None:
         patch.apply_fit(spec, fit.patches, fit.option, refuse=_fit_error(fit))
     base = twin.calibration.transform_world_to_base if twin and twin.calibration else None
-    if twin is not None and base is not None:
+    if twin is not None and effects is None and base is not None:
         patch.place_base(spec, base, refuse=twin.error, where="calibration.base")
     try:
         model, warned = mjcf.compiled(spec)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise mjcf.translate(error, path, places) from None
     said = tuple(f"{path}: MuJoCo warns: {words}" for words in warned)
-    source = replace(source, notes=source.notes + said)
+    source = replace(source, notes=source.notes + said, effects=effects)
     return Realization(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
 
 

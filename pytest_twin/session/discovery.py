@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pytest_twin.gate.specs import GOLDEN_FOLDER, RESERVED_FOLDERS
-from pytest_twin.twin import FILE_NAME, find_twin
+from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, find_twin
 
 
 def twin_files(
@@ -39,7 +39,8 @@ def _reaches_specs(start: Path, root: Path) -> bool:
 
 def _below(start: Path, skipped: list[str]) -> Iterator[Path]:
     for here, folders, files in os.walk(start):
-        has_twin = FILE_NAME in files
+        # Beside a list of effects it belongs to a patched model, which is no twin of its own.
+        has_twin = FILE_NAME in files and EFFECTS_FILE not in files
         if has_twin:
             yield Path(here) / FILE_NAME
         folders[:] = [

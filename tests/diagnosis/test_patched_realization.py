@@ -12,7 +12,7 @@ from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.patched import EFFECTS_FILE, read_effects
+from pytest_twin.diagnosis.patched import read_effects
 from pytest_twin.diagnosis.patched_replay import replay_patched
 from pytest_twin.diagnosis.patched_write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
@@ -20,6 +20,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
+from pytest_twin.twin import EFFECTS_FILE
 
 # (effect, joint, parameters in SI units, wholly inside plain MJCF)
 EFFECTS = [
