@@ -9,9 +9,9 @@ from scipy import stats
 
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.fit import Fitted
-from pytest_twin.diagnosis.prepare import LEFT_BY_CORRECTION
+from pytest_twin.diagnosis.prepare import left_by_correction
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.base import SMOOTH_STEP, FloatArray
 
 _LEVEL = 0.975
 
@@ -40,7 +40,7 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     wider one counts: the sandwich with a Bartlett kernel (Newey, West, Econometrica 55, 1987) over
     the scores, and the white-noise covariance enlarged to the effective samples (Geyer 1992). What
     the correction of the simulator's step leaves is added: it is no chance, but the parameters are
-    off by it.
+    off by it. Where a parameter moves the simulation in leaps it is known no finer than these.
     """
     count = fitted.hypothesis.theta.size
     if not count:
@@ -65,6 +65,8 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     freedom = max(float(effective.max()) * 1.0 - count, 2.0)
     quantile = float(stats.t.ppf(_LEVEL, freedom))
     shift = np.abs(inverse @ _discretization_pull(problem, jac, weight))
+    steps = np.array([p.step for t in fitted.hypothesis.terms for p in t.parameters])
+    shift = np.where(steps > SMOOTH_STEP, np.maximum(shift, steps), shift)
     return Spread(
         quantile * deviation + shift,
         correlation,
@@ -115,6 +117,6 @@ def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatAr
         if problem.effort_floor is not None and segment.effort is not None:
             columns.append(add.effort)
         parts.append(np.concatenate(columns, axis=1))
-    change = LEFT_BY_CORRECTION * np.nan_to_num(np.concatenate(parts))
+    change = left_by_correction(problem.simulator) * np.nan_to_num(np.concatenate(parts))
     pull: FloatArray = np.einsum("tsp,ts->p", jacobian, change * weight)
     return pull

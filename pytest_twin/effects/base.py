@@ -25,6 +25,8 @@ Quantity = Literal[
     "command",
 ]  # fmt: skip
 Scope = Literal["joint", "robot"]
+SMOOTH_STEP = 1e-3
+"""Finite difference of a parameter that the motion follows smoothly."""
 
 _UNITS: Mapping[str, tuple[str, str]] = {
     # quantity -> (unit on a hinge, unit on a slide)
@@ -77,7 +79,7 @@ class Parameter:
     starts: tuple[float, ...]
     reference: str = "one"
     reciprocal_of: tuple[str, Quantity] | None = None
-    step: float = 1e-3
+    step: float = SMOOTH_STEP
 
     @property
     def reported_name(self) -> str:
