@@ -9,7 +9,6 @@ from scipy import stats
 
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.fit import Fitted
-from pytest_twin.diagnosis.prepare import left_by_correction
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import SMOOTH_STEP, FloatArray
 
@@ -65,8 +64,9 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     freedom = max(float(effective.max()) * 1.0 - count, 2.0)
     quantile = float(stats.t.ppf(_LEVEL, freedom))
     shift = np.abs(inverse @ _discretization_pull(problem, jac, weight))
-    steps = np.array([p.step for t in fitted.hypothesis.terms for p in t.parameters])
-    shift = np.where(steps > SMOOTH_STEP, np.maximum(shift, steps), shift)
+    for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
+        if p.step > SMOOTH_STEP:
+            shift[i] = max(shift[i], p.step)
     return Spread(
         quantile * deviation + shift,
         correlation,
@@ -117,6 +117,6 @@ def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatAr
         if problem.effort_floor is not None and segment.effort is not None:
             columns.append(add.effort)
         parts.append(np.concatenate(columns, axis=1))
-    change = left_by_correction(problem.simulator) * np.nan_to_num(np.concatenate(parts))
+    change = problem.step_left * np.nan_to_num(np.concatenate(parts))
     pull: FloatArray = np.einsum("tsp,ts->p", jacobian, change * weight)
     return pull

@@ -27,9 +27,8 @@ from pytest_twin.trial import Trial
 _EFFORT_WINDOW = 1.0
 _START_SAMPLES = 12
 NOISE = "sensor noise and quantization"
-# What the correction leaves of the step's error, as measured on arms: at most an eighth in the air,
-# a third where a tip taps on a table, since impacts fall between steps.
-_LEFT, _LEFT_IN_CONTACT = 0.125, 0.35
+# As measured on an arm whose tip taps on a table: impacts fall between steps.
+_LEFT_IN_CONTACT = 0.35
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,18 +89,15 @@ def prepare(
     problem.starts = free_starts(segments, joints, noise, _start_width(segments[0]), threads)
     problem.refine_at(EMPTY)
     steps = discretization(problem)
-    problem.floor = np.sqrt(noise**2 + (left_by_correction(simulator) * steps) ** 2)
+    if simulator.contact.world.size:
+        problem.step_left = _LEFT_IN_CONTACT
+    problem.floor = np.sqrt(noise**2 + (problem.step_left * steps) ** 2)
     parts = {NOISE: noise, "discretization of the simulator": steps}
     return Prepared(problem, tuple(owner), parts)
 
 
 def _start_width(segment: Segment) -> float:
     return _START_SAMPLES * float(np.median(np.diff(segment.time)))
-
-
-def left_by_correction(simulator: RowSimulator) -> float:
-    """Share of the step's error that its correction leaves."""
-    return _LEFT_IN_CONTACT if simulator.contact.world.size else _LEFT
 
 
 def discretization(problem: Problem) -> FloatArray:

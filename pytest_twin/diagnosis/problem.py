@@ -54,6 +54,8 @@ class Problem:
         refined: the same segments with a finer step, to measure what the model's own step costs.
         defect: segment -> what the finer step adds to a prediction of the current best
             hypothesis; every prediction is corrected by it (defect correction, Stetter 1978).
+        step_left: share of the step's error that the correction leaves, at most an eighth as
+            measured on arms in the air.
         starts: segment -> its free initial state, where errors of it would grow.
     """
 
@@ -66,6 +68,7 @@ class Problem:
     refined: RowSimulator | None = None
     defect: dict[int, Predicted] = field(default_factory=dict)
     starts: dict[int, FreeStart] = field(default_factory=dict)
+    step_left: float = 0.125
 
     @property
     def joints(self) -> tuple[str, ...]:

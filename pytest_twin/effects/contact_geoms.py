@@ -156,8 +156,9 @@ def contact_geoms(
             if not (world[key[0]] and robot[key[1]]):
                 continue
             count, normal, dim = found.get(key, (0, np.zeros(3), 1))
-            depth = NEAR - float(data.contact.dist[k])
-            normal = normal + sign * depth * data.contact.frame[k, :3]
+            # Where a pose is deep inside, the way out may be the far side.
+            weight = max(NEAR - abs(float(data.contact.dist[k])), 0.0)
+            normal = normal + sign * weight * data.contact.frame[k, :3]
             dim = max(dim, int(data.contact.dim[k]))
             found[key] = (count + (key not in seen), normal, dim)
             seen.add(key)
