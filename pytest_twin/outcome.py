@@ -110,6 +110,7 @@ class Outcome:
         error: one line, what went wrong, for ``error``.
         reasons: why it was stale.
         plot: path of the plot, relative to the twin's root, or None.
+        diagnosis: one line, what a failure against a recording looks like, or None.
         seconds: wall time that it took.
     """
 
@@ -122,6 +123,7 @@ class Outcome:
     error: str | None = None
     reasons: tuple[Reason, ...] = ()
     plot: str | None = None
+    diagnosis: str | None = None
     seconds: float = 0.0
 
     @property

@@ -14,6 +14,7 @@ from pytest_twin.trace import FloatArray, Trace
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
+    from pytest_twin.trial import Trial
 
 __all__ = ["Check", "FloatArray", "Measure", "Observation", "Progress", "Trace"]
 
@@ -53,6 +54,8 @@ class Check(ABC):
         tolerances: name -> the SI unit of the tolerance.
         required_tolerances: those that a spec must state.
         schema: JSON Schema of ``target`` and ``stimulus``, as ``{"target": {}, "stimulus": {}}``.
+        recorded: whether goldens hold a realization against a recording, ``target.recording``:
+            ``trial`` then reads it, and a failure can be diagnosed.
     """
 
     kind: ClassVar[str]
@@ -61,6 +64,7 @@ class Check(ABC):
     tolerances: ClassVar[Mapping[str, str]]
     required_tolerances: ClassVar[frozenset[str]] = frozenset()
     schema: ClassVar[Mapping[str, Any]]
+    recorded: ClassVar[bool] = False
 
     @abstractmethod
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
@@ -80,6 +84,14 @@ class Check(ABC):
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
         """Hold an observation against the golden's values, trace and declarations. Pure."""
+
+    def trial(self, golden: Golden, realization: Realization) -> Trial:
+        """The recording of a golden, made usable; of kinds that are ``recorded``.
+
+        Raises:
+            SpecError, RecordingError: no such recording, or one that cannot be used.
+        """
+        raise NotImplementedError(self.kind)
 
     def expect(
         self, golden: Golden, observation: Observation

@@ -53,6 +53,7 @@ class Replay(Check):
     """
 
     kind: ClassVar[str] = "replay"
+    recorded: ClassVar[bool] = True
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "mcap")
     tolerances: ClassVar[Mapping[str, str]] = _TOLERANCES
     schema: ClassVar[Mapping[str, Any]] = {
@@ -117,9 +118,8 @@ class Replay(Check):
             parts |= structure.chain([target["tcp"]])
         return parts
 
-    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Read the recording and replay it."""
-        from pytest_twin import replay
+    def trial(self, golden: Golden, realization: Realization) -> Trial:
+        """Read the recording."""
         from pytest_twin.formats.mcap import read_recording
         from pytest_twin.trial import make_trial
 
@@ -127,7 +127,13 @@ class Replay(Check):
         if twin is None:
             raise SpecError("a replay golden needs a twin.yaml", path=golden.path)
         path = find_file(golden, "target.recording", golden.target["recording"], twin)
-        trial = make_trial(read_recording(path, twin.topics), realization.structure)
+        return make_trial(read_recording(path, twin.topics), realization.structure)
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Read the recording and replay it."""
+        from pytest_twin import replay
+
+        trial = self.trial(golden, realization)
         self._check_variant(golden, realization, trial)
         names = list(golden.target.get("joints", trial.joints))
         for i, joint in enumerate(names):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -15,6 +13,7 @@ from pytest_twin.commands.replay import find_model, parse_topics
 from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.mcap import TOPICS
+from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.text import printable
 
@@ -22,9 +21,6 @@ HELP = (
     "say which physics a model lacks: locate, name, fit, and show the gain on held-out recordings"
 )
 EXPLAINED, LEFT_OVER = 0, 1
-DIAGNOSIS_FILE = "diagnosis.json"
-REPORT_FILE = "report.html"
-REALIZATION = "realization"
 _SECONDS = 4 * 3600.0
 
 
@@ -113,39 +109,24 @@ def diagnose_files(
         The verdict and the lines to print.
     """
     from pytest_twin.commands.replay import load_model
-    from pytest_twin.diagnosis.diagnose import diagnose
-    from pytest_twin.diagnosis.patched_write import write_realization
     from pytest_twin.diagnosis.trials import read_trials
-    from pytest_twin.realization.quiet import quiet
-    from pytest_twin.report.diagnosis import render, words
-    from pytest_twin.report.diagnosis_view import view_of
+    from pytest_twin.gate.diagnosis_folder import write_diagnosis
 
     loaded = load_model(Path(model))
-    realization = loaded.realization
     trials = read_trials(
         [Path(r) for r in recordings],
         [Path(r) for r in held_out],
         {**loaded.topics, **topics},
-        realization.structure,
+        loaded.realization.structure,
     )
-    folder = Path(out)
-    with quiet():
-        found = diagnose(realization, trials, inherited=loaded.patched, progress=progress)
-        (folder / REALIZATION).mkdir()
-        patched = write_realization(
-            folder / REALIZATION,
-            realization,
-            found.prepared.problem,
-            found.explained.hypothesis,
-            loaded.patched,
-        )
-    said = found.to_json(realization=f"{REALIZATION}/")
-    atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")
-    progress(0.96)
-    view = view_of(found, said, patched, Path(model).name)
-    atomic.write_text(folder / REPORT_FILE, render(view))
-    progress(1.0)
-    return {"verdict": found.verdict, "words": words(said)}
+    return write_diagnosis(
+        Path(out),
+        loaded.realization,
+        trials,
+        inherited=loaded.patched,
+        model=Path(model).name,
+        progress=progress,
+    )
 
 
 class _ProgressLine:
@@ -182,4 +163,4 @@ def _printed(text: str) -> str:
     return printable(text)
 
 
-__all__ = ["HELP", "add_arguments", "diagnose_files", "run", "shutil"]
+__all__ = ["HELP", "add_arguments", "diagnose_files", "run"]

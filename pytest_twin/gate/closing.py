@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
+from pytest_twin.gate.diagnosing import Diagnosed
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import NEVER_PROVEN, Task, line_of
 from pytest_twin.gate.runner import plot_path
@@ -53,7 +57,9 @@ class Closed:
     lines: tuple[str, ...]
 
 
-def close(gate: Gate, session: SessionFacts, policy: Policy) -> Closed:
+def close(
+    gate: Gate, session: SessionFacts, policy: Policy, diagnosed: Sequence[Diagnosed] = ()
+) -> Closed:
     """Judge a run, sign it where that was asked for and earned, write its report."""
     plan = gate.plan()
     facts = gate.facts(session)
@@ -74,7 +80,12 @@ def close(gate: Gate, session: SessionFacts, policy: Policy) -> Closed:
     if isinstance(verdict, Refused):
         refusals = verdict.reasons
     header = released.header if released else None
-    lines.append(_reported(gate, facts, verdict, refusals, header, policy.report))
+    for item in diagnosed:
+        lines.append(
+            f"diagnosis of {item.realization}: {item.lines[0]}" if item.report else item.lines[0]
+        )
+        lines += [] if item.report is None else [f"  {item.report}"]
+    lines.append(_reported(gate, facts, verdict, refusals, header, policy.report, diagnosed))
     if isinstance(verdict, Holds):
         lines.append(f"release {verdict.release:04d} still holds")
     elif released is not None:
@@ -93,6 +104,7 @@ def _reported(
     refusals: tuple[str, ...],
     header: Header | None,
     wanted: Path | None,
+    diagnosed: Sequence[Diagnosed],
 ) -> str:
     """Write the report, and say where it is."""
     quiet = not (refusals or facts.outcomes or facts.unproven or facts.problems)
@@ -101,10 +113,21 @@ def _reported(
         return f"report: {gate.root / 'releases' / f'{facts.baseline:04d}' / 'report.html'}"
     path = wanted or gate.root / ".twin" / "report.html"
     try:
-        _write_report(path, _report(gate, facts, verdict, refusals, header))
+        links = _links(path.parent, diagnosed)
+        _write_report(path, _report(gate, facts, verdict, refusals, header, links))
     except (TwinError, OSError) as error:
         return f"no report: {error}"
     return f"report: {path}"
+
+
+def _links(folder: Path, diagnosed: Sequence[Diagnosed]) -> dict[str, str]:
+    """Golden's key -> the page of its diagnosis, as a page in ``folder`` refers to it."""
+    return {
+        key: quote(Path(os.path.relpath(item.report, folder)).as_posix())
+        for item in diagnosed
+        if item.report is not None
+        for key in item.goldens
+    }
 
 
 def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]:
@@ -151,6 +174,7 @@ def _report(
     verdict: Signed | Holds | Refused | None,
     refusals: tuple[str, ...],
     header: Header | None,
+    diagnoses: Mapping[str, str] = MappingProxyType({}),
 ) -> Report:
     from pytest_twin.release import environment
 
@@ -165,7 +189,7 @@ def _report(
         verdict=_word(verdict, bool(failed)),
         headline=_headline(facts, verdict, len(failed)),
         created=header.created if header else datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        entries=tuple(_entries(gate, facts)),
+        entries=tuple(_entries(gate, facts, diagnoses)),
         refusals=refusals,
         notes=plan.notes,
         release=header.number if header else None,
@@ -192,7 +216,7 @@ def _headline(facts: Facts, verdict: Signed | Holds | Refused | None, failed: in
     return counts
 
 
-def _entries(gate: Gate, facts: Facts) -> Iterator[Entry]:
+def _entries(gate: Gate, facts: Facts, diagnoses: Mapping[str, str]) -> Iterator[Entry]:
     for task in gate.plan().tasks.values():
         golden = task.golden
         ran = facts.outcomes.get(task.key)
@@ -218,6 +242,7 @@ def _entries(gate: Gate, facts: Facts) -> Iterator[Entry]:
             at=proof.at if proof else "",
             parts=task.parts,
             plot=_plot(gate, outcome) if outcome.plot or proof else None,
+            diagnosis=diagnoses.get(task.key),
         )
 
 

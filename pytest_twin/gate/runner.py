@@ -8,6 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
+from pytest_twin.checks import check_of
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.golden import Golden
@@ -17,6 +18,8 @@ from pytest_twin.twin import Twin
 
 SECONDS = 600.0
 """Default bound on the wall time of one golden."""
+# Bound on a first look at a failure, s, or in times of the golden's own wall time.
+_GLANCE_SECONDS, _GLANCE_SHARE = 30.0, 10.0
 
 Progress = Callable[[float], None]
 Plots = Literal["all", "failed"]
@@ -62,6 +65,8 @@ class Runner:
         if error is None and not measures:
             error = "nothing was compared"
         passed = error is None and all(measure.passed for measure in measures)
+        seconds = time.perf_counter() - start
+        looked_at = error is None and not passed and check_of(golden.kind).recorded
         return Outcome(
             golden=golden.id,
             kind=golden.kind,
@@ -72,8 +77,18 @@ class Runner:
             error=error,
             reasons=reasons,
             plot=_keep_plot(twin, golden, realization, result.get("plot")),
-            seconds=time.perf_counter() - start,
+            diagnosis=self._glance(twin, golden, realization, seconds) if looked_at else None,
+            seconds=seconds,
         )
+
+    def _glance(self, twin: Twin, golden: Golden, realization: str, seconds: float) -> str:
+        """What a failure looks like, in one line; or why nobody can say."""
+        bound = min(self.seconds, max(_GLANCE_SECONDS, _GLANCE_SHARE * seconds))
+        try:
+            said = self._call("glance", twin, golden, realization, None, bound=bound)
+        except TwinError as problem:
+            return f"could not be made: {' '.join(str(problem).split())}"
+        return str(said["line"])
 
     def record(
         self, twin: Twin, golden: Golden, realization: str, *, progress: Progress | None = None
@@ -92,6 +107,7 @@ class Runner:
         golden: Golden,
         realization: str,
         progress: Progress | None,
+        bound: float | None = None,
         **arguments: object,
     ) -> dict[str, Any]:
         result: dict[str, Any] = self.child(twin).call(
@@ -102,6 +118,7 @@ class Runner:
                 "realization": realization,
                 **arguments,
             },
+            seconds=bound,
             progress=progress,
         )
         return result

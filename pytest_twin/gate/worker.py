@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.checks import Check, Observation, Trace, check_of
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.mcap import read_recording
 from pytest_twin.formats.trace import read_trace, trace_text
 from pytest_twin.gate.specs import load_golden
 from pytest_twin.golden import Golden
@@ -17,6 +19,7 @@ from pytest_twin.realization import Realization, load
 from pytest_twin.realization.feature_cache import Features
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.report.plots import plot
+from pytest_twin.trial import make_trial
 from pytest_twin.twin import Twin, load_twin
 
 Progress = Callable[[float], None]
@@ -42,6 +45,79 @@ def prove(twin: str, spec: str, realization: str, plots: str, progress: Progress
         observation = check.observe(golden, loaded, progress)
     stored = _stored(golden)
     return _compared(golden, check, observation, stored, plots=plots)
+
+
+def glance(twin: str, spec: str, realization: str) -> dict[str, str]:
+    """A first look at why a golden fails against its recording, in one line.
+
+    Returns:
+        ``line``.
+
+    Raises:
+        TwinError: the recording or the model cannot be used for it.
+    """
+    from pytest_twin.diagnosis.glance import glance as look
+    from pytest_twin.diagnosis.patched import patched_of
+    from pytest_twin.report.glance import glance_words
+
+    golden, loaded, check = _open(Path(twin), Path(spec), realization)
+    with quiet():
+        seen = look(loaded, check.trial(golden, loaded), patched_of(loaded))
+    return {"line": glance_words(seen)}
+
+
+def diagnose(
+    twin: str,
+    realization: str,
+    failed: list[str],
+    others: list[str],
+    out: str,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Diagnose a realization over recordings; write the folder that ``pytest-twin diagnose`` does.
+
+    Args:
+        twin: path of ``twin.yaml``.
+        realization: its name there.
+        failed: recordings to be explained.
+        others: further ones; of those the ones that are commanded alike.
+        out: an empty folder.
+        progress: called with the fraction done.
+
+    Returns:
+        The verdict, and the lines for a terminal.
+
+    Raises:
+        TwinError: the model or the recordings cannot be used.
+    """
+    from pytest_twin.diagnosis.patched import patched_of
+    from pytest_twin.diagnosis.trials import read_trials
+    from pytest_twin.gate.diagnosis_folder import write_diagnosis
+
+    loaded = _realization(Path(twin), realization)
+    described = _twin(Path(twin))
+    wanted = {_mode(Path(path), loaded) for path in failed} - {None}
+    alike = [path for path in others if not wanted or _mode(Path(path), loaded) in wanted]
+    recordings = [Path(path) for path in (*failed, *alike)]
+    trials = read_trials(recordings, [], described.topics, loaded.structure)
+    return write_diagnosis(
+        Path(out),
+        loaded,
+        trials,
+        inherited=patched_of(loaded),
+        model=f"{described.name}, {realization}",
+        progress=progress,
+    )
+
+
+def _mode(path: Path, realization: Realization) -> str | None:
+    """What a recording commands, None where it cannot be used."""
+    twin = realization.twin
+    assert twin is not None
+    try:
+        return make_trial(read_recording(path, twin.topics), realization.structure).command_mode
+    except TwinError:
+        return None
 
 
 def record(twin: str, spec: str, realization: str, progress: Progress) -> dict[str, Any]:

@@ -28,15 +28,20 @@ def what(outcome: Outcome) -> str:
     return printable(f"{_left(worst)}{others}")
 
 
-def failure_text(outcome: Outcome, *, location: str, plot: str | None = None) -> str:
+def failure_text(
+    outcome: Outcome, *, location: str, plot: str | None = None, advice: str = ""
+) -> str:
     """What a person needs to act on a failure.
 
     Args:
         outcome: a golden that did not pass.
         location: the spec's file and line, ``golden/fk/home.yaml:12``.
         plot: path of the plot.
+        advice: after the diagnosis, what would say more.
     """
     lines = [headline(outcome)]
+    if outcome.diagnosis is not None:
+        lines.append(printable(f"  diagnosis (quick): {outcome.diagnosis}{advice}"))
     worst = outcome.worst
     rows: list[tuple[str, str]] = []
     if outcome.status != "error" and worst is not None:

@@ -23,6 +23,7 @@ class Entry:
         at: RFC 3339, when that release was made.
         parts: ids of what it rests on.
         plot: SVG, None where there is none.
+        diagnosis: reference to the page of its full diagnosis, None where there is none.
     """
 
     outcome: Outcome
@@ -32,6 +33,7 @@ class Entry:
     at: str = ""
     parts: tuple[str, ...] = ()
     plot: bytes | None = None
+    diagnosis: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

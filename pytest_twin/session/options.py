@@ -12,6 +12,7 @@ SWITCHES = {
     "twin-release": "run what is stale, refuse on anything critical or unproven, sign a release",
     "twin-update": "record goldens afresh, with provenance and a diff of old and new",
     "twin-all": "run every golden, also those that the last release still proves",
+    "twin-diagnose": "say in full why goldens of kind replay fail, with a patched model",
     "twin-why": "say for every golden why it is fresh or stale; run nothing",
 }
 VALUES = {
@@ -36,6 +37,7 @@ class Options:
     update: bool
     everything: bool
     why: bool
+    diagnose: bool
     report: Path | None
     key: str | None
     ini_key: str | None
@@ -82,6 +84,7 @@ def read_options(config: pytest.Config) -> Options:
         update=switches["twin-update"],
         everything=switches["twin-all"],
         why=switches["twin-why"],
+        diagnose=switches["twin-diagnose"],
         report=None if report is None else config.invocation_params.dir / str(report),
         key=None if key is None else str(config.invocation_params.dir / str(key)),
         ini_key=_ini_path(config, "twin-key"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import pytest
@@ -20,9 +20,19 @@ class ProgressLine:
         self._reporter: Any = config.pluginmanager.get_plugin("terminalreporter")
         self._capture: Any = config.pluginmanager.get_plugin("capturemanager")
 
+    def say(self, text: str) -> None:
+        """A line of its own, on a terminal and in a file."""
+        if self._reporter is not None:
+            self._reporter.ensure_newline()
+            self._reporter.write_line(text)
+
+    def of(self, item: pytest.Item) -> AbstractContextManager[Callable[[float], None] | None]:
+        """A callback for the fraction done of an item, None where nobody is watching."""
+        return self.named(item.name)
+
     @contextmanager
-    def of(self, item: pytest.Item) -> Iterator[Callable[[float], None] | None]:
-        """A callback for the fraction done, None where nobody is watching."""
+    def named(self, name: str) -> Iterator[Callable[[float], None] | None]:
+        """A callback for the fraction done of ``name``, None where nobody is watching."""
         if self._reporter is None or not getattr(self._reporter, "isatty", False):
             yield None
             return
@@ -34,7 +44,7 @@ class ProgressLine:
             now = time.monotonic()
             if now >= next_time:
                 next_time = now + _EACH_SECONDS
-                self._write(f"{item.name} {100.0 * fraction:3.0f} %", first=not shown)
+                self._write(f"{name} {100.0 * fraction:3.0f} %", first=not shown)
                 shown = True
 
         yield progress

@@ -14,6 +14,7 @@ import pytest
 from pytest_twin.checks import kinds
 from pytest_twin.errors import TwinError
 from pytest_twin.gate.closing import Policy, close
+from pytest_twin.gate.diagnosing import Diagnosed, diagnose_failures
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import line_of
 from pytest_twin.gate.runner import Runner
@@ -37,6 +38,7 @@ _MARKERS = {
 
 TRAVELS = "twin_outcome"
 """Attribute of a report: pytest-xdist carries it from worker to controller."""
+_FULL_DIAGNOSIS = "; for the full one: pytest --twin-diagnose"
 
 
 class TwinSession:
@@ -58,6 +60,7 @@ class TwinSession:
         self.collection_errors: list[str] = []
         self.deselected = 0
         self.collected: set[str] = set()
+        self.failed: dict[tuple[Path, str], pytest.TestReport] = {}
         self.advisories: list[tuple[Gate, str]] = []
         self.summaries: list[tuple[Gate, list[str]]] = []
         self.worker_input: dict[str, Any] = json.loads(
@@ -201,7 +204,8 @@ class TwinSession:
         if outcome.status != "passed":
             location = f"{os.path.relpath(item.path)}:{line_of(item.golden, outcome)}"
             plot = outcome.plot and os.path.relpath(gate.root / outcome.plot)
-            text = failure_text(outcome, location=location, plot=plot)
+            advice = "" if self.options.diagnose else _FULL_DIAGNOSIS
+            text = failure_text(outcome, location=location, plot=plot, advice=advice)
             raise GoldenFailedError(text, what(outcome), line_of(item.golden, outcome))
 
     def _reasons(self, item: GoldenItem) -> tuple[Reason, ...]:
@@ -258,6 +262,8 @@ class TwinSession:
             return
         if "update" not in told:
             gate.outcomes[outcome.key] = outcome
+            if outcome.status == "failed":
+                self.failed[gate.root, outcome.key] = report
         elif told["update"] is not None:
             gate.updates.append(Update.from_json(told["update"]))
         if _is_advisory(report):
@@ -301,19 +307,38 @@ class TwinSession:
             return
         if gate.planned is None and not self.options.release:
             return
+        diagnosed = self._diagnosed(gate, exitstatus)
         policy = Policy(
             sign=self.options.release,
             key=self.options.key,
             ini_key=self.options.ini_key,
             report=self._report_path(gate),
         )
-        closed = close(gate, self._facts(gate, session, exitstatus), policy)
+        closed = close(gate, self._facts(gate, session, exitstatus), policy, diagnosed)
         self.summaries.append((gate, list(closed.lines)))
         if closed.blocked and session.exitstatus in (
             pytest.ExitCode.OK,
             pytest.ExitCode.NO_TESTS_COLLECTED,
         ):
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def _diagnosed(self, gate: Gate, exitstatus: int) -> list[Diagnosed]:
+        """Full diagnoses of what failed against recordings, each on the reports that it is of."""
+        finished = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
+        if not self.options.diagnose or exitstatus not in finished:
+            return []
+        with self.progress.named(f"diagnosis of {gate.twin.name}") as progress:
+            found = diagnose_failures(gate, self.progress.say, progress)
+        for diagnosed in found:
+            place = [] if diagnosed.report is None else [f"report: {diagnosed.report}"]
+            text = "\n".join((*diagnosed.lines, *place))
+            for key in diagnosed.goldens:
+                report = self.failed.get((gate.root, key))
+                if report is not None:
+                    report.sections.append(("diagnosis", text))
+                # The goldens of one realization share it: the first has it in full.
+                text = f"see {diagnosed.goldens[0]}"
+        return found
 
     def _facts(self, gate: Gate, session: pytest.Session, exitstatus: int) -> SessionFacts:
         chosen = list(selection.selected_by(self.config))

@@ -1,0 +1,310 @@
+"""A first look at one recording that a model does not follow: what it looks like, in seconds.
+
+Where the force is missing, which effect at that joint would take most of the error away after a
+short fit on one stretch, and how much that takes off the whole recording. Nothing is chosen among
+structures and nothing is held against other recordings: that is a diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
+from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.locate import MissingForce, Where, missing_force, motions, place_of
+from pytest_twin.diagnosis.patched import Patched
+from pytest_twin.diagnosis.patched_replay import (
+    fixed_values,
+    replay_whole,
+    stepped_beside,
+    without_delays,
+)
+from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
+from pytest_twin.diagnosis.problem import Problem, smooth_state
+from pytest_twin.diagnosis.screen import Screened, candidates, responses, screen
+from pytest_twin.diagnosis.verdict import AT_FLOOR
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.errors import SimulationError
+from pytest_twin.realization import Realization
+from pytest_twin.replay import replay
+from pytest_twin.trial import Trial
+
+# Of a longer recording, the stretch around its worst error, s.
+_LOOKED_AT = 20.0
+# Candidates are simulated over this share of what is looked at, and no less or more than this, s.
+_STRETCH_SHARE, _SHORTEST, _LONGEST = 0.15, 1.0, 2.5
+# Joints whose missing force stands out at least this much of the clearest one's are looked at.
+_CAUSE, _MOST_JOINTS = 0.4, 2
+_RIVALS, _ITERATIONS = 5, 3
+# A name has to earn this much evidence, and take this share of the squared error away.
+_EARNS, _WORTH = 5.0, 0.3
+# What a short fit leaves below this share of the model's own error speaks for no name.
+_COARSE = 0.05
+# One stretch of one recording settles nothing.
+_MOST_SURE = 0.9
+_STATE_SECONDS = 0.06
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """What a mismatch looks like.
+
+    Attributes:
+        term: effect and joint's column.
+        joint: its name, None for the whole robot's.
+        values: reported name of a parameter -> (value, unit).
+        share: of the evidence among what was tried.
+        removed: share of the squared error over all that was looked at that it takes away.
+        rivals: (effect, joint) that the stretch cannot tell from it.
+    """
+
+    term: Term
+    joint: str | None
+    values: dict[str, tuple[float, str]]
+    share: float
+    removed: float
+    rivals: tuple[tuple[str, str | None], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Glance:
+    """What a first look saw.
+
+    Attributes:
+        suspect: None where nothing stands out.
+        joint: whose force is missing, None where none stands out of the sensors' noise.
+        where: when and in which regime.
+        floors: root mean square error of the worst joint, in floors.
+    """
+
+    suspect: Suspect | None
+    joint: str | None
+    where: Where
+    floors: float
+
+
+def glance(realization: Realization, trial: Trial, patched: Patched | None = None) -> Glance:
+    """Look at one trial.
+
+    Args:
+        realization: the model as it came.
+        trial: what was recorded.
+        patched: what stands beside the model, where a diagnosis wrote it.
+
+    Raises:
+        RecordingError: the model and the recording share no joint.
+        SimulationError: the model diverges.
+        SpecError: a controller, payload or actuator that the model lacks.
+    """
+    seen, since = _worst_part(realization, trial, patched)
+    whole = _prepared(realization, [seen], [], patched)
+    before = whole.problem.residuals([EMPTY], whole.problem.fit)[0]
+    if not np.isfinite(before).all():
+        raise SimulationError("the model diverges under the recorded commands", path=trial.path)
+    joints = len(whole.problem.joints)
+    size = np.sqrt(np.mean(before[:, :joints] ** 2, axis=0)) / whole.problem.floor
+    force = missing_force(whole.problem, before, whole.floor_parts[NOISE])
+    causes = _causes(force, size)
+    blame = np.maximum((force.force[:, causes] / force.noise[causes]) ** 2 - 1.0, 0.0)
+    where = _where(whole, seen, since, blame[:, 0], causes[0])
+    suspect = None
+    if size.max() > AT_FLOOR:
+        parts = _stretches(whole.problem, seen, blame.sum(axis=1))
+        suspect = _suspect(realization, parts, patched, whole, before, causes)
+    stands = bool(force.strength[causes[0]] > 1.0)
+    joint = whole.problem.joints[causes[0]] if stands else None
+    return Glance(suspect, joint, where, float(size.max()))
+
+
+def cut(trial: Trial, start: float, end: float) -> Trial:
+    """A stretch of a trial, s from its first state; earlier commands stay, as they still act.
+
+    Where no velocity was recorded, the first state gets that of a cubic through its neighbours.
+    """
+    inside = np.flatnonzero((trial.time >= start) & (trial.time <= end))
+    first = float(trial.time[inside[0]])
+    velocity: FloatArray
+    if trial.velocity is None or not np.isfinite(trial.velocity[inside[0]]).all():
+        velocity = np.full((len(inside), len(trial.joints)), np.nan)
+        velocity[0] = smooth_state(trial.time, trial.position, first, _STATE_SECONDS)[1]
+    else:
+        velocity = trial.velocity[inside]
+    sent = trial.command_time <= end
+    return replace(
+        trial,
+        start=trial.start + round(first * 1e9),
+        time=trial.time[inside] - first,
+        position=trial.position[inside],
+        velocity=velocity,
+        effort=None if trial.effort is None else trial.effort[inside],
+        command_time=trial.command_time[sent] - first,
+        command=trial.command[sent],
+        marks=(),
+    )
+
+
+def _worst_part(
+    realization: Realization, trial: Trial, patched: Patched | None
+) -> tuple[Trial, float]:
+    """The trial, or, of a long one, what lies around its largest error; and where that begins."""
+    if trial.duration <= _LOOKED_AT:
+        return trial, 0.0
+    if patched is None:
+        replayed = replay(realization, [trial], tcp=False)[0]
+    else:
+        replayed = replay_whole(realization, patched, trial)
+    if replayed.error is not None:
+        raise replayed.error
+    off = trial.position - replayed.position
+    off = off / np.maximum(np.sqrt(np.mean(off**2, axis=0)), 1e-12)
+    start = _fullest(trial.time, (off**2).sum(axis=1), _LOOKED_AT)
+    return cut(trial, start, start + _LOOKED_AT), start
+
+
+def _prepared(
+    realization: Realization, fit: Sequence[Trial], aside: Sequence[Trial], patched: Patched | None
+) -> Prepared:
+    if patched is None:
+        return prepare(realization, fit, aside)
+    prepared = prepare(without_delays(realization, patched), fit, aside)
+    problem = prepared.problem
+    problem.simulator.fixed = fixed_values(stepped_beside(patched), problem.joints, 1)
+    if problem.refined is not None:
+        problem.refined.fixed = problem.simulator.fixed
+    problem.refine_at(EMPTY)
+    return prepared
+
+
+def _causes(force: MissingForce, size: FloatArray) -> list[int]:
+    """Joints whose own force is missing, the clearest first; else the joint that shows most."""
+    strength = force.strength
+    order = np.argsort(-strength, kind="stable")
+    clear = [int(j) for j in order if strength[j] >= max(_CAUSE * strength.max(), 1e-9)]
+    return clear[:_MOST_JOINTS] or [int(np.argmax(size))]
+
+
+def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, joint: int) -> Where:
+    problem = prepared.problem
+    unit = "m" if problem.simulator.slides[joint] else "rad"
+    found = place_of(motions(prepared, [trial]), blame, joint, unit)
+    moved = {
+        name: [[round(a + since, 3), round(b + since, 3)] for a, b in windows]
+        for name, windows in found.windows.items()
+    }
+    return Where(found.summary, moved)
+
+
+def _stretches(problem: Problem, trial: Trial, blame: FloatArray) -> list[Trial]:
+    """Where most of the blame lies, and, where there is room, where most of the rest does."""
+    length = float(np.clip(_STRETCH_SHARE * trial.duration, _SHORTEST, _LONGEST))
+    time = np.concatenate([s.time for s in problem.simulator.segments])
+    first = _fullest(time, blame, length)
+    found = [cut(trial, first, first + length)]
+    left = np.where((time >= first - length) & (time <= first + length), 0.0, blame)
+    if left.any():
+        second = _fullest(time, left, length)
+        if abs(second - first) >= length:
+            found.append(cut(trial, second, second + length))
+    return found
+
+
+def _fullest(time: FloatArray, blame: FloatArray, length: float) -> float:
+    """Start of the stretch of ``length`` s that holds most of the blame."""
+    summed = np.concatenate([[0.0], np.cumsum(blame)])
+    last = max(float(time[-1]) - length, 0.0)
+    begin = np.searchsorted(time, np.minimum(time, last))
+    end = np.searchsorted(time, time[begin] + length, side="right")
+    return float(time[begin[int(np.argmax(summed[end] - summed[begin]))]])
+
+
+def _suspect(
+    realization: Realization,
+    parts: Sequence[Trial],
+    patched: Patched | None,
+    whole: Prepared,
+    before: FloatArray,
+    causes: Sequence[int],
+) -> Suspect | None:
+    problem = _prepared(realization, parts[:1], parts[1:], patched).problem
+    # One measure of parameters, so that a fit of the stretch means the same on the whole.
+    problem.scales, problem.floor = whole.problem.scales, whole.problem.floor
+    terms = [t for t in candidates(problem) if t.joint < 0 or t.joint in causes]
+    floor = problem.signal_floor
+    nominal = problem.residuals([EMPTY], problem.fit)[0]
+    effective = effective_samples(nominal, problem.lengths(problem.fit))
+    no_slope = np.empty((*nominal.shape, 0))
+    answers = responses(problem, terms, problem.fit)
+    found = screen(nominal, no_slope, answers, floor, effective)[:_RIVALS]
+    if not found:
+        return None
+    fitted, evidence = _weighed(problem, found, nominal, effective)
+    best = int(np.argmax(evidence))
+    share = np.exp(np.clip(evidence - evidence.max(), -700.0, 0.0))
+    share /= share.sum()
+    after = whole.problem.residuals([fitted[best].hypothesis], whole.problem.fit)[0]
+    removed = 1.0 - _squared(after, whole.problem) / _squared(before, whole.problem)
+    if evidence[best] < _EARNS or not removed >= _WORTH:
+        return None
+    rivals = [i for i in np.argsort(-share) if i != best and share[i] >= 1.0 - _MOST_SURE]
+    return Suspect(
+        term=found[best].term,
+        joint=_joint(problem, found[best].term),
+        values=_values(problem, fitted[best].hypothesis),
+        share=min(float(share[best]), _MOST_SURE),
+        removed=float(removed),
+        rivals=tuple((found[i].term.effect, _joint(problem, found[i].term)) for i in rivals),
+    )
+
+
+def _weighed(
+    problem: Problem, found: Sequence[Screened], nominal: FloatArray, effective: FloatArray
+) -> tuple[list[Fitted], FloatArray]:
+    """The candidates after a short fit, and the evidence of each over the model as it came."""
+    floor = np.maximum(problem.signal_floor, _COARSE * np.sqrt(np.mean(nominal**2, axis=0)))
+    starts = [EMPTY.with_term(s.term, s.start) for s in found]
+    weights = 1.0 / np.sqrt(np.mean(nominal**2, axis=0) + floor**2)
+    fitted = fit(problem, starts, weights, problem.fit, iterations=_ITERATIONS)
+    price = 0.5 * np.log(max(float(effective.mean()), 2.0))
+    base = log_likelihood(nominal, floor, effective)
+    evidence = np.array(
+        [
+            log_likelihood(f.residual, floor, effective) - base - price * f.hypothesis.theta.size
+            for f in fitted
+        ]
+    )
+    if len(problem.held_out):
+        hypotheses = [EMPTY, *(f.hypothesis for f in fitted)]
+        without, *with_term = problem.residuals(hypotheses, problem.held_out)
+        worth = effective_samples(without, problem.lengths(problem.held_out))
+        base = log_likelihood(without, floor, worth)
+        evidence += [log_likelihood(r, floor, worth) - base for r in with_term]
+    return fitted, np.nan_to_num(evidence, nan=-np.inf)
+
+
+def _squared(residual: FloatArray, problem: Problem) -> float:
+    """Sum of squared position errors in floors; infinite where a simulation diverged."""
+    positions = residual[:, : len(problem.joints)] / problem.floor
+    value = float(np.sum(positions**2))
+    return value if np.isfinite(value) else float("inf")
+
+
+def _joint(problem: Problem, term: Term) -> str | None:
+    return None if term.joint < 0 else problem.joints[term.joint]
+
+
+def _values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, str]]:
+    (term,) = hypothesis.terms
+    simulator = problem.simulator
+    kind = "slide" if simulator.slides[max(term.joint, 0)] else "hinge"
+    servo = str(simulator.servo[max(term.joint, 0)])
+    return {
+        p.reported_name: (
+            p.reported(float(value * problem.scales.value(p, term.joint))),
+            p.unit(kind, servo),
+        )
+        for p, value in zip(term.parameters, hypothesis.theta, strict=True)
+    }

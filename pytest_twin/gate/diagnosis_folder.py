@@ -1,0 +1,63 @@
+"""The folder of a diagnosis: the patched model, ``diagnosis.json``, the report. In the child."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.patched import Patched
+from pytest_twin.diagnosis.patched_write import write_realization
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.formats import atomic
+from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
+from pytest_twin.realization import Realization
+from pytest_twin.realization.quiet import quiet
+from pytest_twin.report.diagnosis import render, words
+from pytest_twin.report.diagnosis_view import view_of
+
+
+def write_diagnosis(
+    folder: Path,
+    realization: Realization,
+    trials: TrialSet,
+    *,
+    inherited: Patched | None,
+    model: str,
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    """Diagnose, and write what was found into an empty folder.
+
+    Args:
+        folder: empty.
+        realization: the model as it came.
+        trials: what was recorded.
+        inherited: effects beside the model, where an earlier diagnosis wrote it.
+        model: what the report calls it.
+        progress: told the fraction done.
+
+    Returns:
+        The verdict, and the lines for a terminal.
+
+    Raises:
+        TwinError: the model or the recordings cannot be used, or the folder cannot be written.
+    """
+    with quiet():
+        found = diagnose(realization, trials, inherited=inherited, progress=progress)
+        (folder / REALIZATION).mkdir()
+        patched = write_realization(
+            folder / REALIZATION,
+            realization,
+            found.prepared.problem,
+            found.explained.hypothesis,
+            inherited,
+        )
+    said = found.to_json(realization=f"{REALIZATION}/")
+    atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")
+    progress(0.96)
+    view = view_of(found, said, patched, model)
+    atomic.write_text(folder / REPORT_FILE, render(view))
+    progress(1.0)
+    return {"verdict": found.verdict, "words": words(said)}

@@ -1,0 +1,174 @@
+"""A golden that fails against its recording says what it looks like; the patched model passes."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from two_pendulums import case
+
+JOINTS = ("elbow",)
+GOLDEN = """\
+schema: 1
+kind: replay
+title: {name}
+target: {{recording: recordings/{name}.mcap}}
+tolerance: {{angle_rms: 3 mrad}}
+"""
+
+
+def run(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """pytest in a twin's folder, as a user starts it."""
+    hidden = ("CI", "TWIN_SIGNING_KEY", "PYTEST_ADDOPTS")
+    environment = {k: v for k, v in os.environ.items() if k not in hidden}
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
+        cwd=root,
+        env=environment | {"HOME": str(root.parent)},
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+
+
+def twin(root: Path, **hidden: float) -> Path:
+    """A twin of one joint with three recordings of its reality and a golden for each of two."""
+    recordings = root / "recordings"
+    case(recordings, joints=JOINTS, **hidden)
+    (recordings / "model.xml").rename(root / "model.xml")
+    (root / "twin.yaml").write_text("name: arm\nmodel: model.xml\n")
+    folder = root / "golden" / "replay"
+    folder.mkdir(parents=True)
+    for name in ("fit1", "held_out3"):
+        (folder / f"{name}.yaml").write_text(GOLDEN.format(name=name))
+    result = run(root, "--twin-update")
+    assert "2 recorded" in result.stdout, result.stdout + result.stderr
+    return root
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A twin whose commands arrive 20 ms late in reality."""
+    return twin(tmp_path_factory.mktemp("late") / "arm", delay=0.02)
+
+
+def quick(text: str) -> list[str]:
+    return re.findall(r"^  diagnosis \(quick\): (.*)$", text, re.MULTILINE)
+
+
+def test_a_failure_says_in_one_line_what_it_looks_like(late: Path) -> None:
+    result = run(late)
+    assert result.returncode == 1
+    lines = quick(result.stdout)
+    assert len(lines) == 2
+    for line in lines:
+        found = re.fullmatch(
+            r"looks like command_delay at elbow, delay about (\d+) ms \((\d+) % sure"
+            r"(?:, could be sensor_delay)?\); "
+            r"would remove (\d+) % of the squared error; for the full one: "
+            r"pytest --twin-diagnose",
+            line,
+        )
+        assert found, line
+        delay, sure, removed = map(int, found.groups())
+        assert delay in (19, 20, 21)
+        assert 50 <= sure <= 90
+        assert removed >= 95
+    page = (late / ".twin" / "report.html").read_text()
+    assert page.count("Diagnosis (quick): looks like command_delay at elbow") == 2
+    assert not (late / ".twin" / "diagnosis").exists()
+
+
+def test_friction_is_named_and_what_passes_says_nothing(tmp_path: Path) -> None:
+    root = twin(tmp_path / "arm", viscous=0.05)
+    golden = root / "golden" / "replay" / "fit1.yaml"
+    golden.write_text(golden.read_text().replace("3 mrad", "3000 mrad"))
+    result = run(root)
+    assert "1 failed, 1 passed" in result.stdout
+    (line,) = quick(result.stdout)
+    assert line.startswith("looks like viscous_friction at elbow, coefficient about 0.0")
+    assert "% sure, could be controller_gain at elbow)" in line
+
+
+def test_a_look_that_fails_stays_one_line(late: Path, tmp_path: Path) -> None:
+    root = tmp_path / "arm"
+    shutil.copytree(late, root)
+    (root / "broken_look.py").write_text(
+        "from pytest_twin.gate.runner import Runner\n"
+        "call = Runner._call\n"
+        "def other(self, function, *rest, **more):\n"
+        "    return call(self, 'no_such' if function == 'glance' else function, *rest, **more)\n"
+        "Runner._call = other\n"
+    )
+    result = run(root, "-p", "broken_look")
+    assert "2 failed" in result.stdout
+    for line in quick(result.stdout):
+        assert line.startswith("could not be made: ")
+        assert "no_such" in line
+
+
+@pytest.mark.parametrize("spread", [[], ["-n", "2"]], ids=["alone", "xdist"])
+def test_the_full_diagnosis_is_attached_and_its_model_passes(
+    late: Path, tmp_path: Path, spread: list[str]
+) -> None:
+    root = tmp_path / "arm"
+    shutil.copytree(late, root)
+    shutil.rmtree(root / ".twin", ignore_errors=True)
+    result = run(root, "--twin-diagnose", *spread)
+    text = result.stdout
+    assert "2 failed" in text
+    folder = root / ".twin" / "diagnosis" / "mujoco"
+    said = json.loads((folder / "diagnosis.json").read_text())
+    assert [f["effect"] for f in said["findings"]] == ["command_delay"]
+    assert said["trials"] == {"fit": ["fit1.mcap"], "held_out": ["held_out3.mcap"]}
+    assert text.count("diagnosing mujoco over 2 recordings") == 1
+    assert text.count("--- diagnosis ---") == 2
+    assert text.count("Command delay at elbow: delay 0.0") == 1
+    assert "see golden/replay/fit1@mujoco" in text
+    assert "diagnosis of mujoco: Explained" in text
+    assert str(folder / "report.html") in text
+    assert "for the full one" not in text
+    page = (root / ".twin" / "report.html").read_text()
+    assert page.count('<a href="diagnosis/mujoco/report.html">Full diagnosis</a>') == 2
+    if spread:
+        return
+
+    shutil.copytree(folder, root / "why")
+    described = root / "twin.yaml"
+    described.write_text(
+        "name: arm\nrealizations:\n  mujoco: {file: model.xml}\n  patched: {file: why}\n"
+    )
+    for spec in (root / "golden" / "replay").glob("*.yaml"):
+        text = spec.read_text().replace("title:", "realizations: [mujoco, patched]\ntitle:")
+        spec.write_text(text)
+    result = run(root)
+    assert "2 failed, 2 passed" in result.stdout, result.stdout
+    for line in result.stdout.splitlines():
+        assert not (line.startswith("FAILED") and "patched" in line)
+
+
+def test_a_twin_can_stand_on_the_patched_model_and_feels_its_effects(
+    late: Path, tmp_path: Path
+) -> None:
+    root = tmp_path / "arm"
+    shutil.copytree(late, root)
+    command = [sys.executable, "-m", "pytest_twin.cli", "diagnose", "twin.yaml"]
+    names = ("fit1", "fit2", "held_out3")
+    recordings = [f"recordings/{name}.mcap" for name in names]
+    subprocess.run([*command, *recordings, "--out", "why"], cwd=root, check=True, timeout=100)
+    described = root / "twin.yaml"
+    described.write_text("name: arm\nmodel: why\n")
+    result = run(root)
+    assert "2 passed" in result.stdout, result.stdout
+    assert run(root, "--twin-release").returncode == 0
+    effects = root / "why" / "realization" / "effects.json"
+    effects.write_text(effects.read_text().replace('"delay": 0.0', '"delay": 0.01'))
+    result = run(root)
+    assert "2 failed" in result.stdout, result.stdout
+    assert "ran because  mujoco/effects: sha256" in result.stdout
