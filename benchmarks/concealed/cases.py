@@ -2,6 +2,22 @@
 
 ``python benchmarks/concealed/cases.py --out DIR --truth DIR --seeds 0:200`` writes for each seed
 ``DIR/<case>/model.xml`` and ``recordings/*.mcap``, and the truth elsewhere.
+
+A block of 200 consecutive seeds holds 40 cases with nothing hidden, 20 with two effects and 20
+with three, 20 with a force that is in no catalogue (5 of each kind), and 100 with one effect: every
+effect of the contract's table two or three times alone and at least once beside others. Which of
+them a seed is follows from its place in the block; everything else it draws.
+
+What is drawn could be told apart by a perfect observer:
+
+- an effect acts where it shows (:data:`NEEDS`): one joint alone cannot tell a late command from a
+  late sensor, nor a tilted base from a servo's biased encoder; on a slide or a vertical first axis
+  an armature is the same physics as a heavier link; a velocity servo's gain is its torque constant;
+- pairs that are the same physics (:data:`SAME`) do not share a joint: two of the laws that carry a
+  constant level of dry friction, a servo's gain beside its torque constant or viscous friction.
+
+No other pair is left out. What is hidden may be too small to see: the truth says how far each
+effect changes the held-out recordings (``visibility``, in standard deviations of sensor noise).
 """
 
 from __future__ import annotations
@@ -10,13 +26,15 @@ import argparse
 import json
 import struct
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kernel import OUTSIDE, OUTSIDE_KINDS
 from mcap.writer import CompressionType, Writer
-from plant import STEP, Hidden, Motion, simulate
-from robots import Robot, draw, mjcf
+from plant import RECORD, TICK, Hidden, Motion, simulate
+from robots import RADIUS, Robot, draw, mjcf, tip_paths, with_contact
 
 DURATION = 12.0
 EPOCH_NS = 1_760_000_000_000_000_000
@@ -25,21 +43,95 @@ SCHEMA = (
     "float64[] effort\n" + "=" * 80 + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
     "string frame_id\n" + "=" * 80 + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
-JOINT_EFFECTS = [
-    "command_delay", "encoder_bias", "encoder_scale", "encoder_eccentricity", "actuator_lag",
-    "rate_limit", "torque_constant", "torque_saturation", "torque_speed_limit", "dead_zone",
-    "cogging", "controller_gain", "viscous_friction", "coulomb_friction", "asymmetric_friction",
+CONTACT_EFFECTS = ("contact_offset", "contact_stiffness", "contact_damping", "contact_friction")
+EFFORT_EFFECTS = ("effort_bias", "effort_scale")
+EFFECTS = (
+    "command_delay", "sensor_delay", "clock_drift", "encoder_bias", "encoder_scale",
+    "encoder_eccentricity", "effort_bias", "effort_scale", "actuator_lag", "rate_limit",
+    "torque_constant", "torque_saturation", "torque_speed_limit", "dead_zone", "cogging",
+    "controller_gain", "viscous_friction", "coulomb_friction", "asymmetric_friction",
     "stribeck_friction", "load_dependent_friction", "presliding_hysteresis", "thermal_friction",
     "position_dependent_friction", "quadratic_drag", "backlash", "joint_elasticity",
-    "joint_spring", "joint_coupling", "inertial_parameters", "armature", "external_force",
-]  # fmt: skip
-ROBOT_EFFECTS = ["sensor_delay", "clock_drift", "payload", "base_tilt"]
-EFFORT_EFFECTS = ["effort_bias", "effort_scale"]
-SERVO_ONLY = {"rate_limit", "controller_gain"}
-OUTSIDE = ["magnetic_latch", "sticky_patch", "periodic_shaker", "loose_cable"]
+    "joint_spring", "joint_coupling", "payload", "inertial_parameters", "armature", "base_tilt",
+    *CONTACT_EFFECTS, "external_force",
+)  # fmt: skip
+OF_THE_ROBOT = {"sensor_delay", "clock_drift", "payload", "base_tilt", *CONTACT_EFFECTS}
+OUTSIDE_NAMES = OUTSIDE_KINDS[1:]
+MODES = {"position": 0.65, "velocity": 0.15, "effort": 0.2}
+COUNTS = {1: 0.25, 2: 0.25, 3: 0.2, 4: 0.1, 6: 0.15, 7: 0.05}
 
 
-def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> dict[str, float]:
+@dataclass(frozen=True)
+class Need:
+    """Where an effect can act and show.
+
+    Attributes:
+        joints: of the robot, at least and at most.
+        gravity: only on joints whose gravity effort depends on the pose.
+        upstream: only on joints behind another.
+        hinges: not on a slide.
+        contact: only on a robot that meets a surface.
+    """
+
+    joints: tuple[int, int] = (1, 7)
+    modes: tuple[str, ...] = ("position", "velocity", "effort")
+    gravity: bool = False
+    upstream: bool = False
+    hinges: bool = False
+    contact: bool = False
+
+
+_TOUCH = {"joints": (1, 3), "modes": ("position", "effort"), "hinges": True, "contact": True}
+NEEDS = {
+    "command_delay": Need((2, 7)),
+    "sensor_delay": Need((2, 7)),
+    "encoder_bias": Need(gravity=True, hinges=True),
+    "encoder_eccentricity": Need(hinges=True),
+    "rate_limit": Need(modes=("position", "velocity")),
+    "torque_constant": Need(modes=("position", "effort")),
+    "controller_gain": Need(modes=("position",)),
+    "cogging": Need(hinges=True),
+    "load_dependent_friction": Need(gravity=True, hinges=True),
+    "position_dependent_friction": Need(hinges=True),
+    "joint_coupling": Need((2, 7), upstream=True),
+    "payload": Need(hinges=True),
+    "inertial_parameters": Need((2, 7), gravity=True),
+    "armature": Need(gravity=True, hinges=True),
+    "base_tilt": Need((2, 7)),
+    "contact_offset": Need(**_TOUCH),
+    "contact_stiffness": Need(**_TOUCH),
+    "contact_damping": Need(**_TOUCH),
+    "contact_friction": Need(**{**_TOUCH, "joints": (2, 3)}),
+}
+SAME = (
+    {"coulomb_friction", "asymmetric_friction", "stribeck_friction", "position_dependent_friction"},
+    {"controller_gain", "torque_constant"},
+    {"controller_gain", "viscous_friction"},
+)
+
+BLOCK = 200
+ORDER = np.random.default_rng(20_261_120).permutation(BLOCK)
+NOTHING, TWO, THREE, OUTSIDE_CASES = 40, 20, 20, 20
+
+
+def plan(seed: int) -> tuple[str, list[str]]:
+    """What a seed is: its kind and the names that are given; others are drawn beside them."""
+    place, block = int(ORDER[seed % BLOCK]), seed // BLOCK
+    if place < NOTHING:
+        return "none", []
+    place -= NOTHING
+    if place < TWO + THREE:
+        turn = place + block * (TWO + THREE)
+        return "two" if place < TWO else "three", [EFFECTS[turn % len(EFFECTS)]]
+    place -= TWO + THREE
+    if place < OUTSIDE_CASES:
+        return "outside", [OUTSIDE_NAMES[place % len(OUTSIDE_NAMES)]]
+    place -= OUTSIDE_CASES
+    singles = BLOCK - NOTHING - TWO - THREE - OUTSIDE_CASES
+    return "one", [EFFECTS[(place + block * singles) % len(EFFECTS)]]
+
+
+def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> dict[str, Any]:
     """Parameters of a hidden effect, in SI units, in proportion to the joint."""
     j = robot.joints[max(joint, 0)]
     effort = j.effort / 6.0
@@ -47,11 +139,14 @@ def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> di
     speed = 0.8
     sign = float(rng.choice([-1.0, 1.0]))
     u = lambda low, high: float(rng.uniform(low, high))  # noqa: E731
+    # In the loop a bias moves the arm, not the reading: one joint alone takes it for a tilt.
+    looped = robot.mode == "position" and len(robot.joints) > 1 and bool(rng.random() < 0.5)
     table: dict[str, Any] = {
         "command_delay": lambda: {"delay": u(0.01, 0.05)},
         "sensor_delay": lambda: {"delay": u(0.01, 0.05)},
         "clock_drift": lambda: {"drift": sign * u(0.002, 0.006)},
-        "encoder_bias": lambda: {"bias": sign * u(0.02, 0.08)},
+        "encoder_bias": lambda: {"bias": sign * (u(0.06, 0.2) if looped else u(0.02, 0.08)),
+                                 "in_loop": looped},
         "encoder_scale": lambda: {"scale_error": sign * u(0.03, 0.1)},
         "encoder_eccentricity": lambda: {"sine": sign * u(0.02, 0.06), "cosine": u(-0.05, 0.05)},
         "effort_bias": lambda: {"bias": sign * u(0.1, 0.3) * effort},
@@ -67,7 +162,7 @@ def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> di
         "cogging": lambda: {"sine": u(0.1, 0.3) * effort, "cosine": u(-0.1, 0.1) * effort,
                             "harmonic": float(rng.choice([6, 8, 12, 16]))},
         "controller_gain": lambda: {"stiffness_error": sign * u(0.2, 0.5),
-                                    "damping_error": sign * u(0.2, 0.5)},
+                                    "damping_error": float(rng.choice([-1.0, 1.0])) * u(0.2, 0.5)},
         "viscous_friction": lambda: {"coefficient": u(0.1, 0.4) * effort / speed},
         "coulomb_friction": lambda: {"coulomb": u(0.1, 0.35) * effort},
         "asymmetric_friction": lambda: {"coulomb": u(0.1, 0.25) * effort,
@@ -85,7 +180,7 @@ def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> di
         "quadratic_drag": lambda: {"coefficient": u(0.15, 0.4) * effort / speed**2},
         "backlash": lambda: {"gap": u(0.02, 0.06)},
         "joint_elasticity": lambda: {"stiffness": u(0.3, 0.8) * band,
-                                     "damping": u(0.003, 0.01) * band},
+                                     "damping_time": u(0.01, 0.02)},
         "joint_spring": lambda: {"stiffness": u(0.2, 0.5) * effort,
                                  "preload": u(-0.2, 0.2) * effort},
         "joint_coupling": lambda: {"ratio": sign * u(0.08, 0.25)},
@@ -93,22 +188,54 @@ def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> di
         "inertial_parameters": lambda: {"relative_error": u(0.25, 0.6)},
         "armature": lambda: {"inertia": u(1.0, 3.0) * j.armature},
         "base_tilt": lambda: {"roll": u(-0.12, 0.12), "pitch": sign * u(0.05, 0.12)},
+        "contact_offset": lambda: {"offset": sign * u(0.005, 0.02)},
+        "contact_stiffness": lambda: {"relative_error": u(1.0, 3.0) if sign > 0 else u(-0.7, -0.4)},
+        "contact_damping": lambda: {"relative_error": u(1.0, 3.0) if sign > 0 else u(-0.9, -0.6)},
+        "contact_friction": lambda: {"coefficient": u(0.2, 0.5) if sign > 0 else u(-0.28, -0.15)},
         "external_force": lambda: {"effort": sign * u(0.3, 0.6) * effort, "start": u(3.0, 7.0),
                                    "duration": u(0.8, 2.5)},
     }  # fmt: skip
-    found: dict[str, float] = table[effect]()
+    found: dict[str, Any] = table[effect]()
     return found
 
 
-def excitation(robot: Robot, kind: str, rng: np.random.Generator) -> np.ndarray:
-    """References (steps, joints) at 10 kHz, new every 10 ms."""
+def joints_for(effect: str, robot: Robot) -> list[int]:
+    """Where on a robot an effect can act; -1 is the whole robot."""
+    need = NEEDS.get(effect, Need())
+    low, high = need.joints
+    if not low <= len(robot.joints) <= high or robot.mode not in need.modes:
+        return []
+    if (need.contact and robot.contact is None) or (need.hinges and robot.joints[0].slide):
+        return []
+    if effect in OF_THE_ROBOT:
+        return [-1]
+    places = robot.gravity_joints() if need.gravity else list(range(len(robot.joints)))
+    return [i for i in places if i or not need.upstream]
+
+
+def hide(given: list[str], count: int, robot: Robot, rng: np.random.Generator) -> Hidden:
+    """``count`` effects, the ``given`` ones among them, none of the same physics at one joint."""
+    hidden = Hidden()
+    others = [e for e in rng.permutation(EFFECTS) if e not in given]
+    left = [*given, *(str(e) for e in others)]
+    while sum(len(at) for at in hidden.effects.values()) < count:
+        effect = left.pop(0)
+        taken = {
+            i for other, at in hidden.effects.items() for i in at
+            if any({effect, other} <= same for same in SAME)
+        }  # fmt: skip
+        places = [i for i in joints_for(effect, robot) if i not in taken]
+        if places:
+            joint = int(rng.choice(places))
+            hidden.effects[effect] = {joint: sizes(effect, robot, joint, rng)}
+    return hidden
+
+
+def excitation(robot: Robot, kind: str, center: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """References (ticks, joints) about a centre (joints,), new every 10 ms."""
     n = len(robot.joints)
-    t = np.arange(0.0, DURATION, 0.01)[:, None]
-    if robot.joints[0].slide:
-        amplitude, center = np.full(n, 0.25), np.zeros(n)
-    else:
-        amplitude = rng.uniform(0.35, 0.7, n)
-        center = rng.uniform(-0.4, 0.4, n)
+    t = np.arange(0.0, DURATION, TICK)[:, None]
+    amplitude = np.full(n, 0.25) if robot.joints[0].slide else rng.uniform(0.35, 0.7, n)
     if kind == "multisine":
         tones = rng.uniform(0.15, 1.4, (4, n))
         phase = rng.uniform(0, 2 * np.pi, (4, n))
@@ -132,143 +259,262 @@ def excitation(robot: Robot, kind: str, rng: np.random.Generator) -> np.ndarray:
         triangle = 2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / period))
         out = center + amplitude * triangle * np.where(t < DURATION / 2, 1.0, 0.3)
     if robot.mode == "velocity":
-        out = np.gradient(out, 0.01, axis=0)
+        out = np.gradient(out, TICK, axis=0)
         out = np.clip(out, -2.0, 2.0)
-    return np.repeat(out, round(0.01 / STEP), axis=0)
+    return out
 
 
-def outside(kind: str, joint: int, robot: Robot, rng: np.random.Generator):
-    """A force that is in nobody's catalogue, and its truth."""
-    effort = robot.joints[joint].effort / 6.0
-    at, width = float(rng.uniform(-0.2, 0.2)), float(rng.uniform(0.03, 0.06))
-    size = float(rng.uniform(0.8, 1.5)) * effort
-
-    def force(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        out = np.zeros_like(q)
-        x = (q[:, joint] - at) / width
-        if kind == "magnetic_latch":
-            out[:, joint] = -size * x * np.exp(0.5 - x * x / 2)
-        elif kind == "sticky_patch":
-            out[:, joint] = -size * np.tanh(v[:, joint] / 0.02) * np.exp(-((x / 2) ** 2))
-        elif kind == "periodic_shaker":
-            out[:, joint] = size * np.sin(2 * np.pi * 1.7 * t) * (t % 4.0 > 2.6)
-        else:  # a cable that pulls tight in one direction only
-            out[:, joint] = -3 * size * np.maximum(q[:, joint] - at - 0.1, 0.0) / 0.1
-        return out
-
-    return force, {"kind": kind, "joint": joint, "at": at, "width": width, "size": size}
+KINDS = ("multisine", "moves", "slow", "steps", "multisine")
+ROLES = ("fit", "fit", "fit", "held_out", "held_out")
+HELD_OUT = slice(ROLES.index("held_out"), None)
 
 
-def joint_state(names: list[str], stamp: int, fields: dict[str, np.ndarray]) -> bytes:
-    """One sensor_msgs/msg/JointState in little-endian CDR."""
+def excitations(robot: Robot, rng: np.random.Generator) -> np.ndarray:
+    """References (ticks, recordings, joints) in the air."""
+    n = len(robot.joints)
+    slide = robot.joints[0].slide
+    centers = [np.zeros(n) if slide else rng.uniform(-0.4, 0.4, n) for _ in KINDS]
+    return np.stack(
+        [excitation(robot, k, c, rng) for k, c in zip(KINDS, centers, strict=True)], axis=1
+    )
+
+
+def touching(robot: Robot, rng: np.random.Generator) -> tuple[Robot, np.ndarray]:
+    """The robot before a wall or over a table, and references that meet it in some motions."""
+    n = len(robot.joints)
+    table = bool(rng.random() < 0.5)
+    normal = (0.0, 0.0, 1.0) if table else (-1.0, 0.0, 0.0)
+    # Over a table the arm stretches forward, before a wall it stands.
+    bends = [i for i in range(n) if robot.joints[i].axis[1]]
+    lean = np.zeros(n)
+    lean[bends] = (1.35 if table else 0.2) / len(bends)
+    while True:
+        centers = [lean + rng.uniform(-0.1, 0.1, n) for _ in KINDS]
+        references = np.stack(
+            [excitation(robot, k, c, rng) for k, c in zip(KINDS, centers, strict=True)], axis=1
+        )
+        above = tip_paths(robot, references) @ np.array(normal) - RADIUS
+        # It starts in the air, and is never asked to go far in.
+        height = min(float(above[0].min()) - 0.005, float(above.min()) + 0.08)
+        share = np.mean(above < height - 0.01, axis=0)
+        if np.sum(share > 0.02) >= 3 and share[HELD_OUT].max() > 0.02:
+            return with_contact(rng, robot, normal, height), references
+
+
+def outside(
+    kind: str, joint: int, robot: Robot, references: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """A force that is in nobody's catalogue, (1,) record, where the joint passes."""
+    path = references[..., joint]
+    if robot.mode == "velocity":
+        path = np.cumsum(path, axis=0) * TICK
+    force = np.zeros(1, OUTSIDE)
+    force["kind"], force["joint"] = OUTSIDE_KINDS.index(kind), joint
+    force["at"] = np.quantile(path, rng.uniform(0.35, 0.65))
+    force["width"] = rng.uniform(0.03, 0.06)
+    force["size"] = rng.uniform(0.8, 1.5) * robot.joints[joint].effort / 6.0
+    return force
+
+
+def stretches(acted: np.ndarray, size: float) -> list[list[float]]:
+    """Times (start, end) in s in which a (samples,) force was above a tenth of its size."""
+    on = np.concatenate([[False], np.abs(acted) > 0.1 * size, [False]])
+    starts, ends = (np.flatnonzero(d) for d in (on[1:] & ~on[:-1], on[:-1] & ~on[1:]))
+    found: list[list[float]] = []
+    for start, end in zip(starts * RECORD, ends * RECORD, strict=True):
+        if found and start - found[-1][1] < 0.05:
+            found[-1][1] = round(float(end), 4)
+        else:
+            found.append([round(float(start), 4), round(float(end), 4)])
+    return found
+
+
+def sampled(trace: np.ndarray, time: np.ndarray, hidden: Hidden) -> np.ndarray:
+    """(samples, joints) of a trace as a logger stamps it at ``time`` s: late, by another clock."""
+    real = time * (1 - hidden.robot("clock_drift", "drift")) - hidden.robot("sensor_delay", "delay")
+    at = np.clip(real / RECORD, 0, len(trace) - 1)
+    before = np.minimum(at.astype(int), len(trace) - 2)
+    part = (at - before)[:, None]
+    out: np.ndarray = trace[before] * (1 - part) + trace[before + 1] * part
+    return out
+
+
+def message(names: list[str], fields: list[str]) -> tuple[np.ndarray, dict[str, int]]:
+    """A sensor_msgs/msg/JointState in little-endian CDR, and where its stamp and fields go."""
     out = bytearray(b"\x00\x01\x00\x00")
-    out += struct.pack("<iII", stamp // 10**9, stamp % 10**9, 1) + b"\x00"
+    places = {"stamp": len(out)}
+    out += struct.pack("<iII", 0, 0, 1) + b"\x00"
 
     def align(size: int) -> None:
         out.extend(b"\x00" * (-(len(out) - 4) % size))
 
     align(4)
-    out.extend(struct.pack("<I", len(names)))
+    out += struct.pack("<I", len(names))
     for name in names:
         align(4)
-        out.extend(struct.pack("<I", len(name) + 1) + name.encode() + b"\x00")
+        out += struct.pack("<I", len(name) + 1) + name.encode() + b"\x00"
     for key in ("position", "velocity", "effort"):
-        values = fields.get(key, np.empty(0))
         align(4)
-        out.extend(struct.pack("<I", len(values)))
-        if len(values):
+        out += struct.pack("<I", len(names) if key in fields else 0)
+        if key in fields:
             align(8)
-            out.extend(np.asarray(values, "<f8").tobytes())
-    return bytes(out)
+            places[key] = len(out)
+            out += bytes(8 * len(names))
+    return np.frombuffer(bytes(out), np.uint8), places
+
+
+def messages(names: list[str], stamps: np.ndarray, fields: dict[str, np.ndarray]) -> np.ndarray:
+    """(messages, bytes) of (messages, joints) fields, stamped in ns."""
+    blank, places = message(names, list(fields))
+    out = np.tile(blank, (len(stamps), 1))
+    parts = {"stamp": np.stack([stamps // 10**9, stamps % 10**9], axis=1).astype("<u4")}
+    parts |= {key: np.ascontiguousarray(values, "<f8") for key, values in fields.items()}
+    for key, values in parts.items():
+        raw = values.view(np.uint8)
+        out[:, places[key] : places[key] + raw.shape[1]] = raw
+    return out
 
 
 def write(
     path: Path, robot: Robot, motion: Motion, hidden: Hidden, sensors: dict[str, Any],
     role: str, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Sample the motion as a logger would, and write it."""
+    """Sample one recording's motion as a logger would, and write it."""
     names = [j.name for j in robot.joints]
-    every = round(1.0 / sensors["rate"] / STEP)
-    count = len(motion.position) // every
-    jitter = rng.integers(-sensors["jitter"], sensors["jitter"] + 1, count)
-    index = np.clip(np.arange(count) * every + jitter, 0, len(motion.position) - 1)
-    delay = round(hidden.robot("sensor_delay", "delay", 0.0) / STEP)
-    drift = hidden.robot("clock_drift", "drift", 0.0)
-    true_index = np.clip(np.round(index * (1 - drift)).astype(int) - delay, 0, None)
-    position = motion.position[true_index]
-    position = position + sensors["noise"] * rng.standard_normal(position.shape)
-    position = np.round(position / sensors["count"]) * sensors["count"]
+    period = 1.0 / sensors["rate"]
+    count = round(DURATION / period)
+    jitter = rng.integers(-sensors["jitter"], sensors["jitter"] + 1, count) * 1e-4
+    time = np.clip(np.arange(count) * period + jitter, 0.0, DURATION - 1e-4)
+    position = sampled(motion.position, time, hidden)
+    position += sensors["noise"] * rng.standard_normal(position.shape)
+    fields = {"position": np.round(position / sensors["count"]) * sensors["count"]}
+    if sensors["velocity"]:
+        noise = sensors["velocity_noise"] * rng.standard_normal(position.shape)
+        fields["velocity"] = sampled(motion.velocity, time, hidden) + noise
+    if sensors["effort"]:
+        noise = effort_noise(robot) * rng.standard_normal(position.shape)
+        fields["effort"] = sampled(motion.effort, time, hidden) + noise
+    stamps = EPOCH_NS + np.round(time * 1e9).astype(np.int64)
+    # Every command once, whenever the encoders are read: a logger misses none.
+    sent = EPOCH_NS + np.round(np.arange(len(motion.setpoint)) * TICK * 1e9).astype(np.int64)
+    rows = [
+        (int(s), 0, m)
+        for s, m in zip(sent, messages(names, sent, {robot.mode: motion.setpoint}), strict=True)
+    ]
+    rows += [(int(s), 1, m) for s, m in zip(stamps, messages(names, stamps, fields), strict=True)]
+    rows.sort(key=lambda row: row[:2])
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start()
         schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", SCHEMA.encode())
-        commands, states = (
+        channels = [
             writer.register_channel(t, "cdr", schema) for t in ("/joint_commands", "/joint_states")
-        )
+        ]
         writer.add_metadata("trial", {"role": role})
-        next_command = 0
-        for k, (i, real) in enumerate(zip(index, true_index, strict=True)):
-            stamp = EPOCH_NS + round(i * STEP * 1e9)
-            # Every command once, whenever the encoders are read: a logger misses none.
-            while next_command <= i:
-                sent = EPOCH_NS + round(next_command * STEP * 1e9)
-                payload = joint_state(names, sent, {robot.mode: motion.setpoint[next_command]})
-                writer.add_message(commands, sent, payload, sent)
-                next_command += 100
-            fields = {"position": position[k]}
-            if sensors["velocity"]:
-                noise = sensors["velocity_noise"] * rng.standard_normal(len(names))
-                fields["velocity"] = motion.velocity[real] + noise
-            if sensors["effort"]:
-                spread = np.array([j.effort for j in robot.joints]) * 2e-3
-                fields["effort"] = motion.effort[real] + spread * rng.standard_normal(len(names))
-            writer.add_message(states, stamp, joint_state(names, stamp, fields), stamp)
+        for stamp, which, data in rows:
+            writer.add_message(channels[which], stamp, data.tobytes(), stamp)
         writer.finish()
 
 
-def make(seed: int, out: Path, truth: Path, kind: str | None = None) -> str:
+def effort_noise(robot: Robot) -> np.ndarray:
+    """(joints,) standard deviation of the effort sensors, N*m or N."""
+    return np.array([j.effort for j in robot.joints]) * 2e-3
+
+
+def visibility(
+    effect: str, true: tuple[Motion, Hidden], without: tuple[Motion, Hidden], robot: Robot,
+    sensors: dict[str, Any],
+) -> float:  # fmt: skip
+    """Root mean square change of held-out readings, in standard deviations of their noise.
+
+    Positions; for an effect of the effort sensor efforts. The greatest over the joints.
+    """
+    time = np.arange(0.0, DURATION - TICK, TICK)
+    noise: Any = np.hypot(sensors["noise"], sensors["count"] / np.sqrt(12.0))
+    which = "position"
+    if effect in EFFORT_EFFECTS:
+        noise, which = effort_noise(robot), "effort"
+    change = [
+        sampled(getattr(true[0], which)[:, i], time, true[1])
+        - sampled(getattr(without[0], which)[:, i], time, without[1])
+        for i in range(true[0].position.shape[1])
+    ]
+    return float(np.max(np.sqrt(np.mean(np.square(change), axis=(0, 1))) / noise))
+
+
+def seen(
+    robot: Robot, hidden: Hidden, motions: Motion, references: np.ndarray, start: np.ndarray,
+    sensors: dict[str, Any], force: np.ndarray | None,
+) -> tuple[dict[tuple[str, int], float], float | None]:  # fmt: skip
+    """Visibility of each hidden effect, and of a force that is in no catalogue.
+
+    The held-out recordings once more without it. An effort drive gets the same commands again: as
+    an arm under them runs away from any change, it starts anew every 0.25 s from where it really
+    was.
+    """
+    true = motions.recordings(HELD_OUT)
+    again: dict[str, Any] = {}
+    if robot.mode == "effort":
+        again = {"sent": true.setpoint, "restart": true.kept}
+
+    def run(less: Hidden, push: np.ndarray | None) -> Motion:
+        return simulate(
+            robot, less, references[:, HELD_OUT], start[HELD_OUT], outside=push, **again
+        )
+
+    found = {}
+    for effect, at in hidden.effects.items():
+        for joint in at:
+            less = hidden.without(effect, joint)
+            # These two are in the logger, not in the motion.
+            other = true if effect in ("sensor_delay", "clock_drift") else run(less, force)
+            found[effect, joint] = visibility(effect, (true, hidden), (other, less), robot, sensors)
+    if force is None:
+        return found, None
+    other = run(hidden, None)
+    return found, visibility("outside", (true, hidden), (other, hidden), robot, sensors)
+
+
+def drawn(options: dict[Any, float], rng: np.random.Generator) -> Any:
+    """One of the options by weight."""
+    keys, weights = list(options), np.array(list(options.values()))
+    return keys[int(rng.choice(len(keys), p=weights / weights.sum()))]
+
+
+def make(seed: int, out: Path, truth: Path, effect: str | None = None) -> str:
     """Write one case; returns its name.
 
     Args:
         seed: draws everything.
-        kind: ``one``, ``none``, ``several``, ``outside`` or an effect's name; None draws.
+        effect: ``none``, or the one effect or outside force that is hidden; None: as planned.
     """
     rng = np.random.default_rng([20_261_120, seed])
-    if kind is None:
-        kind = str(rng.choice(["one", "none", "several", "outside"], p=[0.5, 0.2, 0.2, 0.1]))
-    count = int(rng.choice([1, 2, 3, 4, 6, 7], p=[0.25, 0.25, 0.2, 0.1, 0.15, 0.05]))
-    mode = str(rng.choice(["position", "velocity", "effort"], p=[0.65, 0.15, 0.2]))
-    pool = list(JOINT_EFFECTS) + ROBOT_EFFECTS + EFFORT_EFFECTS
-    wanted = [kind] if kind in pool else []
-    if kind == "one":
-        wanted = [pool[seed % len(pool)]]
-    elif kind == "several":
-        wanted = list(rng.choice(pool, int(rng.integers(2, 4)), replace=False))
-    if set(wanted) & SERVO_ONLY:
-        mode = "position"
-    if "joint_coupling" in wanted:
-        count = max(count, 2)
-    robot = draw(rng, count, mode)
-    if robot.joints[0].slide and {"cogging", "load_dependent_friction", "base_tilt",
-                                  "encoder_eccentricity"} & set(wanted):  # fmt: skip
-        count = 2
-        robot = draw(rng, count, mode)
-    hidden = Hidden()
-    for effect in wanted:
-        if effect in ROBOT_EFFECTS:
-            joint = -1
-        elif effect == "joint_coupling":
-            joint = int(rng.integers(1, count))
-        else:
-            joint = int(rng.integers(0, count))
-        if effect in ("load_dependent_friction",) and count > 1:
-            joint = max(joint, 1)
-        hidden.effects.setdefault(effect, {})[joint] = sizes(effect, robot, joint, rng)
-    extra, outside_truth = None, None
+    kind, given = plan(seed)
+    if effect is not None:
+        kind = "none" if effect == "none" else "outside" if effect in OUTSIDE_NAMES else "one"
+        given = [] if effect == "none" else [effect]
+    needs = [NEEDS.get(name, Need()) for name in given]
+    counts = {
+        c: w for c, w in COUNTS.items() if all(n.joints[0] <= c <= n.joints[1] for n in needs)
+    }
+    modes = {m: w for m, w in MODES.items() if all(m in n.modes for n in needs)}
+    touches = any(n.contact for n in needs)
+    if kind == "none" and rng.random() < 0.15:
+        touches = True
+        counts, modes = ({k: v for k, v in options.items() if k in allowed} for options, allowed in
+                         ((counts, (1, 2, 3)), (modes, ("position", "effort"))))  # fmt: skip
+    robot = draw(
+        rng, drawn(counts, rng), drawn(modes, rng), hinges=touches or any(n.hinges for n in needs)
+    )
+    if touches:
+        robot, references = touching(robot, rng)
+    else:
+        references = excitations(robot, rng)
+    number = {"none": 0, "one": 1, "two": 2, "three": 3, "outside": 0}[kind]
+    hidden = hide(given if number else [], number, robot, rng)
+    force = None
     if kind == "outside":
-        extra, outside_truth = outside(
-            str(rng.choice(OUTSIDE)), int(rng.integers(0, count)), robot, rng
-        )
+        force = outside(given[0], int(rng.integers(len(robot.joints))), robot, references, rng)
     sensors = {
         "rate": float(rng.choice([100.0, 200.0])),
         "jitter": int(rng.choice([0, 5, 10])),
@@ -276,26 +522,35 @@ def make(seed: int, out: Path, truth: Path, kind: str | None = None) -> str:
         "count": float(2 * np.pi / rng.choice([4096, 16384, 65536])),
         "velocity": bool(rng.random() < 0.4),
         "velocity_noise": 0.01,
-        "effort": bool(rng.random() < 0.4) or bool(set(wanted) & set(EFFORT_EFFECTS)),
+        "effort": bool(rng.random() < 0.4) or bool(set(hidden.effects) & set(EFFORT_EFFECTS)),
     }
     name = f"case{seed:04d}"
     folder = out / name
     (folder / "recordings").mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(mjcf(robot))
-    kinds = ["multisine", "moves", "slow", "steps", "multisine"]
-    roles = ["fit", "fit", "fit", "held_out", "held_out"]
-    references = np.stack([excitation(robot, k, rng) for k in kinds], axis=1)
-    start = np.zeros_like(references[0]) if mode == "velocity" else references[0].copy()
-    motions = simulate(robot, hidden, references, start, extra=extra)
-    for i, (excite, role) in enumerate(zip(kinds, roles, strict=True)):
-        motion = motions.recording(i)
-        path = folder / "recordings" / f"{i}_{excite}.mcap"
-        write(path, robot, motion, hidden, sensors, role, rng)
+    start = references[0] * (robot.mode != "velocity")
+    motions = simulate(robot, hidden, references, start, outside=force)
+    files = [f"{i}_{excite}.mcap" for i, excite in enumerate(KINDS)]
+    for i, (file, role) in enumerate(zip(files, ROLES, strict=True)):
+        motion = motions.recordings(i)
+        write(folder / "recordings" / file, robot, motion, hidden, sensors, role, rng)
+    seen_by, outside_seen = seen(robot, hidden, motions, references, start, sensors, force)
+    outside_truth = None
+    if force is not None:
+        size = float(force["size"][0])
+        outside_truth = {
+            "kind": given[0], "joint": robot.joints[int(force["joint"][0])].name,
+            "at": float(force["at"][0]), "width": float(force["width"][0]), "size": size,
+            "visibility": outside_seen,
+            "windows": {f: stretches(motions.outside[:, i], size) for i, f in enumerate(files)},
+        }  # fmt: skip
     truth.mkdir(parents=True, exist_ok=True)
     record = {
-        "case": name, "kind": kind, "mode": mode, "joints": [j.name for j in robot.joints],
+        "case": name, "kind": kind, "mode": robot.mode, "joints": [j.name for j in robot.joints],
+        "contact": robot.contact is not None,
         "effects": [
-            {"effect": e, "joint": None if i < 0 else robot.joints[i].name, "parameters": p}
+            {"effect": e, "joint": None if i < 0 else robot.joints[i].name, "parameters": p,
+             "visibility": seen_by[e, i]}
             for e, at in hidden.effects.items() for i, p in at.items()
         ],
         "outside": outside_truth, "sensors": sensors,
@@ -309,13 +564,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--truth", type=Path, required=True)
-    parser.add_argument("--seeds", default="0:8")
-    parser.add_argument("--kind")
+    parser.add_argument("--seeds", default="0:8", help="first:last, last not included")
+    parser.add_argument("--effect", help="none, or what alone is hidden in every case")
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
+    if args.effect not in (None, "none", *EFFECTS, *OUTSIDE_NAMES):
+        parser.error(f"--effect {args.effect}: none, {', '.join((*EFFECTS, *OUTSIDE_NAMES))}")
     first, last = (int(x) for x in args.seeds.split(":"))
     with ProcessPoolExecutor(args.jobs) as pool:
-        jobs = [pool.submit(make, s, args.out, args.truth, args.kind) for s in range(first, last)]
+        jobs = [pool.submit(make, s, args.out, args.truth, args.effect) for s in range(first, last)]
         for job in jobs:
             print(job.result(), flush=True)
 

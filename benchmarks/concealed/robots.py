@@ -6,7 +6,7 @@ Units: m, kg, rad, s, N*m (N on slides).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -41,6 +41,27 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Contact:
+    """A small sphere at the end of the last link, and a plane that it meets.
+
+    Attributes:
+        normal: (3,) unit, out of the plane, base frame; the plane is normal . x = ``height`` (m).
+        tip: (3,) m, the sphere's centre in the last link's frame; ``radius`` m.
+        stiffness, damping: N/m and N*s/m, of depth and its rate.
+        friction: Coulomb coefficient; ``slip``: m/s at which friction has 71 % of its level.
+    """
+
+    normal: tuple[float, float, float]
+    height: float
+    tip: tuple[float, float, float]
+    radius: float
+    stiffness: float
+    damping: float
+    friction: float
+    slip: float
+
+
+@dataclass(frozen=True)
 class Robot:
     """A serial chain on a fixed base; ``mode`` is what its drives take."""
 
@@ -48,14 +69,22 @@ class Robot:
     joints: tuple[Joint, ...]
     mode: str
     timestep: float
+    contact: Contact | None = None
+
+    def gravity_joints(self) -> list[int]:
+        """Joints on which the pose changes gravity's effort: no slide, no vertical first axis."""
+        return [i for i, j in enumerate(self.joints) if not j.slide and (i or not j.axis[2])]
 
 
-def draw(rng: np.random.Generator, count: int, mode: str) -> Robot:
-    """A random serial robot of ``count`` joints: a slide only where it has one joint."""
+def draw(rng: np.random.Generator, count: int, mode: str, *, hinges: bool = False) -> Robot:
+    """A random serial robot of ``count`` joints.
+
+    Where it has one joint it may be a slide, unless it must be a robot of ``hinges``.
+    """
     joints = []
     length, mass = 0.35, 1.6
     axes = [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)]
-    slide = count == 1 and rng.random() < 0.3
+    slide = count == 1 and rng.random() < 0.3 and not hinges
     distal = np.zeros(count)
     for i in range(count):
         side = float(length * rng.uniform(0.85, 1.15))
@@ -91,6 +120,109 @@ def draw(rng: np.random.Generator, count: int, mode: str) -> Robot:
                   kp=kp, kv=kv, effort=6.0 * gravity + 4.0 * inertia, range=2.4)
         )  # fmt: skip
     return Robot(f"chain{count}", tuple(out), mode, 0.002 if count > 1 else 0.001)
+
+
+IMPEDANCE, IMPEDANCE_RATIO = 0.001, 1000.0
+"""MuJoCo's solimp (constant) and impratio of the nominal model's contact."""
+
+
+def contact_inertia(robot: Robot) -> float:
+    """kg that MuJoCo puts behind a contact of the last link.
+
+    The reciprocal of the mean translational ``body_invweight0``: of the last link's centre of mass
+    at the neutral pose, with the drives' reflected inertia.
+    """
+    model = pinocchio_model(robot, {}, (0.0, 0.0), np.zeros(3))
+    data = model.createData()
+    q = pin.neutral(model)
+    last = len(robot.joints)
+    mass = np.array(pin.crba(model, data, q))
+    mass = np.triu(mass) + np.triu(mass, 1).T + np.diag([j.armature for j in robot.joints])
+    pin.computeJointJacobians(model, data, q)
+    frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    jacobian = pin.getJointJacobian(model, data, last, frame)
+    center = np.array(robot.joints[-1].center)
+    linear = jacobian[:3] - pin.skew(center) @ jacobian[3:]
+    return float(3.0 / np.trace(linear @ np.linalg.solve(mass, linear.T)))
+
+
+def tip_paths(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """(..., 3) m, the last link's end at (..., joints) positions."""
+    model = pinocchio_model(robot, {}, (0.0, 0.0), np.zeros(3))
+    data = model.createData()
+    last = len(robot.joints)
+    out = []
+    for row in q.reshape(-1, q.shape[-1]):
+        pin.forwardKinematics(model, data, row)
+        out.append(data.oMi[last].act(np.array(link_end(robot))))
+    return np.array(out).reshape(*q.shape[:-1], 3)
+
+
+def link_end(robot: Robot) -> tuple[float, float, float]:
+    """(3,) m, the last link's end in its frame: twice as far out as its centre of mass."""
+    return (0.0, 0.0, 2.0 * robot.joints[-1].center[2])
+
+
+def with_contact(
+    rng: np.random.Generator, robot: Robot, normal: tuple[float, float, float], height: float
+) -> Robot:
+    """The robot with a sphere at its end and a plane of rubber: soft enough that it shows."""
+    inertia = contact_inertia(robot)
+    bandwidth = float(rng.uniform(70.0, 120.0))
+    contact = Contact(
+        normal, height, link_end(robot), RADIUS, inertia * bandwidth**2,
+        2.0 * float(rng.uniform(0.2, 0.4)) * inertia * bandwidth,
+        float(rng.uniform(0.3, 0.6)), 0.03,
+    )  # fmt: skip
+    return replace(robot, contact=contact, timestep=0.001)
+
+
+def contact_mjcf(root: ElementTree.Element, last: ElementTree.Element, robot: Robot) -> None:
+    """The nominal contact: the plant's numbers in MuJoCo's terms.
+
+    With a constant impedance d and solref = (-k, -b), a contact of MuJoCo's pushes with
+    m (k depth + b d(depth)/dt - d a) / (1 - d): m is the inertia that it puts behind the contact
+    (:func:`contact_inertia`), a the acceleration of the depth. A small d leaves spring and damper.
+    Along the plane it holds with m impratio b_t v / (1 - d) up to Coulomb's level; b_t is chosen so
+    that the level is reached at the slip velocity under 10 N. A large impratio keeps sliding from
+    raising the normal force.
+    """
+    c = robot.contact
+    if c is None:
+        return
+    inertia = contact_inertia(robot) / (1.0 - IMPEDANCE)
+    creep = c.friction * 10.0 / c.slip / (inertia * IMPEDANCE_RATIO)
+    option = root.find("option")
+    world = root.find("worldbody")
+    assert option is not None
+    assert world is not None
+    option.set("cone", "elliptic")
+    option.set("impratio", repr(IMPEDANCE_RATIO))
+
+    def row(*values: float) -> str:
+        return " ".join(repr(float(v)) for v in values)
+
+    plane = ElementTree.Element(
+        "geom", name="surface", type="plane", size="2 2 0.1", zaxis=row(*c.normal),
+        pos=row(*(c.height * v for v in c.normal)), contype="0", conaffinity="0",
+    )  # fmt: skip
+    world.insert(0, plane)
+    ElementTree.SubElement(
+        last, "geom", name="tip", type="sphere", size=repr(c.radius), pos=row(*c.tip), mass="0",
+        contype="0", conaffinity="0",
+    )  # fmt: skip
+    # An explicit pair: only there MuJoCo tells apart how surfaces hold along and across.
+    pairs = ElementTree.SubElement(root, "contact")
+    ElementTree.SubElement(
+        pairs, "pair", name="touch", geom1="surface", geom2="tip", condim="3",
+        friction=row(c.friction, c.friction, 0.005, 0.0001, 0.0001),
+        solref=row(-c.stiffness / inertia, -c.damping / inertia),
+        solreffriction=row(-1e-6, -creep), solimp=row(IMPEDANCE, IMPEDANCE, 0.001),
+    )  # fmt: skip
+
+
+RADIUS = 0.02
+"""m, of the sphere at a robot's end."""
 
 
 def mjcf(robot: Robot) -> str:
@@ -130,6 +262,7 @@ def mjcf(robot: Robot) -> str:
             ElementTree.SubElement(actuator, "motor", name=j.name, joint=j.name,
                                    forcerange=bound)  # fmt: skip
         parent = body
+    contact_mjcf(root, parent, robot)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -144,7 +277,7 @@ def pinocchio_model(
 
     Args:
         scale: joint index -> factor on mass and inertia of its link.
-        payload: (kg, m along the last link's z axis).
+        payload: (kg, m from the last joint towards its link's centre of mass).
         gravity: (3,) m/s^2 in the base frame.
     """
     model = pin.Model()
@@ -164,6 +297,7 @@ def pinocchio_model(
             factor * j.mass, np.array(j.center), factor * np.diag(np.array(j.inertia))
         )
         if i == len(robot.joints) - 1 and payload[0]:
-            body += pin.Inertia(payload[0], np.array([0.0, 0.0, payload[1]]), np.zeros((3, 3)))
+            toward = np.array(j.center) / np.linalg.norm(j.center)
+            body += pin.Inertia(payload[0], payload[1] * toward, np.zeros((3, 3)))
         model.appendBodyToJoint(parent, body, pin.SE3.Identity())
     return model
