@@ -152,14 +152,15 @@ def _solve(a: Any, b: Any) -> None:
 @njit(cache=True)
 def advance(
     at: int, substeps: int, step: float, per_tick: int, mode: int, looped: bool,
-    p: Any, chain: Any, contacts: Any, forces: Any, states: Any, mass: Any, mass_slope: Any,
-    bias: Any, bias_slope: Any, reference: Any, gravity: Any, sent: Any, position: Any,
+    p: Any, chain: Any, contacts: Any, forces: Any, states: Any, fresh: bool, mass: Any,
+    bias: Any, q: Any, v: Any, reference: Any, gravity: Any, sent: Any, position: Any,
     velocity: Any, effort: Any, acted: Any, touch: Any,
 ) -> None:  # fmt: skip
     """Row ``at`` of the record, and the ``substeps`` from it to the next, of every recording.
 
-    ``mass`` (upper half) and ``bias`` hold at the first substep and change by their slopes over
-    all of them. ``sent`` is filled by the outer loop where ``looped``.
+    The first of ``mass`` (upper half) and ``bias`` hold at the first substep, the second a record
+    before, and they go on as they went; nothing was before where ``fresh``. ``q`` and ``v`` are
+    where Pinocchio is asked next. ``sent`` is filled by the outer loop where ``looped``.
     """
     n = len(p)
     contact, force = contacts[0], forces[0]
@@ -168,6 +169,8 @@ def advance(
     inertia, axes, origins = np.empty((n, n)), np.empty((n, 3)), np.empty((n, 3))
     for r in range(len(states)):
         state = states[r]
+        if fresh:
+            mass[1, r], bias[1, r] = mass[0, r], bias[0, r]
         for k in range(at * substeps, (at + 1) * substeps):
             t = k * step
             ahead = k / substeps - at
@@ -220,7 +223,7 @@ def advance(
                     + j.cog_c * np.cos(j.cog_n * motor_q)
                     - j.pre_level * s.pre_z / j.pre_x
                 )
-                load = bias[r, i] + ahead * bias_slope[r, i]
+                load = bias[0, r, i] + ahead * (bias[0, r, i] - bias[1, r, i])
                 level = j.coulomb + j.load_mu * abs(load)
                 if j.stiction != 0.0:
                     level += j.stiction * np.exp(-((motor_v / j.v_stribeck) ** 2))
@@ -237,7 +240,7 @@ def advance(
                 if j.push_at <= t < j.push_end:
                     link[i] += j.push
                 for m in range(i + 1):
-                    inertia[i, m] = mass[r, m, i] + ahead * mass_slope[r, m, i]
+                    inertia[i, m] = (1 + ahead) * mass[0, r, m, i] - ahead * mass[1, r, m, i]
                 if j.soft:
                     twist = s.theta - s.q
                     stretch = twist - _clip(twist, -j.gap / 2, j.gap / 2)
@@ -268,3 +271,5 @@ def advance(
                     s.theta += step * s.omega
                 else:
                     s.omega, s.theta = s.v, s.q
+        mass[1, r], bias[1, r] = mass[0, r], bias[0, r]
+        q[r], v[r] = state["q"], state["v"]

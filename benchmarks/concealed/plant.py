@@ -217,10 +217,11 @@ def simulate(
     state["q"] = start - p["loop_bias"]
     state["theta"] = state["q"]
     state["held"] = reference[0]
-    q, v = np.zeros((rows, n)), np.zeros((rows, n))
-    mass, mass_slope = np.zeros((rows, n, n)), np.zeros((rows, n, n))
-    bias, bias_slope = np.zeros((rows, n)), np.zeros((rows, n))
-    mass_before, bias_before = np.zeros((rows, n, n)), np.zeros((rows, n))
+    q, v = state["q"].copy(), np.zeros((rows, n))
+    q_of, v_of, each = list(q), list(v), range(rows)
+    # Now, and a record before; None of it before the first.
+    mass, bias = np.zeros((2, rows, n, n)), np.zeros((2, rows, n))
+    mass_in, bias_in = list(mass[0]), list(bias[0])
 
     looped = robot.mode == "effort" and sent is None
     setpoint = reference.copy() if sent is None else sent.copy()
@@ -236,26 +237,20 @@ def simulate(
         if k % keep_every == 0:
             if restart is not None:
                 state[:] = restart[k // keep_every]
+                q[:], v[:] = state["q"], state["v"]
                 fresh = True
             kept[k // keep_every] = state
-        q[:], v[:] = state["q"], state["v"]
-        for i in range(rows):
-            crba(model, data[i], q[i])
-            nle(model, data[i], q[i], v[i])
-            mass[i] = mass_of[i]
-            bias[i] = bias_of[i]
-        if fresh:
-            mass_slope[:], bias_slope[:] = 0.0, 0.0
-            fresh = False
-        else:
-            np.subtract(mass, mass_before, out=mass_slope)
-            np.subtract(bias, bias_before, out=bias_slope)
-        mass_before[:], bias_before[:] = mass, bias
+        for i in each:
+            crba(model, data[i], q_of[i])
+            nle(model, data[i], q_of[i], v_of[i])
+            mass_in[i][:] = mass_of[i]
+            bias_in[i][:] = bias_of[i]
         advance(
             k, substeps, step, per_tick, DRIVES[robot.mode], looped, p, chain, contact, force,
-            state, mass, mass_slope, bias, bias_slope, reference, gravity, setpoint, position,
-            velocity, effort, acted, touch,
+            state, fresh, mass, bias, q, v, reference, gravity, setpoint, position, velocity,
+            effort, acted, touch,
         )  # fmt: skip
+        fresh = False
     raw = position
     position = raw * (1 + hidden.get("encoder_scale", "scale_error", n))
     position += hidden.get("encoder_bias", "bias", n)
