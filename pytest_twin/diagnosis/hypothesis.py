@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.base import Effect, FloatArray, Parameter
+from pytest_twin.effects.base import SMOOTH_STEP, Effect, FloatArray, Parameter
 from pytest_twin.effects.rows import EffectValues
 
 
@@ -68,6 +68,11 @@ class Hypothesis:
         """Lower and upper, in multiples of the scales."""
         parameters = [p for t in self.terms for p in t.parameters]
         return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+
+    @property
+    def rough(self) -> bool:
+        """Whether the motion follows some parameter in leaps."""
+        return any(p.step > SMOOTH_STEP for t in self.terms for p in t.parameters)
 
     def slice_of(self, term: Term) -> slice:
         """Where a term's parameters stand in ``theta``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.native_contact import write_contact
 from pytest_twin.diagnosis.patched import AppliedEffect
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
@@ -263,6 +265,12 @@ def _tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return "option gravity", {}
 
 
+def _contact(effect: str, w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    del joint
+    text = write_contact(w.spec, w.simulator.contact, effect, values)
+    return None if text is None else (text, {})
+
+
 def _compiled_inertia(model: mujoco.MjModel, body: int) -> tuple[float, FloatArray]:
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, model.body_iquat[body])
@@ -288,4 +296,13 @@ _NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] 
     "inertial_parameters": _inertial,
     "payload": _payload,
     "base_tilt": _tilt,
+    **{
+        effect: functools.partial(_contact, effect)
+        for effect in (
+            "contact_offset",
+            "contact_stiffness",
+            "contact_damping",
+            "contact_friction",
+        )
+    },
 }

@@ -24,6 +24,7 @@ from pytest_twin.effects.base import FloatArray
 _SHORTLIST = 10
 _MAX_TERMS = 10
 _QUICK, _LONG = 3, 8
+_ROUGH_ROUNDS = 3
 # Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many.
 _EARNS = 5.0
 # A name must take away this share of what still stands above the floor at some joint, and this
@@ -185,8 +186,11 @@ class Selection:
 
     def _settled(self, rival: Rival) -> Rival:
         """The rival fitted to the end, with the simulator's step corrected where it now stands."""
-        self.problem.refine_at(rival.hypothesis)
-        return self._rivals([rival.hypothesis], self._weights(rival), _LONG)[0]
+        # Where impacts fall between steps depends on the parameters themselves.
+        for _ in range(_ROUGH_ROUNDS if rival.hypothesis.rough else 1):
+            self.problem.refine_at(rival.hypothesis)
+            rival = self._rivals([rival.hypothesis], self._weights(rival), _LONG)[0]
+        return rival
 
     def _backward(self, best: Rival) -> Rival:
         while len(best.hypothesis.terms) > 1:

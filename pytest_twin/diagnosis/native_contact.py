@@ -1,0 +1,99 @@
+"""Contact effects written into a spec: positions, ``solref`` and friction of geoms and pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import FloatArray, ModelFields
+from pytest_twin.effects.contact_geoms import ContactGeoms, least_time_constant
+from pytest_twin.realization.mjcf import compiled
+
+_MOST_NAMED = 4
+
+
+def write_contact(
+    spec: mujoco.MjSpec,
+    contact: ContactGeoms,
+    effect: str,
+    values: Mapping[str, float],
+) -> str | None:
+    """Write one contact effect.
+
+    Args:
+        spec: is changed.
+        contact: the geoms that it acts on.
+        effect: its id.
+        values: its parameters, SI units.
+
+    Returns:
+        What of the MJCF says it, or None where the spec does not take it.
+    """
+    model = compiled(spec)[0]
+    one = np.zeros((1, 1))
+    fields = ModelFields(one, one, one, one, one, np.zeros((1, 3)), one, one, one)
+    catalogue()[effect].fields(fields, {k: np.full((1, 1), v) for k, v in values.items()})
+    wanted: dict[str, FloatArray] = {}
+
+    def expand(name: str) -> FloatArray:
+        wanted[name] = np.array(getattr(model, name), dtype=float)[None]
+        return wanted[name]
+
+    contact.write(expand, fields, least_time_constant(model, float(model.opt.timestep)))
+    said = []
+    for name, rows in wanted.items():
+        kind, attribute = name.split("_")
+        elements = {int(e.id): e for e in (spec.geoms if kind == "geom" else spec.pairs)}
+        target, now = rows[0], getattr(model, name)
+        changed = [int(i) for i in np.flatnonzero((target != now).any(axis=1))]
+        for i in changed:
+            if attribute == "pos":
+                _move(spec, elements[i], target[i] - now[i])
+            else:
+                _set(elements[i], attribute, target[i])
+        if changed:
+            said.append(f"{_names(kind, [elements[i] for i in changed])} {attribute}")
+    written = compiled(spec)[0]
+    if not all(np.allclose(getattr(written, n), rows[0], atol=1e-9) for n, rows in wanted.items()):
+        return None
+    return " and ".join(said)
+
+
+def _set(element: Any, attribute: str, value: FloatArray) -> None:
+    array = np.array(getattr(element, attribute), dtype=float)
+    array[: len(value)] = value
+    setattr(element, attribute, array)
+
+
+def _move(spec: mujoco.MjSpec, geom: Any, shift: FloatArray) -> None:
+    """Move a geom by (3,) m in its body's frame."""
+    if geom.frame is not None:
+        # Frames may be turned in any of MJCF's ways: see how the compiler takes them.
+        start = compiled(spec)[0].geom_pos[geom.id]
+        place = np.array(geom.pos, dtype=float), np.array(geom.fromto, dtype=float)
+        columns = []
+        for axis in np.eye(3):
+            _shift(geom, axis)
+            columns.append(compiled(spec)[0].geom_pos[geom.id] - start)
+            geom.pos, geom.fromto = place
+        shift = np.linalg.solve(np.stack(columns, axis=1), shift)
+    _shift(geom, shift)
+
+
+def _shift(geom: Any, shift: FloatArray) -> None:
+    ends = np.array(geom.fromto, dtype=float)
+    if np.isfinite(ends).all():
+        geom.fromto = ends + np.tile(shift, 2)
+    else:
+        geom.pos = np.array(geom.pos, dtype=float) + shift
+
+
+def _names(kind: str, elements: Sequence[Any]) -> str:
+    names = [f"'{e.name}'" if e.name else f"number {e.id}" for e in elements]
+    more = len(names) - _MOST_NAMED
+    shown = ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    return f"{kind if len(names) == 1 else kind + 's'} {shown}"

@@ -1,0 +1,184 @@
+"""An arm that touches a table other than the model's: which contact effect it is, and its size."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from touching_arm import FRICTION, SOLREF, case, mjcf
+
+from pytest_twin import cli
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.native_contact import write_contact
+from pytest_twin.diagnosis.patched_replay import replay_patched
+from pytest_twin.diagnosis.patched_write import write_realization
+from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.screen import candidates
+from pytest_twin.effects.contact_geoms import contact_geoms
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.trial import Trial, make_trial
+
+ONE, TWO = ("shoulder",), ("shoulder", "elbow")
+CONTACT = {"contact_offset", "contact_stiffness", "contact_damping", "contact_friction"}
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "value", "unit", "joints", "hidden"),
+    [
+        ("contact_offset", "offset", 0.006, "m", ONE, {"offset": 0.006}),
+        ("contact_stiffness", "relative_error", 0.6, "1", ONE,
+         {"solref": (SOLREF[0], SOLREF[1] * 1.6**-0.5)}),
+        ("contact_damping", "relative_error", 0.6, "1", ONE,
+         {"solref": (SOLREF[0] / 1.6, SOLREF[1] * 1.6)}),
+        ("contact_friction", "coefficient", -0.2, "1", TWO, {"friction": FRICTION - 0.2}),
+    ],
+)  # fmt: skip
+def test_a_contact_that_differs_is_named_with_its_size(
+    tmp_path: Path,
+    effect: str,
+    parameter: str,
+    value: float,
+    unit: str,
+    joints: tuple[str, ...],
+    hidden: dict[str, Any],
+) -> None:
+    words = case(tmp_path, joints, **hidden)
+    assert cli.main(["diagnose", *words, "--out", str(tmp_path / "out")]) == 0
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert said["verdict"] == "explained"
+    (finding,) = said["findings"]
+    assert (finding["effect"], finding["joint"]) == (effect, None)
+    estimate = finding["parameters"][parameter]
+    low, high = estimate["ci95"]
+    assert estimate["unit"] == unit
+    assert low <= value <= high
+    assert high - low < 0.5 * abs(value)
+    assert finding["held_out_gain"] > 0.9
+    (kept,) = json.loads((tmp_path / "out" / "realization" / "effects.json").read_text())["effects"]
+    assert (kept["effect"], kept["in_model"]) == (effect, True)
+    assert "'table'" in kept["written"]
+
+
+def test_contact_competes_only_where_there_is_some(tmp_path: Path) -> None:
+    for height, expected in ((0.0, CONTACT), (-2.0, set())):
+        folder = tmp_path / str(height)
+        folder.mkdir()
+        words = case(folder, ONE, seconds=0.5, offset=height)
+        (folder / "model.xml").write_text(mjcf(ONE, offset=height))
+        realization = load_model(folder / "model.xml").realization
+        trials = [make_trial(read_recording(Path(w)), realization.structure) for w in words[1:]]
+        terms = candidates(prepare(realization, trials, []).problem)
+        assert {t.effect for t in terms} & CONTACT == expected
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepared]:
+    folder = tmp_path_factory.mktemp("bench")
+    words = case(folder, TWO, seconds=1.5)
+    realization = load_model(folder / "model.xml").realization
+    trial = make_trial(read_recording(Path(words[1])), realization.structure)
+    return folder, trial, prepare(realization, [trial], [])
+
+
+@pytest.mark.parametrize(
+    ("values", "written"),
+    [
+        ({"contact_offset": {"offset": 0.01}}, ("geom 'table' pos",)),
+        ({"contact_offset": {"offset": -0.01}}, ("geom 'table' pos",)),
+        ({"contact_stiffness": {"relative_error": 0.8}}, ("geoms 'table', 'elbow_geom' solref",)),
+        ({"contact_damping": {"relative_error": -0.5}}, ("geoms 'table', 'elbow_geom' solref",)),
+        ({"contact_friction": {"coefficient": 0.2}}, ("geoms 'table', 'elbow_geom' friction",)),
+        (
+            {
+                "contact_offset": {"offset": 0.004},
+                "contact_stiffness": {"relative_error": 0.8},
+                "contact_damping": {"relative_error": 0.5},
+            },
+            ("geom 'table' pos", *["geoms 'table', 'elbow_geom' solref"] * 2),
+        ),
+    ],
+)
+def test_the_written_model_moves_as_the_effect(
+    bench: tuple[Path, Trial, Prepared],
+    tmp_path: Path,
+    values: dict[str, dict[str, float]],
+    written: tuple[str, ...],
+) -> None:
+    folder, trial, prepared = bench
+    problem = prepared.problem
+    terms = tuple(Term(effect, -1) for effect in values)
+    theta = [
+        values[t.effect][p.name] / problem.scales.value(p, -1) for t in terms for p in t.parameters
+    ]
+    found = Hypothesis(terms, np.array(theta))
+    (nominal,) = problem.predict([EMPTY], np.array([0]))
+    problem.refine_at(found)
+    (beside,) = problem.predict([found], np.array([0]))
+    out = tmp_path / "realization"
+    out.mkdir()
+    patched = write_realization(out, load_model(folder / "model.xml").realization, problem, found)
+    assert tuple(e.written for e in patched.effects) == written
+    assert patched.beside == ()
+    loaded = load_model(find_model(tmp_path))
+    assert loaded.patched is not None
+    (replayed,) = replay_patched(loaded.realization, loaded.patched, [trial])
+    moved = np.abs(beside[0].position - nominal[0].position).max()
+    assert moved > 1e-3, "the effect does nothing here: the test would hold for any model"
+    # MJCF writes six digits; impacts magnify what is cut off.
+    assert np.abs(replayed.position - beside[0].position).max() < 0.02 * moved
+
+
+FRAMED = """\
+<mujoco><worldbody>
+<frame pos=".1 0 0" euler="0 90 0"><frame euler="30 0 0">
+<body name="stand" pos="0 .1 .2" euler="20 -90 10"><frame euler="0 0 40">
+<geom {} friction=".6"/></frame></body></frame></frame>
+<body pos="0 0 .3"><joint name="j" axis="0 1 0"/>
+<geom name="tip" type="capsule" fromto="0 0 0 .4 0 0" size=".02"/></body>
+</worldbody>{}</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    "geom",
+    [
+        'type="plane" size="1 1 .1"',
+        'name="bar" type="box" size=".3 .3 .05" pos=".3 0 -.05"',
+        'name="bar" type="capsule" size=".1" fromto=".1 -.4 .2 .1 .4 .2"',
+    ],
+)
+def test_an_offset_is_written_through_frames_and_ends(geom: str) -> None:
+    spec = mujoco.MjSpec.from_string(FRAMED.format(geom, ""))
+    before = spec.compile()
+    poses = np.linspace(-1.5, 1.5, 200)[:, None]
+    contact = contact_geoms(before, np.array([before.joint("j").id]), [poses])
+    assert len(contact.world) == 1
+    name = "'bar'" if "name" in geom else "number 0"
+    assert write_contact(spec, contact, "contact_offset", {"offset": 0.03}) == f"geom {name} pos"
+    after = mujoco.MjModel.from_xml_string(spec.to_xml())
+    data, moved = mujoco.MjData(before), mujoco.MjData(after)
+    mujoco.mj_forward(before, data)
+    mujoco.mj_forward(after, moved)
+    normal = data.body("stand").xmat.reshape(3, 3) @ contact.normal[0]
+    assert moved.geom_xpos[0] - data.geom_xpos[0] == pytest.approx(0.03 * normal, abs=1e-5)
+    assert moved.geom_xmat[0] == pytest.approx(data.geom_xmat[0], abs=1e-5)
+    assert after.geom_size[0] == pytest.approx(before.geom_size[0], abs=1e-5)
+
+
+def test_a_pair_is_written_with_its_geoms() -> None:
+    pair = '<contact><pair geom1="floor" geom2="tip" solref=".03 1" friction=".5"/></contact>'
+    spec = mujoco.MjSpec.from_string(FRAMED.format('name="floor" type="plane" size="1 1 .1"', pair))
+    model = spec.compile()
+    contact = contact_geoms(model, np.array([0]), [np.linspace(-1.5, 1.5, 100)[:, None]])
+    said = write_contact(spec, contact, "contact_stiffness", {"relative_error": 3.0})
+    assert said == "geoms 'floor', 'tip' solref and pair number 0 solref"
+    write_contact(spec, contact, "contact_friction", {"coefficient": -0.2})
+    after = mujoco.MjModel.from_xml_string(spec.to_xml())
+    assert after.pair_solref[0] == pytest.approx((0.03, 0.5))
+    assert after.pair_friction[0, :2] == pytest.approx((0.3, model.pair_friction[0, 1] - 0.2))
+    assert after.geom_friction[:, 0] == pytest.approx((0.4, 0.8))

@@ -1,0 +1,84 @@
+"""Reality for the tests: an arm of one or two joints whose tip taps and slides on a table.
+
+MuJoCo alone steps it, eight times finer than the model that is diagnosed; one field of it differs.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from two_pendulums import write
+
+STEP, FINE = 0.002, 0.00025
+SOLREF = (0.05, 1.0)
+FRICTION = 0.5
+_LINK = """
+    <body name="{name}_link" pos="{at} 0 0">
+      <joint name="{name}" axis="0 1 0" damping=".1" armature=".01"/>
+      <geom name="{name}_geom" type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".4"
+       solref="{solref[0]:.17g} {solref[1]:.17g}" friction="{friction:.17g} .005 .0001"/>{inner}
+    </body>"""
+_SERVO = '<position name="{name}" joint="{name}" kp="15" kv=".4"/>'
+
+
+def mjcf(
+    joints: tuple[str, ...],
+    *,
+    step: float = STEP,
+    offset: float = 0.0,
+    solref: tuple[float, float] = SOLREF,
+    friction: float = FRICTION,
+) -> str:
+    """An arm over a table that is ``offset`` m higher than drawn."""
+    inner = ""
+    for index, name in reversed(list(enumerate(joints))):
+        inner = _LINK.format(
+            name=name, at=".3" if index else "0", solref=solref, friction=friction, inner=inner
+        )
+    servos = "".join(_SERVO.format(name=name) for name in joints)
+    return (
+        '<mujoco model="touching"><compiler angle="radian"/>'
+        f'<option timestep="{step}" integrator="implicitfast"/><worldbody>'
+        f'<geom name="table" type="plane" size="1 1 .1" pos="0 0 {offset - 0.2:.17g}"'
+        f' solref="{solref[0]:.17g} {solref[1]:.17g}" friction="{friction:.17g} .005 .0001"/>'
+        f"{inner}</worldbody><actuator>{servos}</actuator></mujoco>"
+    )
+
+
+def wanted(seed: int, time: np.ndarray, joints: int) -> np.ndarray:
+    """(n, joints) rad: into the table and out of it, or along it."""
+    rng = np.random.default_rng(seed)
+    middle, size = ((0.6,), (0.5,)) if joints == 1 else ((0.15, 0.8), (0.25, 0.5))
+    out = np.tile(np.array(middle), (len(time), 1))
+    for _ in range(3):
+        f, phase = rng.uniform(0.4, 2.0, joints), rng.uniform(0.0, 2.0 * np.pi, joints)
+        out += np.array(size) / 2.0 * np.sin(2.0 * np.pi * f * time[:, None] + phase)
+    return out * np.minimum(time / 0.3, 1.0)[:, None]
+
+
+def case(
+    folder: Path, joints: tuple[str, ...], *, seconds: float = 2.0, **hidden: object
+) -> list[str]:
+    """A model and three recordings, one held out; the words of a command line for them."""
+    (folder / "model.xml").write_text(mjcf(joints))
+    model = mujoco.MjModel.from_xml_string(mjcf(joints, step=FINE, **hidden))  # type: ignore[arg-type]
+    words = [str(folder / "model.xml")]
+    for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
+        data = mujoco.MjData(model)
+        count = round(seconds / FINE)
+        sent_at = 0.01 * np.arange(round(seconds / 0.01))
+        sent = wanted(seed, sent_at, len(joints))
+        moved = np.empty((count, len(joints)))
+        for k in range(count):
+            moved[k] = data.qpos
+            data.ctrl[:] = sent[min(int(k * FINE / 0.01 + 1e-9), len(sent) - 1)]
+            mujoco.mj_step(model, data)
+        every = round(0.005 / FINE)
+        noise = np.random.default_rng([seed, 1]).standard_normal((len(moved[::every]), len(joints)))
+        path = folder / f"{role}{seed}.mcap"
+        seen_at = FINE * np.arange(0, count, every)
+        write(path, joints, sent_at, sent, seen_at, moved[::every] + 1e-4 * noise, role)
+        words.append(str(path))
+    return words
