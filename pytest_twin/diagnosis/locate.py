@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.contact_geoms import far_sighted, touching
 from pytest_twin.effects.rows import Segment
 from pytest_twin.trial import Trial
 
@@ -25,6 +26,8 @@ _SMOOTH = 0.12
 """s over which motions are differentiated."""
 _WINDOW = 0.1
 _MERGE = 0.25
+_TOUCHING = 0.01
+"""m from a surface, as the model has it: contact for the eye that looks for one."""
 _COVER = 0.8
 _MOST_WINDOWS = 12
 _LIFT, _SHARE = 1.5, 0.45
@@ -56,6 +59,7 @@ class Motion:
         position, velocity, acceleration: (n, joints), of what was measured.
         load: (n, joints) N*m or N, effort that the rigid bodies ask for.
         command_rate: (n, joints) of the command, per s.
+        touching: (n,) whether the robot is at a surface; None where there is none.
     """
 
     name: str
@@ -65,6 +69,7 @@ class Motion:
     acceleration: FloatArray
     load: FloatArray
     command_rate: FloatArray
+    touching: NDArray[np.bool_] | None = None
 
 
 def derivatives(
@@ -109,11 +114,15 @@ def motions(prepared: Prepared, trials: Sequence[Trial]) -> list[Motion]:
 def _motion(problem: Problem, segment: Segment, name: str) -> Motion:
     q, v, a = derivatives(segment.time, segment.position)
     simulator, model = problem.simulator, segment.model
+    contact = simulator.contact
+    if contact.world.size:
+        model = far_sighted(model, contact.world, _TOUCHING)
     data = mujoco.MjData(model)
     load = np.empty_like(q)
     # Every tenth sample: a load varies no faster than the motion.
     at = np.arange(0, len(q), max(1, len(q) // 600))
     rows = np.empty((len(at), q.shape[1]))
+    close = np.zeros(len(at))
     result = np.zeros(model.nv)
     for i, k in enumerate(at):
         data.qpos[simulator.qpos_index] = q[k]
@@ -123,12 +132,14 @@ def _motion(problem: Problem, segment: Segment, name: str) -> Motion:
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_rne(model, data, 1, result)
         rows[i] = result[simulator.dof_index]
+        close[i] = touching(data, contact, _TOUCHING) if contact.world.size else 0.0
     for j in range(q.shape[1]):
         load[:, j] = np.interp(segment.time, segment.time[at], rows[:, j])
     held = np.searchsorted(segment.command_time, segment.time, side="right") - 1
     command = np.nan_to_num(segment.command[np.maximum(held, 0)])
     _, rate, _ = derivatives(segment.time, command)
-    return Motion(name, segment.time, q, v, a, load, rate)
+    touches = np.interp(segment.time, segment.time[at], close) > 0.5
+    return Motion(name, segment.time, q, v, a, load, rate, touches if contact.world.size else None)
 
 
 def blame_windows(name: str, time: FloatArray, blame: FloatArray) -> list[list[float]]:
@@ -253,6 +264,10 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
         ("the first third of the recording", since < end / 3),
         ("the last third of the recording", since > 2 * end / 3),
     ]
+    if all(m.touching is not None for m in paths):
+        at_surface = np.concatenate([m.touching for m in paths if m.touching is not None])
+        words = f"in contact, or within {1e3 * _TOUCHING:.0f} mm of it"
+        found += [(words, at_surface), ("without contact", ~at_surface)]
     return found
 
 

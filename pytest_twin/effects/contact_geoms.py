@@ -133,12 +133,7 @@ def contact_geoms(
         return ContactGeoms()
     everywhere = np.concatenate(list(poses))
     everywhere = everywhere[:: max(1, -(-len(everywhere) // _MOST_POSES))]
-    near = copy.copy(model)
-    near.geom_gap[world] += NEAR
-    near.pair_gap[:] += NEAR
-    # Bounding volumes of static bodies were made without the gap.
-    near.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
-    near.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    near = far_sighted(model, world, NEAR)
     data = mujoco.MjData(near)
     found: dict[tuple[int, int], tuple[int, FloatArray, int]] = {}
     index = model.jnt_qposadr[joint_ids]
@@ -166,6 +161,27 @@ def contact_geoms(
         if count == len(everywhere) and _own_base(model, *key):
             del found[key]
     return _collected(model, data, found)
+
+
+def far_sighted(
+    model: mujoco.MjModel, world: NDArray[np.bool_] | Ids, reach: float
+) -> mujoco.MjModel:
+    """A copy that lists contacts of the world's geoms from ``reach`` m on, without force there."""
+    near = copy.copy(model)
+    near.geom_gap[world] += reach
+    near.pair_gap[:] += reach
+    # Bounding volumes of static bodies were made without the gap.
+    near.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    return near
+
+
+def touching(data: mujoco.MjData, contact: ContactGeoms, reach: float) -> bool:
+    """Whether the robot is within ``reach`` m of what it meets, in a far-sighted model."""
+    close = data.contact.geom[data.contact.dist < reach]
+    one, two = close[:, 0], close[:, 1]
+    here = np.isin(one, contact.world) & np.isin(two, contact.robot)
+    there = np.isin(two, contact.world) & np.isin(one, contact.robot)
+    return bool((here | there).any())
 
 
 def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -14,6 +14,7 @@ from touching_arm import FRICTION, SOLREF, case, mjcf
 from pytest_twin import cli
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.locate import motions, place_of
 from pytest_twin.diagnosis.native_contact import write_contact
 from pytest_twin.diagnosis.patched_replay import replay_patched
 from pytest_twin.diagnosis.patched_write import write_realization
@@ -131,6 +132,21 @@ def test_the_written_model_moves_as_the_effect(
     assert moved > 1e-3, "the effect does nothing here: the test would hold for any model"
     # MJCF writes six digits; impacts magnify what is cut off.
     assert np.abs(replayed.position - beside[0].position).max() < 0.02 * moved
+
+
+def test_a_regime_says_when_the_arm_is_at_the_table(bench: tuple[Path, Trial, Prepared]) -> None:
+    _, trial, prepared = bench
+    (path,) = motions(prepared, [trial])
+    assert path.touching is not None
+    shoulder, elbow = trial.position.T
+    height = 0.2 - 0.02 - 0.3 * np.sin(shoulder) - 0.3 * np.sin(shoulder + elbow)
+    clear = np.abs(height - 0.01) > 1e-3
+    assert 0.1 < np.mean(height < 0.01) < 0.9
+    assert (path.touching == (height < 0.01))[clear].all()
+    words = {True: "in contact, or within 10 mm of it", False: "without contact"}
+    rare = bool(path.touching.mean() < 0.5)
+    found = place_of([path], np.where(path.touching == rare, 1.0, 0.01), 1, "rad").summary
+    assert found.startswith(words[rare])
 
 
 FRAMED = """\
