@@ -15,6 +15,7 @@ from pytest_twin.effects.base import FloatArray, ModelFields
 NEAR = 0.05
 """m: geoms that come this near each other in a recording may really touch."""
 _MOST_POSES = 3000
+_HALF = 15
 _FLAT = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
@@ -134,6 +135,7 @@ def contact_geoms(
     everywhere = np.concatenate(list(poses))
     everywhere = everywhere[:: max(1, -(-len(everywhere) // _MOST_POSES))]
     near = far_sighted(model, world, NEAR)
+    _only_between(near, robot, world)
     data = mujoco.MjData(near)
     found: dict[tuple[int, int], tuple[int, FloatArray, int]] = {}
     index = model.jnt_qposadr[joint_ids]
@@ -198,6 +200,17 @@ def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], ND
     still = (model.body_weldid == 0) & ~base
     owner = model.geom_bodyid
     return moves[owner], still[owner]
+
+
+def _only_between(
+    model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]
+) -> None:
+    """Take other pairs of geoms out of ``model``: meshes of neighbouring links cost the most."""
+    types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
+    if max(types.max(), affinities.max()) >= 1 << _HALF or min(types.min(), affinities.min()) < 0:
+        return
+    model.geom_contype[:] = np.where(world, types | affinities << _HALF, 0)
+    model.geom_conaffinity[:] = np.where(robot, affinities | types << _HALF, 0)
 
 
 def _may_touch(model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]) -> bool:

@@ -209,6 +209,13 @@ def test_only_geoms_that_the_robot_comes_near_count() -> None:
     assert near(build(), np.array([[0.4, 0.0], [0.5, 0.0]])) == ["floor", "tip"]
     assert near(build(floor='contype="0" conaffinity="0"'), np.array([[1.0, 0.0]])) == []
     assert near(build(world=""), np.array([[1.0, 0.0]])) == []
+    for floor, robot, expected in (
+        ('contype="0" conaffinity="4"', 'contype="4" conaffinity="0"', ["floor", "tip"]),
+        ('contype="4" conaffinity="0"', 'contype="0" conaffinity="4"', ["floor", "tip"]),
+        ('contype="4" conaffinity="1"', 'contype="8" conaffinity="2"', []),
+        ('contype="65536" conaffinity="0"', 'contype="0" conaffinity="65536"', ["floor", "tip"]),
+    ):
+        assert near(build(floor=floor, robot=robot), np.array([[0.5, 0.0]])) == expected
 
 
 def test_the_robots_own_base_is_no_surface_that_it_touches() -> None:
