@@ -298,7 +298,7 @@ def touching(robot: Robot, rng: np.random.Generator) -> tuple[Robot, np.ndarray]
         height = min(float(above[0].min()) - 0.005, float(above.min()) + 0.08)
         share = np.mean(above < height - 0.01, axis=0)
         if np.sum(share > 0.02) >= 3 and share[HELD_OUT].max() > 0.02:
-            return with_contact(rng, robot, normal, height), references
+            return with_contact(rng, robot, normal, height, lean), references
 
 
 def outside(

@@ -35,7 +35,7 @@ CHAIN = np.dtype([("slide", np.int64), ("origin", np.float64, 3), ("axis", np.fl
 CONTACT = np.dtype(
     [("on", np.int64), ("normal", np.float64, 3), ("height", np.float64), ("radius", np.float64),
      ("tip", np.float64, 3), ("stiffness", np.float64), ("damping", np.float64),
-     ("friction", np.float64), ("slip", np.float64)]
+     ("friction", np.float64), ("creep", np.float64)]
 )  # fmt: skip
 """A sphere at ``tip`` in the last link's frame against the plane normal . x = height."""
 
@@ -78,8 +78,8 @@ def _touch(contact: Any, chain: Any, state: Any, out: Any, axes: Any, origins: A
     """Add the contact's generalized force to ``out``; returns the normal force, N.
 
     Normal: a linear spring and damper that never pull, N = max(0, k depth + b d(depth)/dt), while
-    depth > 0. Tangential: Coulomb friction made smooth, mu N v / sqrt(|v|^2 + slip^2) against the
-    velocity v of the link's point in the middle of the overlap.
+    depth > 0. Tangential: a layer that creeps up to Coulomb's level, c v / (1 + x^4)^(1/4) against
+    the velocity v of the link's point in the middle of the overlap, with x = c |v| / (mu N).
     """
     n = len(chain)
     r = np.eye(3)
@@ -119,8 +119,9 @@ def _touch(contact: Any, chain: Any, state: Any, out: Any, axes: Any, origins: A
     along = np.dot(normal, velocity)
     push = max(contact.stiffness * depth - contact.damping * along, 0.0)
     slide = velocity - along * normal
-    speed = np.sqrt(np.dot(slide, slide) + contact.slip**2)
-    force = push * normal - contact.friction * push / speed * slide
+    level = max(contact.friction * push, 1e-9)
+    over = contact.creep * np.sqrt(np.dot(slide, slide)) / level
+    force = push * normal - contact.creep / (1 + over**4) ** 0.25 * slide
     for i in range(n):
         if chain[i].slide:
             out[i] += np.dot(axes[i], force)

@@ -173,7 +173,7 @@ def contact_row(robot: Robot, hidden: Hidden) -> np.ndarray:
         row["stiffness"] = c.stiffness * (1 + hidden.robot("contact_stiffness", "relative_error"))
         row["damping"] = c.damping * (1 + hidden.robot("contact_damping", "relative_error"))
         row["friction"] = c.friction + hidden.robot("contact_friction", "coefficient")
-        row["slip"] = c.slip
+        row["creep"] = c.creep
     return row
 
 

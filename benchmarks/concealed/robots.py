@@ -48,7 +48,8 @@ class Contact:
         normal: (3,) unit, out of the plane, base frame; the plane is normal . x = ``height`` (m).
         tip: (3,) m, the sphere's centre in the last link's frame; ``radius`` m.
         stiffness, damping: N/m and N*s/m, of depth and its rate.
-        friction: Coulomb coefficient; ``slip``: m/s at which friction has 71 % of its level.
+        friction: Coulomb coefficient.
+        creep: N*s/m, friction against the velocity along the plane, up to Coulomb's level.
     """
 
     normal: tuple[float, float, float]
@@ -58,7 +59,7 @@ class Contact:
     stiffness: float
     damping: float
     friction: float
-    slip: float
+    creep: float
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,23 @@ def draw(rng: np.random.Generator, count: int, mode: str, *, hinges: bool = Fals
     return Robot(f"chain{count}", tuple(out), mode, 0.002 if count > 1 else 0.001)
 
 
-IMPEDANCE, IMPEDANCE_RATIO = 0.001, 1000.0
+IMPEDANCE, IMPEDANCE_RATIO = 0.0001, 300.0
 """MuJoCo's solimp (constant) and impratio of the nominal model's contact."""
+
+
+def _translation(robot: Robot, q: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """(3, 3) 1/kg: a point of the last link, pushed, goes there; frame of the base."""
+    model = pinocchio_model(robot, {}, (0.0, 0.0), np.zeros(3))
+    data = model.createData()
+    n = len(robot.joints)
+    mass = np.reshape(pin.crba(model, data, q), (n, n))
+    mass = np.triu(mass) + np.triu(mass, 1).T + np.diag([j.armature for j in robot.joints])
+    pin.computeJointJacobians(model, data, q)
+    frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    jacobian = np.reshape(pin.getJointJacobian(model, data, n, frame), (6, n))
+    linear = jacobian[:3] - pin.skew(data.oMi[n].rotation @ point) @ jacobian[3:]
+    out: np.ndarray = linear @ np.linalg.solve(mass, linear.T)
+    return out
 
 
 def contact_inertia(robot: Robot) -> float:
@@ -132,18 +148,14 @@ def contact_inertia(robot: Robot) -> float:
     The reciprocal of the mean translational ``body_invweight0``: of the last link's centre of mass
     at the neutral pose, with the drives' reflected inertia.
     """
-    model = pinocchio_model(robot, {}, (0.0, 0.0), np.zeros(3))
-    data = model.createData()
-    q = pin.neutral(model)
-    last = len(robot.joints)
-    mass = np.array(pin.crba(model, data, q))
-    mass = np.triu(mass) + np.triu(mass, 1).T + np.diag([j.armature for j in robot.joints])
-    pin.computeJointJacobians(model, data, q)
-    frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    jacobian = pin.getJointJacobian(model, data, last, frame)
-    center = np.array(robot.joints[-1].center)
-    linear = jacobian[:3] - pin.skew(center) @ jacobian[3:]
-    return float(3.0 / np.trace(linear @ np.linalg.solve(mass, linear.T)))
+    yields = _translation(robot, np.zeros(len(robot.joints)), np.array(robot.joints[-1].center))
+    return float(3.0 / np.trace(yields))
+
+
+def end_inertia(robot: Robot, q: np.ndarray, direction: tuple[float, float, float]) -> float:
+    """kg that the last link's end really has along a direction."""
+    along = np.array(direction)
+    return float(1.0 / (along @ _translation(robot, q, np.array(link_end(robot))) @ along))
 
 
 def tip_paths(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -164,15 +176,20 @@ def link_end(robot: Robot) -> tuple[float, float, float]:
 
 
 def with_contact(
-    rng: np.random.Generator, robot: Robot, normal: tuple[float, float, float], height: float
-) -> Robot:
-    """The robot with a sphere at its end and a plane of rubber: soft enough that it shows."""
-    inertia = contact_inertia(robot)
+    rng: np.random.Generator, robot: Robot, normal: tuple[float, float, float], height: float,
+    pose: np.ndarray,
+) -> Robot:  # fmt: skip
+    """The robot with a sphere at its end and a plane of rubber: soft enough that it shows.
+
+    Args:
+        pose: (joints,) at which the end's inertia along the normal sets the scale.
+    """
+    inertia = end_inertia(robot, pose, normal)
     bandwidth = float(rng.uniform(70.0, 120.0))
     contact = Contact(
         normal, height, link_end(robot), RADIUS, inertia * bandwidth**2,
         2.0 * float(rng.uniform(0.2, 0.4)) * inertia * bandwidth,
-        float(rng.uniform(0.3, 0.6)), 0.03,
+        float(rng.uniform(0.3, 0.6)), 600.0 * inertia,
     )  # fmt: skip
     return replace(robot, contact=contact, timestep=0.001)
 
@@ -183,15 +200,13 @@ def contact_mjcf(root: ElementTree.Element, last: ElementTree.Element, robot: Ro
     With a constant impedance d and solref = (-k, -b), a contact of MuJoCo's pushes with
     m (k depth + b d(depth)/dt - d a) / (1 - d): m is the inertia that it puts behind the contact
     (:func:`contact_inertia`), a the acceleration of the depth. A small d leaves spring and damper.
-    Along the plane it holds with m impratio b_t v / (1 - d) up to Coulomb's level; b_t is chosen so
-    that the level is reached at the slip velocity under 10 N. A large impratio keeps sliding from
-    raising the normal force.
+    Along the plane it holds with m impratio b_t v / (1 - d) up to Coulomb's level. A large impratio
+    keeps sliding from raising the normal force.
     """
     c = robot.contact
     if c is None:
         return
     inertia = contact_inertia(robot) / (1.0 - IMPEDANCE)
-    creep = c.friction * 10.0 / c.slip / (inertia * IMPEDANCE_RATIO)
     option = root.find("option")
     world = root.find("worldbody")
     assert option is not None
@@ -217,7 +232,8 @@ def contact_mjcf(root: ElementTree.Element, last: ElementTree.Element, robot: Ro
         pairs, "pair", name="touch", geom1="surface", geom2="tip", condim="3",
         friction=row(c.friction, c.friction, 0.005, 0.0001, 0.0001),
         solref=row(-c.stiffness / inertia, -c.damping / inertia),
-        solreffriction=row(-1e-6, -creep), solimp=row(IMPEDANCE, IMPEDANCE, 0.001),
+        solreffriction=row(-1e-6, -c.creep / inertia / IMPEDANCE_RATIO),
+        solimp=row(IMPEDANCE, IMPEDANCE, 0.001),
     )  # fmt: skip
 
 
