@@ -1,0 +1,401 @@
+"""What parameter fitting alone does on blind cases: mujoco.sysid beside the diagnosis.
+
+    pip install 'mujoco[sysid]'
+    python benchmarks/concealed/usual_way.py --cases DIR --results DIR [--truth DIR] --out DIR
+    python benchmarks/concealed/usual_way.py --delay DIR
+
+For each case mujoco.sysid fits damping, armature, dry friction and servo gains of every joint to
+the recordings that the diagnosis fits, from the same initial states. Both are then judged on the
+held-out recordings by the same measure: root mean square of position, joint by joint, under
+effort commands in windows of a second. ``--results`` is what run.py wrote.
+
+``--delay`` writes recordings of one servo whose commands arrive 20 ms late, and prints what both
+say of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import sysid
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.effects.rows import Segment
+from pytest_twin.formats.mcap import TOPICS, JointSeries, write_recording
+from pytest_twin.realization import load
+
+FloatArray = NDArray[np.float64]
+Modifier = Callable[[mujoco.MjSpec, sysid.Parameter], None]
+
+
+# -- mujoco.sysid on a case
+
+
+def read_case(model: Path, recordings: list[Path]) -> tuple[Problem, TrialSet]:
+    """Segments, initial states and floors as the diagnosis has them."""
+    realization = load(model)
+    trials = read_trials(recordings, [], TOPICS, realization.structure)
+    return prepare(realization, trials.fit, trials.held_out, threads=1).problem, trials
+
+
+def held_out_rms(problem: Problem) -> dict[str, float]:
+    """Of the model as it is, joint by joint, rad or m; infinite where it diverged."""
+    left = problem.residuals([EMPTY], problem.held_out)[0][:, : len(problem.joints)]
+    rms = np.sqrt(np.mean(left**2, axis=0))
+    return {
+        j: float(r) if np.isfinite(r) else np.inf for j, r in zip(problem.joints, rms, strict=True)
+    }
+
+
+def with_sensors(model: Path, joints: tuple[str, ...]) -> mujoco.MjSpec:
+    """The model with an encoder on every joint: what mujoco.sysid compares."""
+    spec = mujoco.MjSpec.from_file(str(model))
+    for joint in joints:
+        spec.add_sensor(
+            name=f"encoder_{joint}",
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=joint,
+        )
+    return spec
+
+
+def set_joint(joint: str, field: str) -> Modifier:
+    """Writes a parameter into a joint, as an array where MuJoCo keeps polynomials."""
+
+    def write(spec: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
+        element = spec.joint(joint)
+        now = getattr(element, field)
+        if np.ndim(now):
+            now[0] = parameter.value[0]
+        else:
+            setattr(element, field, float(parameter.value[0]))
+
+    return write
+
+
+def set_gain(actuator: str, mode: str, which: str) -> Modifier:
+    """Writes a servo's stiffness or damping, or the gain of a velocity or effort drive."""
+
+    def write(spec: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
+        value = float(parameter.value[0])
+        element = spec.actuator(actuator)
+        if which == "kp":
+            element.gainprm[0], element.biasprm[1] = value, -value
+        elif mode == "velocity":
+            element.gainprm[0], element.biasprm[2] = value, -value
+        elif which == "kv":
+            element.biasprm[2] = -value
+        else:
+            element.gainprm[0] = value
+
+    return write
+
+
+def free_parameters(problem: Problem, model: mujoco.MjModel, *, gains: bool) -> sysid.ParameterDict:
+    """Damping, armature, dry friction and gains of every joint, bounded by the joint's scales."""
+    params = sysid.ParameterDict()
+
+    def add(name: str, value: float, upper: float, write: Modifier) -> None:
+        params.add(sysid.Parameter(name, value, 0.0, max(upper, 3.0 * value), modifier=write))
+
+    scales = problem.scales.of
+    for j, joint in enumerate(problem.joints):
+        dof = model.joint(joint).dofadr[0]
+        effort, speed = float(scales["effort"][j]), float(scales["velocity"][j])
+        add(f"{joint} damping", float(np.ravel(model.dof_damping[dof])[0]), 10.0 * effort / speed,
+            set_joint(joint, "damping"))  # fmt: skip
+        add(f"{joint} armature", float(model.dof_armature[dof]), 5.0 * float(scales["inertia"][j]),
+            set_joint(joint, "armature"))  # fmt: skip
+        add(f"{joint} frictionloss", float(model.dof_frictionloss[dof]), 5.0 * effort,
+            set_joint(joint, "frictionloss"))  # fmt: skip
+    for i in range(model.nu if gains else 0):
+        name = model.actuator(i).name
+        joint = model.joint(int(model.actuator_trnid[i, 0])).name
+        mode = problem.simulator.servo[problem.joints.index(joint)]
+        stiffness, damping = -model.actuator_biasprm[i, 1], -model.actuator_biasprm[i, 2]
+        if mode == "position":
+            add(f"{joint} kp", stiffness, 3.0 * stiffness, set_gain(name, mode, "kp"))
+            add(f"{joint} kv", damping, 3.0 * damping + 0.1 * stiffness,
+                set_gain(name, mode, "kv"))  # fmt: skip
+        elif mode == "velocity":
+            add(f"{joint} kv", damping, 3.0 * damping, set_gain(name, mode, "kv"))
+        else:
+            gain = float(model.actuator_gainprm[i, 0])
+            add(f"{joint} gain", gain, 3.0 * gain, set_gain(name, mode, "gain"))
+    return params
+
+
+def sequence(
+    name: str, spec: mujoco.MjSpec, segments: list[Segment], joints: tuple[str, ...]
+) -> sysid.ModelSequences:
+    """Measured stretches as mujoco.sysid takes them; commands are held from stamp to stamp."""
+    model = spec.compile()
+    index = [int(model.joint(j).qposadr[0]) for j in joints]
+    speeds = [int(model.joint(j).dofadr[0]) for j in joints]
+    drives = [
+        joints.index(model.joint(int(model.actuator_trnid[i, 0])).name) for i in range(model.nu)
+    ]
+    step = model.opt.timestep
+    states, controls, sensors = [], [], []
+    for s in segments:
+        qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
+        qpos[index], qvel[speeds] = s.initial_position, s.initial_velocity
+        steps = int(np.ceil((s.time[-1] - s.start) / step)) + 1
+        at = step * np.arange(steps)
+        held = np.searchsorted(s.command_time, s.start + at + 1e-9, side="right") - 1
+        states.append(sysid.create_initial_state(model, qpos, qvel))
+        controls.append(sysid.TimeSeries(at, s.command[np.maximum(held, 0)][:, drives]))
+        sensors.append(sysid.TimeSeries.from_names(s.time - s.start, s.position, model))
+    names = [f"{name}_{i}" for i in range(len(segments))]
+    return sysid.ModelSequences(name, spec, names, states, controls, sensors)
+
+
+def fit(
+    model: Path, problem: Problem, iterations: int, *, gains: bool
+) -> tuple[str, dict[str, Any]]:
+    """Fit with mujoco.sysid: the model with its parameters (MJCF), and what it says of them."""
+    spec = with_sensors(model, problem.joints)
+    params = free_parameters(problem, spec.compile(), gains=gains)
+    segments = [problem.simulator.segments[i] for i in problem.fit]
+    # By default it divides by the norm of each stretch: errors count in floors here, as the
+    # judgement counts them.
+    transform = sysid.SignalTransform(normalize=False)
+    floors = zip(problem.joints, problem.floor.tolist(), strict=True)
+    transform.set_sensor_weights({f"encoder_{joint}": 1.0 / floor for joint, floor in floors})
+    residual = sysid.build_residual_fn(
+        models_sequences=[sequence("fit", spec, segments, problem.joints)],
+        modify_residual=transform.apply,
+        n_threads=1,
+    )
+    params.move_off_bounds()
+    start = time.perf_counter()
+    with contextlib.redirect_stdout(sys.stderr):  # its iterations
+        best, result = sysid.optimize(
+            params, residual, verbose=False, max_iters=iterations, x_scale="jac"
+        )
+    seconds = time.perf_counter() - start
+    left, _, _ = residual(best.as_vector(), best)
+    _, half_width = sysid.calculate_intervals(left, result.jac)
+    for parameter in best.values():
+        parameter.apply_modifier(spec)
+    spec.compile()
+    values = best.as_vector()
+    told = {
+        name: {"value": float(v), "ci95": [float(v - w), float(v + w)]}
+        for name, v, w in zip(best.keys(), values, half_width, strict=True)
+    }
+    return spec.to_xml(), {"parameters": told, "seconds": seconds}
+
+
+def usual(case: Path, out: Path, iterations: int, *, gains: bool = True) -> dict[str, Any]:
+    """mujoco.sysid on one case: held-out errors before and after, rad or m."""
+    recordings = sorted((case / "recordings").glob("*.mcap"))
+    problem, _ = read_case(case / "model.xml", recordings)
+    before = held_out_rms(problem)
+    floor = dict(zip(problem.joints, problem.floor.tolist(), strict=True))
+    xml, told = fit(case / "model.xml", problem, iterations, gains=gains)
+    fitted = out / f"{case.name}.xml"
+    fitted.write_text(xml)
+    after = held_out_rms(read_case(fitted, recordings)[0])
+    held_out = {
+        j: {"rms_before": before[j], "rms_after": after[j], "floor": floor[j]} for j in before
+    }
+    return {"case": case.name, "held_out": held_out, **told}
+
+
+# -- side by side
+
+
+def removed(held_out: dict[str, dict[str, float]]) -> float | None:
+    """Share of the explainable squared error that is gone, over joints; None where none was.
+
+    As score.py has it: errors count in floors.
+    """
+    before = after = 0.0
+    for joint in held_out.values():
+        floor = joint["floor"] ** 2
+        before += max(joint["rms_before"] ** 2 - floor, 0.0) / floor
+        after += max(joint["rms_after"] ** 2 - floor, 0.0) / floor
+    return None if before < 1.0 else 1.0 - after / before
+
+
+def worst(held_out: dict[str, dict[str, float]]) -> str:
+    """The joint that was furthest off its floor: before, after in its unit, and the floor."""
+    joint = max(held_out.values(), key=lambda h: h["rms_before"] / h["floor"])
+    return f"{joint['rms_before']:.2g} -> {joint['rms_after']:.2g} ({joint['floor']:.1g})"
+
+
+def table(fitted: Path, results: Path, truth: Path | None) -> list[str]:
+    """Case by case, then the medians."""
+    lines = [
+        "| case | hidden | mujoco.sysid, worst joint (floor) | removed | diagnosis | removed |",
+        "|---|---|---|---|---|---|",
+    ]
+    shares: list[tuple[float, float]] = []
+    for path in sorted(fitted.glob("*.json")):
+        mine = json.loads(path.read_text())
+        diagnosed = results / mine["case"] / "diagnosis.json"
+        hidden = "-"
+        if truth is not None:
+            said = json.loads((truth / f"{mine['case']}.json").read_text())
+            hidden = ", ".join(e["effect"] for e in said["effects"]) or (
+                said["outside"]["kind"] if said["outside"] else "nothing"
+            )
+        usual_share = removed(mine["held_out"])
+        cells = [worst(mine["held_out"]), percent(usual_share)]
+        if diagnosed.is_file():
+            theirs = json.loads(diagnosed.read_text())["held_out"]
+            share = removed(theirs)
+            cells += [worst(theirs), percent(share)]
+            if usual_share is not None and share is not None:
+                shares.append((usual_share, share))
+        else:
+            cells += ["no result", "-"]
+        lines.append(f"| {mine['case']} | {hidden} | " + " | ".join(cells) + " |")
+    if shares:
+        usual_median, median = np.median(np.array(shares), axis=0)
+        lines += [
+            "",
+            f"Median share of the explainable held-out squared error removed, {len(shares)} cases:"
+            f" mujoco.sysid {percent(usual_median)}, diagnosis {percent(median)}.",
+        ]
+    return lines
+
+
+def percent(share: float | None) -> str:
+    """In words."""
+    if share is None:
+        return "nothing to remove"
+    return "diverged" if not np.isfinite(share) else f"{share:.1%}"
+
+
+# -- a servo whose commands arrive late
+
+DELAY, INERTIA, DAMPING, FRICTION, STIFFNESS = 0.02, 0.05, 0.5, 0.05, 110.0
+SERVO = f"""<mujoco model="servo">
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body name="arm">
+      <inertial pos="0 0 0" mass="1" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>
+      <joint name="joint" axis="0 0 1" damping="{DAMPING}" frictionloss="{FRICTION}"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" contype="0" conaffinity="0" mass="0"/>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="joint" kp="{STIFFNESS}"/></actuator>
+</mujoco>
+"""
+
+
+def late_servo(path: Path, role: str, seed: int) -> None:
+    """12 s of a multisine; commands take 20 ms, everything else is as the model says.
+
+    Integrated at 0.1 ms with dry friction that stops what it can stop; 2e-5 rad of noise at 200 Hz.
+    """
+    rng = np.random.default_rng(seed)
+    step, every = 1e-4, 50
+    t = np.arange(0.0, 12.0, 0.005)
+    tones, phase = rng.uniform(0.2, 2.5, 5), rng.uniform(0.0, 2 * np.pi, 5)
+    sent = 0.2 * np.sin(2 * np.pi * np.outer(t, tones) + phase).sum(axis=1)
+    sent *= np.minimum(t, 1.0)
+    late = round(DELAY / step)
+    target = np.concatenate([np.full(late, sent[0]), np.repeat(sent, every)])
+    q = v = 0.0
+    position = []
+    for k in range(len(t) * every):
+        if k % every == 0:
+            position.append(q)
+        v = (v + step * STIFFNESS * (target[k] - q) / INERTIA) / (1 + step * DAMPING / INERTIA)
+        v = np.sign(v) * max(abs(v) - step * FRICTION / INERTIA, 0.0)
+        q += step * v
+    measured = np.array(position) + 2e-5 * rng.standard_normal(len(position))
+    stamp = 1_760_000_000_000_000_000 + np.rint(t * 1e9).astype(np.int64)
+
+    def series(topic: str, values: FloatArray) -> JointSeries:
+        return JointSeries(topic=topic, names=("joint",), stamp=stamp, log_time=stamp,
+                           position=values[:, None], velocity=None, effort=None)  # fmt: skip
+
+    write_recording(
+        path, [series("/joint_states", measured), series("/joint_commands", sent)], {"role": role}
+    )
+
+
+def delay_example(out: Path) -> None:
+    """Print what both say of a servo whose commands arrive late."""
+    recordings = out / "recordings"
+    recordings.mkdir(parents=True, exist_ok=True)
+    (out / "model.xml").write_text(SERVO)
+    for i, role in enumerate(("fit", "fit", "held_out")):
+        late_servo(recordings / f"{i}_multisine.mcap", role, seed=i)
+    # The gain is the firmware's own; without gravity, inertia and gain would only be known
+    # as their ratio.
+    told = usual(out, out, 30, gains=False)
+    print(f"true: commands arrive {DELAY * 1e3:.0f} ms late; damping {DAMPING} N*m*s/rad")
+    print("mujoco.sysid:")
+    for name, p in told["parameters"].items():
+        print(f"  {name}: {p['value']:.4g} ({p['ci95'][0]:.4g} to {p['ci95'][1]:.4g})")
+    ratio = told["parameters"]["joint damping"]["value"] / DAMPING
+    print(f"  damping {ratio:.1f} times the true one; held out {worst(told['held_out'])} rad")
+    why = diagnose(out, out / "why")
+    print("pytest-twin diagnose:")
+    for finding in why["findings"]:
+        for name, p in finding["parameters"].items():
+            low, high = p["ci95"]
+            print(f"  {finding['effect']} {finding['joint']}, {name}: {p['value']:.4g} "
+                  f"{p['unit']} ({low:.4g} to {high:.4g})")  # fmt: skip
+    print(f"  verdict {why['verdict']}; held out {worst(why['held_out'])} rad")
+
+
+def diagnose(case: Path, out: Path) -> dict[str, Any]:
+    """Run the command on a case folder."""
+    program = str(Path(sys.executable).with_name("pytest-twin"))
+    recordings = sorted(map(str, (case / "recordings").glob("*.mcap")))
+    subprocess.run(
+        [program, "diagnose", str(case / "model.xml"), *recordings, "--out", str(out)],
+        check=False,
+        stdout=subprocess.DEVNULL,
+    )
+    found: dict[str, Any] = json.loads((out / "diagnosis.json").read_text("utf-8"))
+    return found
+
+
+def main() -> None:
+    """Fit what has no result yet, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--delay", type=Path, help="write and judge the servo with late commands")
+    parser.add_argument("--cases", type=Path)
+    parser.add_argument("--results", type=Path, help="what run.py wrote")
+    parser.add_argument("--truth", type=Path, help="to name what is hidden")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--iterations", type=int, default=10)
+    args = parser.parse_args()
+    if args.delay is not None:
+        delay_example(args.delay)
+        return
+    args.out.mkdir(parents=True, exist_ok=True)
+    for case in sorted(p for p in args.cases.iterdir() if p.is_dir()):
+        result = args.out / f"{case.name}.json"
+        if result.exists():
+            continue
+        told = usual(case, args.out, args.iterations)
+        result.write_text(json.dumps(told, indent=1) + "\n")
+        print(case.name, f"{told['seconds']:.0f} s", file=sys.stderr, flush=True)
+    print("\n".join(table(args.out, args.results, args.truth)))
+
+
+if __name__ == "__main__":
+    main()
