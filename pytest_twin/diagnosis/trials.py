@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError, TwinError
 from pytest_twin.formats.mcap import Recording, read_recording
-from pytest_twin.trial import Trial, make_trial
+from pytest_twin.trial import FloatArray, Trial, make_trial
 
 # Of this many whole recordings one is held out where nobody says which.
 _ONE_HELD_OUT_OF = 4
@@ -21,6 +22,9 @@ _LIKE = 0.15
 _COUNTS = 100.0
 # An encoder that stands still for this share of a recording under a moving command is stuck.
 _STUCK_SHARE = 0.6
+# Friction holds a joint at rest only so far: a setpoint that sweeps, seen from the encoder, this
+# many times as wide as it ever did from a moving one would have moved it.
+_HELD_SWEEP = 2.0
 # Share of messages with the very same greatest speed.
 _CLIPPED = 0.02
 
@@ -130,13 +134,20 @@ def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
 def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozenset[str]:
     """Leave out recordings with a stuck encoder where others remain, else the joint itself."""
 
+    everything = (*trials, *aside)
+
     def stuck(trial: Trial) -> set[str]:
         # For a while dry friction holds a joint as well; a dead encoder stays where it is.
         still: dict[str, float] = {}
         for m in trial.marks:
             if m.kind == "stuck" and m.joint is not None:
                 still[m.joint] = still.get(m.joint, 0.0) + m.end - m.start
-        return {j for j, seconds in still.items() if seconds > _STUCK_SHARE * trial.duration}
+        return {
+            j
+            for j, seconds in still.items()
+            if seconds > _STUCK_SHARE * trial.duration
+            and not _friction_could_hold(trial, j, everything)
+        }
 
     bad = [t for t in [*trials, *aside] if stuck(t)]
     sound_fit = [t for t in trials if not stuck(t)]
@@ -161,6 +172,40 @@ def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozen
     notes += [f"joint {j!r}: its encoder is stuck; nothing is held against it" for j in
               sorted(joints)]  # fmt: skip
     return joints
+
+
+def _friction_could_hold(trial: Trial, joint: str, trials: Sequence[Trial]) -> bool:
+    """Whether an encoder that stands still may be that of a joint at rest under its friction.
+
+    While it stands, the setpoint sweeps no wider than friction allows: what setpoints needed to
+    move the joint elsewhere in the recording, or in others of the same controller, is the measure.
+    Nobody can tell where it never moved, nor where a setpoint is no position.
+    """
+    if trial.command_mode != "position":
+        return False
+    error, still = _tracking_error(trial, joint)
+    controller = trial.metadata.get("controller")
+    alike = [t for t in trials if joint in t.joints and t.metadata.get("controller") == controller]
+    needed = 0.0
+    for other in alike:
+        seen, at_rest = _tracking_error(other, joint)
+        if (~at_rest).sum() > 1:
+            needed = max(needed, float(np.ptp(seen[~at_rest])))
+    return not still.any() or float(np.ptp(error[still])) <= _HELD_SWEEP * needed
+
+
+def _tracking_error(trial: Trial, joint: str) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """(n,) setpoint minus position, rad or m, and where the encoder stands still."""
+    position = trial.position[:, trial.joints.index(joint)]
+    if joint not in trial.command_joints:
+        return np.zeros_like(position), np.ones(len(position), dtype=bool)
+    held = np.searchsorted(trial.command_time, trial.time, side="right") - 1
+    sent = trial.command[np.maximum(held, 0), trial.command_joints.index(joint)]
+    moves = np.concatenate([[False], np.diff(position) != 0.0])
+    still = trial.marked(joint, ("stuck",)) & ~moves
+    if not moves.any():
+        still[:] = True
+    return sent - position, still
 
 
 def _refuse_other_unit(trial: Trial) -> None:

@@ -147,6 +147,20 @@ def test_a_joint_that_friction_holds_for_a_while_is_not_a_stuck_encoder(bench: B
     assert any(note.startswith("stuck in /joint_states left") for note in found.notes)
 
 
+def test_a_joint_that_rests_to_the_end_where_friction_can_hold_it_is_not_stuck(
+    bench: Bench,
+) -> None:
+    # It moved, came to rest, and what its setpoint does from there on would not have moved it.
+    rests = bench.seen.copy()
+    rests[80:, 0] = rests[80, 0]
+    bench.sent = bench.sent.copy()
+    slow = np.linspace(0.0, 0.25, len(bench.sent) - 40)
+    bench.sent[40:, 0] = rests[80, 0] + slow
+    found = bench.read(bench.put("a.mcap", seen=rests))
+    assert any(note.startswith("stuck in /joint_states left") for note in found.notes)
+    assert (names(found.fit), found.unseen) == (["a.mcap"], frozenset())
+
+
 def test_a_stuck_encoder_everywhere_costs_its_joint_alone(bench: Bench) -> None:
     trials = bench.read(bench.put("stuck.mcap", seen=stuck(bench)))
     assert trials.unseen == {"left"}
