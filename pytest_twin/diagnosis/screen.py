@@ -143,8 +143,8 @@ def _bounded_least_squares(a: FloatArray, b: FloatArray, answer: Response) -> Fl
     """Amplitudes of the simulated changes; those that would leave their bounds stop there."""
     parameters = [answer.term.parameters[s] for s in answer.switches]
     sizes = answer.start[list(answer.switches)]
-    lower = np.array([p.lower for p in parameters]) / sizes
-    upper = np.array([p.upper for p in parameters]) / sizes
+    ends = np.array([[p.lower, p.upper] for p in parameters]) / sizes[:, None]
+    lower, upper = ends.min(axis=1), ends.max(axis=1)
     free = np.ones(len(sizes), dtype=bool)
     amplitude = np.zeros(len(sizes))
     for _ in range(len(sizes)):
