@@ -190,7 +190,7 @@ def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> di
         "base_tilt": lambda: {"roll": u(-0.12, 0.12), "pitch": sign * u(0.05, 0.12)},
         "contact_offset": lambda: {"offset": sign * u(0.005, 0.02)},
         "contact_stiffness": lambda: {"relative_error": u(1.0, 3.0) if sign > 0 else u(-0.7, -0.4)},
-        "contact_damping": lambda: {"relative_error": u(1.0, 3.0) if sign > 0 else u(-0.9, -0.6)},
+        "contact_damping": lambda: {"relative_error": u(2.0, 6.0) if sign > 0 else u(-0.9, -0.6)},
         "contact_friction": lambda: {"coefficient": u(0.2, 0.5) if sign > 0 else u(-0.28, -0.15)},
         "external_force": lambda: {"effort": sign * u(0.3, 0.6) * effort, "start": u(3.0, 7.0),
                                    "duration": u(0.8, 2.5)},
