@@ -3,10 +3,10 @@
 ``python benchmarks/concealed/cases.py --out DIR --truth DIR --seeds 0:200`` writes for each seed
 ``DIR/<case>/model.xml`` and ``recordings/*.mcap``, and the truth elsewhere.
 
-A block of 200 consecutive seeds holds 40 cases with nothing hidden, 20 with two effects and 20
+Any 200 consecutive seeds hold 40 cases with nothing hidden, 20 with two effects and 20
 with three, 20 with a force that is in no catalogue (5 of each kind), and 100 with one effect: every
 effect of the contract's table two or three times alone and at least once beside others. Which of
-them a seed is follows from its place in the block; everything else it draws.
+them a seed is follows from its remainder by 200; everything else it draws.
 
 What is drawn could be told apart by a perfect observer:
 
@@ -116,19 +116,17 @@ NOTHING, TWO, THREE, OUTSIDE_CASES = 40, 20, 20, 20
 
 def plan(seed: int) -> tuple[str, list[str]]:
     """What a seed is: its kind and the names that are given; others are drawn beside them."""
-    place, block = int(ORDER[seed % BLOCK]), seed // BLOCK
+    place = int(ORDER[seed % BLOCK])
     if place < NOTHING:
         return "none", []
     place -= NOTHING
     if place < TWO + THREE:
-        turn = place + block * (TWO + THREE)
-        return "two" if place < TWO else "three", [EFFECTS[turn % len(EFFECTS)]]
+        return "two" if place < TWO else "three", [EFFECTS[place % len(EFFECTS)]]
     place -= TWO + THREE
     if place < OUTSIDE_CASES:
         return "outside", [OUTSIDE_NAMES[place % len(OUTSIDE_NAMES)]]
     place -= OUTSIDE_CASES
-    singles = BLOCK - NOTHING - TWO - THREE - OUTSIDE_CASES
-    return "one", [EFFECTS[(place + block * singles) % len(EFFECTS)]]
+    return "one", [EFFECTS[place % len(EFFECTS)]]
 
 
 def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> dict[str, Any]:
