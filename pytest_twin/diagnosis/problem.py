@@ -32,12 +32,12 @@ def step_error(coarse: Predicted, fine: Predicted) -> Predicted:
     )
 
 
-def corrected(coarse: Predicted, error: Predicted) -> Predicted:
-    """A prediction with the error of its step taken out."""
+def corrected(coarse: Predicted, error: Predicted, share: float = 1.0) -> Predicted:
+    """A prediction with the error of its step, or a share of it, taken out."""
     return Predicted(
-        coarse.position + error.position,
-        coarse.velocity + error.velocity,
-        coarse.effort + error.effort,
+        coarse.position + share * error.position,
+        coarse.velocity + share * error.velocity,
+        coarse.effort + share * error.effort,
     )
 
 
@@ -78,20 +78,34 @@ class Problem:
     def predict(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
     ) -> list[list[Predicted]]:
-        """Predictions of every hypothesis on every segment; all rows of one batch."""
-        rows = np.tile(segments, len(hypotheses))
-        each = [h for h in hypotheses for _ in segments]
-        values = effect_values(each, len(self.joints), self.scales)
-        flat = [
-            self._corrected(int(row), p)
-            for row, p in zip(rows, self.simulator.simulate(rows, values), strict=True)
-        ]
-        n = len(segments)
-        return [flat[i * n : (i + 1) * n] for i in range(len(hypotheses))]
+        """Predictions of every hypothesis on every segment; all rows of one batch.
 
-    def _corrected(self, segment: int, p: Predicted) -> Predicted:
+        Where the motion follows parameters in leaps, the error of the step does so too: these are
+        simulated with the finer step, which has a share of it left to correct.
+        """
+        out: list[list[Predicted]] = [[] for _ in hypotheses]
+        for simulator, rough, share in (
+            (self.simulator, False, 1.0),
+            (self.refined or self.simulator, True, 1.0 / REFINE if self.refined else 1.0),
+        ):
+            which = [i for i, h in enumerate(hypotheses) if h.rough is rough]
+            if not which:
+                continue
+            rows = np.tile(segments, len(which))
+            each = [hypotheses[i] for i in which for _ in segments]
+            values = effect_values(each, len(self.joints), self.scales)
+            flat = [
+                self._corrected(int(row), p, share)
+                for row, p in zip(rows, simulator.simulate(rows, values), strict=True)
+            ]
+            n = len(segments)
+            for k, i in enumerate(which):
+                out[i] = flat[k * n : (k + 1) * n]
+        return out
+
+    def _corrected(self, segment: int, p: Predicted, share: float) -> Predicted:
         error = self.defect.get(segment)
-        return p if error is None else corrected(p, error)
+        return p if error is None else corrected(p, error, share)
 
     def refine_at(self, hypothesis: Hypothesis) -> None:
         """Measure the defect of the model's step at a hypothesis, on every segment."""

@@ -24,7 +24,7 @@ from pytest_twin.effects.base import FloatArray
 _SHORTLIST = 10
 _MAX_TERMS = 10
 _QUICK, _LONG = 3, 8
-_ROUGH_ROUNDS = 3
+_ROUGH_ROUNDS = 2
 # Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many.
 _EARNS = 5.0
 # A name must take away this share of what still stands above the floor at some joint, and this

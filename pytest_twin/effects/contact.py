@@ -49,7 +49,7 @@ class ContactStiffness(Effect):
     source = "Todorov, ICRA (2014): convex and analytically-invertible dynamics with contacts"
     scope = "robot"
     parameters = (
-        Parameter("relative_error", "one", 0.0, -0.95, 20.0, (0.5, -0.5, 3.0), step=0.1),
+        Parameter("relative_error", "one", 0.0, -0.95, 20.0, (0.5, -0.5, 3.0), step=0.05),
     )
     confused_with: ClassVar = {
         "contact_offset": "press with two forces: a spring gives in proportion, an offset stays",
@@ -70,7 +70,7 @@ class ContactDamping(Effect):
     source = "Hunt, Crossley, J. Appl. Mech. 42 (1975): restitution as damping in vibroimpact"
     scope = "robot"
     parameters = (
-        Parameter("relative_error", "one", 0.0, -0.95, 10.0, (0.5, -0.5, 3.0), step=0.1),
+        Parameter("relative_error", "one", 0.0, -0.95, 10.0, (0.5, -0.5, 3.0), step=0.05),
     )
     confused_with: ClassVar = {
         "contact_stiffness": "hold still against the surface: a damper has no part in it",
