@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError, TwinError
 from pytest_twin.formats.mcap import Recording, read_recording
-from pytest_twin.trial import FloatArray, Trial, make_trial
+from pytest_twin.trial import Trial, make_trial
 
 # Of this many whole recordings one is held out where nobody says which.
 _ONE_HELD_OUT_OF = 4
@@ -23,8 +22,12 @@ _COUNTS = 100.0
 # An encoder that stands still for this share of a recording under a moving command is stuck.
 _STUCK_SHARE = 0.6
 # Friction holds a joint at rest only so far: a setpoint that sweeps, seen from the encoder, this
-# many times as wide as it ever did from a moving one would have moved it.
+# many times as wide as it did while the joint moved would have moved it. Less travel than this
+# before, rad or m, shows no living encoder.
 _HELD_SWEEP = 2.0
+_TRAVEL = 0.2
+# A hinge that turns this far, rad, is asked about its unit.
+_FAR = 8.0 * np.pi
 # Share of messages with the very same greatest speed.
 _CLIPPED = 0.02
 
@@ -104,6 +107,7 @@ def read_trials(
     elif not aside:
         notes.append("no held-out recording could be used: confidence is limited")
     notes += _doubts([*trials, *aside])
+    notes += _far([*trials, *aside], structure)
     return TrialSet(tuple(trials), tuple(aside), tuple(notes), unseen)
 
 
@@ -134,8 +138,6 @@ def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
 def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozenset[str]:
     """Leave out recordings with a stuck encoder where others remain, else the joint itself."""
 
-    everything = (*trials, *aside)
-
     def stuck(trial: Trial) -> set[str]:
         # For a while dry friction holds a joint as well; a dead encoder stays where it is.
         still: dict[str, float] = {}
@@ -145,8 +147,7 @@ def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozen
         return {
             j
             for j, seconds in still.items()
-            if seconds > _STUCK_SHARE * trial.duration
-            and not _friction_could_hold(trial, j, everything)
+            if seconds > _STUCK_SHARE * trial.duration and not _friction_could_hold(trial, j)
         }
 
     bad = [t for t in [*trials, *aside] if stuck(t)]
@@ -174,38 +175,22 @@ def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozen
     return joints
 
 
-def _friction_could_hold(trial: Trial, joint: str, trials: Sequence[Trial]) -> bool:
+def _friction_could_hold(trial: Trial, joint: str) -> bool:
     """Whether an encoder that stands still may be that of a joint at rest under its friction.
 
-    While it stands, the setpoint sweeps no wider than friction allows: what setpoints needed to
-    move the joint elsewhere in the recording, or in others of the same controller, is the measure.
-    Nobody can tell where it never moved, nor where a setpoint is no position.
+    It moved in the same recording, and while it stands its setpoint sweeps no wider than friction
+    allows. Nobody can tell where it never moved, nor where a setpoint is no position.
     """
-    if trial.command_mode != "position":
+    if trial.command_mode != "position" or joint not in trial.command_joints:
         return False
-    error, still = _tracking_error(trial, joint)
-    controller = trial.metadata.get("controller")
-    alike = [t for t in trials if joint in t.joints and t.metadata.get("controller") == controller]
-    needed = 0.0
-    for other in alike:
-        seen, at_rest = _tracking_error(other, joint)
-        if (~at_rest).sum() > 1:
-            needed = max(needed, float(np.ptp(seen[~at_rest])))
-    return not still.any() or float(np.ptp(error[still])) <= _HELD_SWEEP * needed
-
-
-def _tracking_error(trial: Trial, joint: str) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(n,) setpoint minus position, rad or m, and where the encoder stands still."""
     position = trial.position[:, trial.joints.index(joint)]
-    if joint not in trial.command_joints:
-        return np.zeros_like(position), np.ones(len(position), dtype=bool)
+    if float(np.ptp(position)) < _TRAVEL:
+        return False
     held = np.searchsorted(trial.command_time, trial.time, side="right") - 1
     sent = trial.command[np.maximum(held, 0), trial.command_joints.index(joint)]
-    moves = np.concatenate([[False], np.diff(position) != 0.0])
-    still = trial.marked(joint, ("stuck",)) & ~moves
-    if not moves.any():
-        still[:] = True
-    return sent - position, still
+    error = sent - position
+    still = trial.marked(joint, ("stuck",))
+    return float(np.ptp(error[still])) <= _HELD_SWEEP * float(np.ptp(error[~still]))
 
 
 def _refuse_other_unit(trial: Trial) -> None:
@@ -263,6 +248,21 @@ def _clipped(trial: Trial) -> list[str]:
                 f"{100 * share:.0f} % of the messages, as if clipped; positions are what counts"
             )
     return lines
+
+
+def _far(trials: Sequence[Trial], structure: Structure) -> list[str]:
+    """Hinges that turn so often that degrees or counts are likelier than turns, a line each."""
+    lines = {}
+    for trial in trials:
+        for column, joint in enumerate(trial.joints):
+            travel = float(np.ptp(trial.position[:, column]))
+            if structure.joint_type.get(joint) == "hinge" and travel > _FAR and joint not in lines:
+                lines[joint] = (
+                    f"{trial.path.name}: {joint} turns through {travel:.3g} rad, "
+                    f"{travel / (2.0 * np.pi):.2g} turns; where states and commands are in degrees "
+                    "or counts, write them in rad"
+                )
+    return list(lines.values())
 
 
 def _names(trials: Sequence[Trial]) -> str:

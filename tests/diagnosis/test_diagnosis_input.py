@@ -147,6 +147,12 @@ def test_a_joint_that_friction_holds_for_a_while_is_not_a_stuck_encoder(bench: B
     assert any(note.startswith("stuck in /joint_states left") for note in found.notes)
 
 
+def test_degrees_in_states_and_commands_alike_are_asked_about(bench: Bench) -> None:
+    bench.sent = np.degrees(bench.sent)
+    found = bench.read(bench.put("a.mcap", seen=np.degrees(bench.seen)))
+    assert any("turns; where states and commands are in degrees" in n for n in found.notes)
+
+
 def test_a_joint_that_rests_to_the_end_where_friction_can_hold_it_is_not_stuck(
     bench: Bench,
 ) -> None:
