@@ -1,0 +1,138 @@
+"""SO-101: what the vendor's model lacks, joint by joint, and what it buys motion by motion.
+
+    python benchmarks/real/so101.py --out DIR [--seconds 8] [--fit NAME ...] [--held-out NAME ...]
+
+Cuts ``--seconds`` out of each recording (into DIR/excerpts: they are not ours to pass on),
+diagnoses (into DIR/why, unless it is there) and replays the held-out excerpts, and the same stretch
+of every other motion that no fit has seen, on the vendor's model and on the patched one.
+
+What is known of these recordings: an unknown offset of each joint's zero against the model's, an
+unsigned current for an effort, six servos read one after another within a sample. Six joints are
+named in one run, because the pose of one is the load of another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.patched import Patched
+from pytest_twin.diagnosis.patched_replay import replay_patched
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.trial import Trial, make_trial
+
+RECORDINGS = Path(
+    os.environ.get("TWIN_RECORDINGS") or Path(__file__).resolve().parents[3] / "shared/recordings"
+)
+# Each joint moves in one of them at least, and all of them in the first.
+FIT = ("prbs_excitation", "reach_and_return", "single_joint_wrist_pitch")
+HELD_OUT = ("multisine", "large_amplitude")
+START = 12.0
+# Claims that need a motion which these recordings do not have: reversals smaller than the gap
+# under a known load, and commands that ask for more than the drive's limit.
+NOT_SHOWN = ("backlash", "torque_saturation")
+
+
+def excerpt(name: str, role: str, seconds: float, folder: Path) -> Path:
+    """A stretch of a recording as a recording of its own."""
+    path = folder / f"{role}_{name}.mcap"
+    whole = read_recording(RECORDINGS / "so101" / "recordings" / f"{name}.mcap")
+    first = min(s.stamp[0] for s in whole.series.values()) + round(START * 1e9)
+
+    def cut(series: JointSeries) -> JointSeries:
+        inside = (series.stamp >= first) & (series.stamp < first + round(seconds * 1e9))
+        return replace(
+            series,
+            stamp=series.stamp[inside],
+            log_time=series.log_time[inside],
+            position=None if series.position is None else series.position[inside],
+            velocity=None if series.velocity is None else series.velocity[inside],
+            effort=None,
+        )
+
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = [cut(s) for s in whole.series.values()]
+    write_recording(path, parts, {**whole.metadata, "role": role})
+    return path
+
+
+def errors(model: Path, trials: list[Trial]) -> list[np.ndarray | None]:
+    """(joints,) root mean squares of position of each trial, rad; None where it diverged."""
+    loaded = load_model(find_model(model))
+    joints = loaded.realization.joints
+    patched = loaded.patched or Patched(tuple(joints))
+    out: list[np.ndarray | None] = []
+    for trial in trials:
+        try:
+            predicted = replay_patched(loaded.realization, patched, [trial], threads=1)[0]
+        except TwinError:
+            out.append(None)
+            continue
+        columns = [trial.joints.index(j) for j in patched.joints]
+        left = predicted.position - trial.position[:, columns]
+        out.append(np.sqrt(np.mean(left**2, axis=0)))
+    return out
+
+
+def main() -> None:
+    """Cut, diagnose, replay, print."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--fit", nargs="+", default=list(FIT), metavar="NAME")
+    parser.add_argument("--held-out", nargs="+", default=list(HELD_OUT), metavar="NAME")
+    args = parser.parse_args()
+    folder = RECORDINGS / "so101"
+    if not folder.is_dir():
+        raise SystemExit(f"no recordings at {folder}: the variable TWIN_RECORDINGS says where")
+    cuts = args.out / "excerpts"
+    names = {"fit": args.fit, "held_out": args.held_out}
+    chosen = [excerpt(n, role, args.seconds, cuts) for role, each in names.items() for n in each]
+    why = args.out / "why"
+    if not (why / "diagnosis.json").is_file():
+        command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose"]
+        subprocess.run(
+            [*command, str(folder / "model.xml"), *map(str, chosen), "--out", str(why)],
+            check=False,
+        )
+    diagnosis = json.loads((why / "diagnosis.json").read_text("utf-8"))
+    print(f"verdict: {diagnosis['verdict']}")
+    for finding in diagnosis["findings"]:
+        words = ", ".join(
+            f"{name} {p['value']:.4g} {p['unit']}" for name, p in finding["parameters"].items()
+        )
+        doubt = " (these recordings cannot show it)" if finding["effect"] in NOT_SHOWN else ""
+        print(f"  {finding['joint']}: {finding['effect']}{doubt}: {words}")
+    everything = sorted(p.stem for p in (folder / "recordings").glob("*.mcap"))
+    rest = [n for n in everything if n not in args.fit]
+    motions = [excerpt(n, "held_out", args.seconds, cuts) for n in rest]
+    trials = [make_trial(read_recording(path)) for path in motions]
+    joints = load_model(folder / "model.xml").realization.joints
+    print(f"\n{args.seconds:g} s of each motion that no fit has seen, rms in mrad before -> after:")
+    print("| motion | " + " | ".join(joints) + " |")
+    print("|---" * (len(joints) + 1) + "|")
+    befores, afters = errors(folder / "model.xml", trials), errors(why, trials)
+    for name, before, after in zip(rest, befores, afters, strict=True):
+        cells = ["diverged"] * len(joints)
+        if before is not None and after is not None:
+            cells = [f"{1e3 * b:.1f} -> {1e3 * a:.1f}" for b, a in zip(before, after, strict=True)]
+        print(f"| {name} | " + " | ".join(cells) + " |")
+    both = [(b, a) for b, a in zip(befores, afters, strict=True) if b is not None and a is not None]
+    total = [
+        1e3 * np.sqrt(np.mean(np.stack(each) ** 2, axis=0)) for each in zip(*both, strict=True)
+    ]
+    cells = [f"{b:.1f} -> {a:.1f}" for b, a in zip(*total, strict=True)]
+    print("| all | " + " | ".join(cells) + " |")
+
+
+if __name__ == "__main__":
+    main()
