@@ -1,0 +1,137 @@
+"""Blind cases: what they cover, that the plant keeps to mechanics, and how answers are scored."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+pytest.importorskip("numba", reason="the plant is compiled: pip install 'pytest-twin[benchmarks]'")
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "concealed"))
+
+import cases
+import plant
+import robots
+import score
+
+
+@pytest.mark.parametrize("first", [0, 137, 5000])
+def test_any_two_hundred_seeds_cover_every_effect(first: int) -> None:
+    planned = [cases.plan(seed) for seed in range(first, first + 200)]
+    kinds = Counter(kind for kind, _ in planned)
+    assert kinds == {"none": 40, "one": 100, "two": 20, "three": 20, "outside": 20}
+    alone = Counter(given[0] for kind, given in planned if kind == "one")
+    assert set(alone) == set(cases.EFFECTS)
+    assert min(alone.values()) >= 2
+    beside = {given[0] for kind, given in planned if kind in ("two", "three")}
+    assert beside == set(cases.EFFECTS)
+
+
+def test_nothing_of_the_same_physics_is_hidden_at_one_joint() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        robot = robots.draw(rng, int(rng.integers(1, 4)), "position")
+        at = cases.hide([], 3, robot, rng).effects
+        assert len(at) == 3
+        for same in cases.SAME:
+            joints = [j for effect in same & set(at) for j in at[effect]]
+            assert len(joints) == len(set(joints))
+
+
+def _bare(count: int) -> robots.Robot:
+    """A robot that nothing brakes."""
+    robot = robots.draw(np.random.default_rng(5), count, "effort", hinges=True)
+    free = [replace(j, damping=0.0, friction=0.0) for j in robot.joints]
+    return replace(robot, joints=tuple(free))
+
+
+def test_a_pendulum_swings_as_its_equation_says() -> None:
+    robot = _bare(1)
+    j = robot.joints[0]
+    start, ticks = np.array([[0.7]]), 100
+    motion = plant.simulate(
+        robot, plant.Hidden(), np.zeros((ticks, 1, 1)), start, sent=np.zeros((ticks, 1, 1))
+    )
+    inertia = j.inertia[1] + j.mass * (j.center[0] ** 2 + j.center[2] ** 2) + j.armature
+
+    def swing(_: float, y: Any) -> list[float]:
+        # Gravity turns about +y: z c_x - x c_z in the turned frame.
+        lever = j.center[0] * np.cos(y[0]) + j.center[2] * np.sin(y[0])
+        return [y[1], j.mass * 9.81 * lever / inertia]
+
+    time = np.arange(len(motion.position)) * plant.RECORD
+    exact = solve_ivp(swing, (0.0, 1.0), [0.7, 0.0], t_eval=time, rtol=1e-10, atol=1e-12)
+    assert np.ptp(exact.y[0]) > 0.5
+    assert motion.position[:, 0, 0] == pytest.approx(exact.y[0], abs=5e-4)
+
+
+def test_a_resting_contact_carries_the_weight() -> None:
+    robot = replace(_bare(1), mode="position")
+    j = replace(robot.joints[0], damping=20.0, kp=0.0, kv=0.0)
+    along = robots.link_end(robot)[2]
+    contact = robots.Contact(
+        normal=(-1.0, 0.0, 0.0), height=-0.5 * along - 0.02, tip=robots.link_end(robot),
+        radius=0.02, stiffness=4000.0, damping=200.0, friction=0.0, creep=0.0,
+    )  # fmt: skip
+    robot = replace(robot, joints=(j,), contact=contact)
+    ticks = 300
+    still = np.full((ticks, 1, 1), 0.5)
+    motion = plant.simulate(robot, plant.Hidden(), still, still[0])
+    q = motion.position[-1, 0, 0]
+    # Moments about the joint: weight at the centre of mass against the wall at the sphere.
+    weight = j.mass * 9.81 * (j.center[0] * np.cos(q) + j.center[2] * np.sin(q))
+    depth = along * np.sin(q) + 0.02 + contact.height
+    assert motion.touch[-1, 0] == pytest.approx(contact.stiffness * depth, rel=1e-3)
+    lever = 0.1 + along * np.cos(q) - robot.joints[0].origin[2]
+    assert motion.touch[-1, 0] * lever == pytest.approx(weight, rel=1e-2)
+
+
+def _case(effects: list[tuple[str, str, float]], said: list[tuple[str, str]]) -> score.Case:
+    truth = {
+        "case": "case0", "kind": "two", "mode": "position", "joints": ["a", "b"], "outside": None,
+        "effects": [{"effect": e, "joint": j, "parameters": {"x": 1.0}, "visibility": v}
+                    for e, j, v in effects],
+    }  # fmt: skip
+    found = [{"effect": e, "joint": j, "parameters": {"x": {"ci95": [0.9, 1.1]}}} for e, j in said]
+    diagnosis = {"verdict": "explained", "findings": found, "held_out": {}, "unexplained": {}}
+    return score.Case(truth, {"status": 0, "seconds": 1.0}, diagnosis)
+
+
+def test_an_effect_is_right_with_its_joint_only() -> None:
+    case = _case(
+        [("backlash", "a", 9.0), ("payload", "b", 0.5)], [("backlash", "b"), ("payload", "b")]
+    )
+    assert case.largest == ("backlash", "a")
+    assert list(case.visible) == [("backlash", "a")]
+    assert score.f1(case.hidden, case.found) == 0.5
+    assert score.confusion([case]) == {
+        ("payload", "payload"): 1,
+        ("backlash", "backlash, other joint"): 1,
+    }
+    assert list(score.intervals(case)) == [("payload", "x", True)]
+
+
+def test_a_window_counts_where_the_force_acted() -> None:
+    case = _case([], [])
+    case.truth["outside"] = {"joint": "a", "windows": {"r.mcap": [[1.0, 2.0]]}}
+    case.said = {"verdict": "unexplained", "findings": [], "unexplained": {
+        "a": {"windows": {"r.mcap": [[1.1, 2.1]]}}}}  # fmt: skip
+    assert all(score.outside_right(case).values())
+    case.said["unexplained"]["a"]["windows"] = {"r.mcap": [[2.3, 9.0]]}
+    assert not score.outside_right(case)["window"]
+
+
+def test_a_truth_that_was_changed_is_seen(tmp_path: Path) -> None:
+    truth, committed = tmp_path / "truth", tmp_path / "digests.json"
+    truth.mkdir()
+    (truth / "case0.json").write_text("{}")
+    committed.write_text(score.json.dumps(score.truth_digests(truth)))
+    assert score.checked_digests(truth, committed, ["case0"])[1]
+    (truth / "case0.json").write_text('{"effects": []}')
+    assert not score.checked_digests(truth, committed, ["case0"])[1]
