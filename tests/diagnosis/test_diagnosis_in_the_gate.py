@@ -113,15 +113,20 @@ def test_a_look_that_fails_stays_one_line(late: Path, tmp_path: Path) -> None:
         assert "no_such" in line
 
 
-@pytest.mark.parametrize("spread", [[], ["-n", "2"]], ids=["alone", "xdist"])
-def test_the_full_diagnosis_is_attached_and_its_model_passes(
-    late: Path, tmp_path: Path, spread: list[str]
-) -> None:
-    root = tmp_path / "arm"
+def diagnosed_copy(late: Path, folder: Path, *arguments: str) -> tuple[Path, str]:
+    """A copy of the twin after a full diagnosis, and what the run said."""
+    root = folder / "arm"
     shutil.copytree(late, root)
     shutil.rmtree(root / ".twin", ignore_errors=True)
-    result = run(root, "--twin-diagnose", *spread)
-    text = result.stdout
+    return root, run(root, "--twin-diagnose", *arguments).stdout
+
+
+@pytest.fixture(scope="module")
+def diagnosed(late: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    return diagnosed_copy(late, tmp_path_factory.mktemp("diagnosed"))
+
+
+def assert_attached(root: Path, text: str) -> None:
     assert "2 failed" in text
     folder = root / ".twin" / "diagnosis" / "mujoco"
     said = json.loads((folder / "diagnosis.json").read_text())
@@ -136,39 +141,46 @@ def test_the_full_diagnosis_is_attached_and_its_model_passes(
     assert "for the full one" not in text
     page = (root / ".twin" / "report.html").read_text()
     assert page.count('<a href="diagnosis/mujoco/report.html">Full diagnosis</a>') == 2
-    if spread:
-        return
 
-    shutil.copytree(folder, root / "why")
-    described = root / "twin.yaml"
-    described.write_text(
+
+def test_the_full_diagnosis_is_attached(diagnosed: tuple[Path, str]) -> None:
+    assert_attached(*diagnosed)
+
+
+def test_with_xdist_the_controller_diagnoses(late: Path, tmp_path: Path) -> None:
+    assert_attached(*diagnosed_copy(late, tmp_path, "-n", "2"))
+
+
+def test_the_patched_model_passes_where_the_model_failed(
+    diagnosed: tuple[Path, str], tmp_path: Path
+) -> None:
+    root = tmp_path / "arm"
+    shutil.copytree(diagnosed[0], root)
+    shutil.copytree(root / ".twin" / "diagnosis" / "mujoco", root / "why")
+    (root / "twin.yaml").write_text(
         "name: arm\nrealizations:\n  mujoco: {file: model.xml}\n  patched: {file: why}\n"
     )
     for spec in (root / "golden" / "replay").glob("*.yaml"):
-        text = spec.read_text().replace("title:", "realizations: [mujoco, patched]\ntitle:")
-        spec.write_text(text)
-    result = run(root)
-    assert "2 failed, 2 passed" in result.stdout, result.stdout
-    for line in result.stdout.splitlines():
+        both = "realizations: [mujoco, patched]\ntitle:"
+        spec.write_text(spec.read_text().replace("title:", both))
+    text = run(root).stdout
+    assert "2 failed, 2 passed" in text, text
+    for line in text.splitlines():
         assert not (line.startswith("FAILED") and "patched" in line)
 
 
-def test_a_twin_can_stand_on_the_patched_model_and_feels_its_effects(
-    late: Path, tmp_path: Path
+def test_a_twin_stands_on_the_patched_model_and_feels_its_effects(
+    diagnosed: tuple[Path, str], tmp_path: Path
 ) -> None:
     root = tmp_path / "arm"
-    shutil.copytree(late, root)
-    command = [sys.executable, "-m", "pytest_twin.cli", "diagnose", "twin.yaml"]
-    names = ("fit1", "fit2", "held_out3")
-    recordings = [f"recordings/{name}.mcap" for name in names]
-    subprocess.run([*command, *recordings, "--out", "why"], cwd=root, check=True, timeout=100)
-    described = root / "twin.yaml"
-    described.write_text("name: arm\nmodel: why\n")
-    result = run(root)
+    shutil.copytree(diagnosed[0], root)
+    shutil.copytree(root / ".twin" / "diagnosis" / "mujoco", root / "why")
+    (root / "twin.yaml").write_text("name: arm\nmodel: why\n")
+    result = run(root, "--twin-release")
+    assert result.returncode == 0
     assert "2 passed" in result.stdout, result.stdout
-    assert run(root, "--twin-release").returncode == 0
     effects = root / "why" / "realization" / "effects.json"
     effects.write_text(effects.read_text().replace('"delay": 0.0', '"delay": 0.01'))
-    result = run(root)
-    assert "2 failed" in result.stdout, result.stdout
-    assert "ran because  mujoco/effects: sha256" in result.stdout
+    text = run(root).stdout
+    assert "2 failed" in text, text
+    assert "ran because  mujoco/effects: sha256" in text
