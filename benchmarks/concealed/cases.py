@@ -327,10 +327,12 @@ def stretches(acted: np.ndarray, size: float) -> list[list[float]]:
     return found
 
 
-def sampled(trace: np.ndarray, time: np.ndarray, hidden: Hidden) -> np.ndarray:
+def sampled(
+    trace: np.ndarray, time: np.ndarray, hidden: Hidden, record: float = RECORD
+) -> np.ndarray:
     """(samples, joints) of a trace as a logger stamps it at ``time`` s: late, by another clock."""
     real = time * (1 - hidden.robot("clock_drift", "drift")) - hidden.robot("sensor_delay", "delay")
-    at = np.clip(real / RECORD, 0, len(trace) - 1)
+    at = np.clip(real / record, 0, len(trace) - 1)
     before = np.minimum(at.astype(int), len(trace) - 2)
     part = (at - before)[:, None]
     out: np.ndarray = trace[before] * (1 - part) + trace[before + 1] * part
@@ -419,6 +421,10 @@ def effort_noise(robot: Robot) -> np.ndarray:
     return np.array([j.effort for j in robot.joints]) * 2e-3
 
 
+SEEN_RECORD = 2 * RECORD
+"""s between samples, and Pinocchio's terms, of runs that only tell how much an effect shows."""
+
+
 def visibility(
     effect: str, true: tuple[Motion, Hidden], without: tuple[Motion, Hidden], robot: Robot,
     sensors: dict[str, Any],
@@ -434,7 +440,7 @@ def visibility(
         noise, which = effort_noise(robot), "effort"
     change = [
         sampled(getattr(true[0], which)[:, i], time, true[1])
-        - sampled(getattr(without[0], which)[:, i], time, without[1])
+        - sampled(getattr(without[0], which)[:, i], time, without[1], SEEN_RECORD)
         for i in range(true[0].position.shape[1])
     ]
     return float(np.max(np.sqrt(np.mean(np.square(change), axis=(0, 1))) / noise))
@@ -451,9 +457,9 @@ def seen(
     was.
     """
     true = motions.recordings(HELD_OUT)
-    again: dict[str, Any] = {}
+    again: dict[str, Any] = {"record": SEEN_RECORD}
     if robot.mode == "effort":
-        again = {"sent": true.setpoint, "restart": true.kept}
+        again |= {"sent": true.setpoint, "restart": true.kept}
 
     def run(less: Hidden, push: np.ndarray | None) -> Motion:
         return simulate(
@@ -464,8 +470,7 @@ def seen(
     for effect, at in hidden.effects.items():
         for joint in at:
             less = hidden.without(effect, joint)
-            # These two are in the logger, not in the motion.
-            other = true if effect in ("sensor_delay", "clock_drift") else run(less, force)
+            other = run(less, force)
             found[effect, joint] = visibility(effect, (true, hidden), (other, less), robot, sensors)
     if force is None:
         return found, None
