@@ -133,7 +133,7 @@ def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> di
     """Parameters of a hidden effect, in SI units, in proportion to the joint."""
     j = robot.joints[max(joint, 0)]
     effort = j.effort / 6.0
-    band = max(j.kp, j.kv * 10.0) if robot.mode != "effort" else j.kp
+    band = max(j.kp, j.kv * 3.0) if robot.mode != "effort" else j.kp
     speed = 0.8
     sign = float(rng.choice([-1.0, 1.0]))
     u = lambda low, high: float(rng.uniform(low, high))  # noqa: E731

@@ -113,7 +113,8 @@ def draw(rng: np.random.Generator, count: int, mode: str, *, hinges: bool = Fals
         kp = (inertia + armature) * bandwidth**2
         kv = 1.2 * (inertia + armature) * bandwidth
         if mode == "velocity":
-            kp, kv = 0.0, (inertia + armature) * bandwidth * 1.5
+            # Stiff enough that gravity does not carry the arm away within a recording.
+            kp, kv = 0.0, (inertia + armature) * bandwidth * 5.0
         origin = (0.0, 0.0, 0.1) if i == 0 else (0.0, 0.0, joints[i - 1]["side"])
         out.append(
             Joint(f"joint{i + 1}", slide, origin, j["axis"], j["mass"], j["center"], j["inertia"],

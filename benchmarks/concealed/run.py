@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600.0)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    for case in sorted(args.cases.iterdir()):
+    for case in sorted(path.parent for path in args.cases.glob("*/model.xml")):
         result = args.out / f"{case.name}.run.json"
         if not result.exists():
             told = diagnose(case, args.out / case.name, args.seconds)
