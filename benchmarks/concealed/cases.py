@@ -251,7 +251,10 @@ def excitation(robot: Robot, kind: str, center: np.ndarray, rng: np.random.Gener
     elif kind == "steps":
         targets = center + 0.5 * amplitude * rng.uniform(-1, 1, (10, n))
         targets[0] = center
-        out = targets[np.minimum((t / 1.2).astype(int), 9)[:, 0]]
+        if robot.mode == "velocity":  # steps of velocity
+            out = np.stack([np.interp(t[:, 0], 1.2 * np.arange(10), x) for x in targets.T], axis=1)
+        else:
+            out = targets[np.minimum((t / 1.2).astype(int), 9)[:, 0]]
     else:  # slow reversals of two sizes
         period = rng.uniform(3.0, 5.0, n)
         triangle = 2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / period))
