@@ -247,6 +247,7 @@ def table(fitted: Path, results: Path, truth: Path | None) -> list[str]:
         "|---|---|---|---|---|---|",
     ]
     shares: list[tuple[float, float]] = []
+    of_effect: dict[str, list[tuple[float, float]]] = {}
     for path in sorted(fitted.glob("*.json")):
         mine = json.loads(path.read_text())
         diagnosed = results / mine["case"] / "diagnosis.json"
@@ -264,9 +265,19 @@ def table(fitted: Path, results: Path, truth: Path | None) -> list[str]:
             cells += [worst(theirs), percent(share)]
             if usual_share is not None and share is not None:
                 shares.append((usual_share, share))
+                of_effect.setdefault(hidden, []).append((usual_share, share))
         else:
             cells += ["no result", "-"]
         lines.append(f"| {mine['case']} | {hidden} | " + " | ".join(cells) + " |")
+    if truth is not None and of_effect:
+        lines += [
+            "",
+            "| hidden | cases | mujoco.sysid, median removed | diagnosis |",
+            "|---|---|---|---|",
+        ]
+        for hidden, pairs in sorted(of_effect.items()):
+            medians = " | ".join(percent(m) for m in np.median(np.array(pairs), axis=0))
+            lines.append(f"| {hidden} | {len(pairs)} | {medians} |")
     if shares:
         usual_median, median = np.median(np.array(shares), axis=0)
         lines += [

@@ -214,10 +214,12 @@ def main() -> None:
             )
             print(f"  force {shift * 1e3:.1f} ms earlier: {words}")
 
+    found_values = identified(diagnosis)
     models = {
         "mass only": {"mass": NOMINAL_MASS},
         "published": PUBLISHED,
-        "diagnosed": identified(diagnosis),
+        "diagnosed": found_values,
+        "diagnosed, offset as published": {**found_values, "offset": PUBLISHED["offset"]},
         "least squares, one viscous coefficient each way": {
             t: v for t, (v, _) in least_squares(fit, (*common, "viscous_difference"), 0.0).items()
         },
