@@ -41,6 +41,14 @@ EFFECTS = [
     ("payload", -1, {"mass": -0.2, "distance": 0.1}, True),
     ("base_tilt", -1, {"roll": 0.05, "pitch": -0.1}, True),
     ("rate_limit", 0, {"inverse_rate": 1.0}, False),
+    ("torque_rolloff", 1, {"inverse_knee": 0.8, "back_emf": 0.05}, False),
+    ("watchdog_timeout", 0, {"inverse_timeout": 140.0, "back_emf": 0.05}, False),
+    (
+        "motor_load_friction",
+        0,
+        {"coefficient": 0.2, "stiction_excess": 0.1, "stribeck_velocity": 0.2},
+        False,
+    ),
     ("encoder_bias", 1, {"bias": 0.05}, False),
     ("sensor_delay", -1, {"delay": 0.013}, False),
 ]
