@@ -25,7 +25,8 @@ from pytest_twin.diagnosis.patched_replay import (
 )
 from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem, smooth_state
-from pytest_twin.diagnosis.screen import Screened, candidates, responses, screen
+from pytest_twin.diagnosis.responses import bins, responses
+from pytest_twin.diagnosis.screen import Screened, View, candidates, screen
 from pytest_twin.diagnosis.verdict import AT_FLOOR
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.errors import SimulationError
@@ -236,9 +237,11 @@ def _suspect(
     floor = problem.signal_floor
     nominal = problem.residuals([EMPTY], problem.fit)[0]
     effective = effective_samples(nominal, problem.lengths(problem.fit))
-    no_slope = np.empty((*nominal.shape, 0))
     answers = responses(problem, terms, problem.fit)
-    found = screen(nominal, no_slope, answers, floor, effective)[:_RIVALS]
+    binned = bins(problem, problem.fit)
+    mean = binned.mean(nominal)
+    view = View(mean, np.empty((*mean.shape, 0)), floor, binned.lengths)
+    found = screen(view, answers)[:_RIVALS]
     if not found:
         return None
     fitted, evidence = _weighed(problem, found, nominal, effective)

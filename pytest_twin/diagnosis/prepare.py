@@ -24,7 +24,7 @@ from pytest_twin.trial import Trial
 
 # Under an effort command errors integrate twice: a simulation is held to the recording for this
 # long, then starts anew from the measured state.
-_EFFORT_WINDOW = 1.0
+_EFFORT_WINDOW = 0.5
 _START_SAMPLES = 12
 NOISE = "sensor noise and quantization"
 # As measured on an arm whose tip taps on a table: impacts fall between steps.
@@ -69,13 +69,13 @@ def prepare(
         owner += [i] * len(made)
     simulator = RowSimulator(segments, joints, threads=threads)
     is_fit = np.array(owner) < len(fit)
-    noise = np.max([sensor_noise(s.position) for s in segments], axis=0)
+    noise = _greatest_noise([s.position for s in segments], owner)
     refined = RowSimulator(segments, joints, threads=threads, refine=REFINE)
     effort_floor: FloatArray | None = None
     if all(s.effort is not None for s in segments):
         efforts = [s.effort for s in segments if s.effort is not None]
         if all(np.isfinite(e).all() and (e < 0).any() for e in efforts):
-            effort_floor = np.max([sensor_noise(e) for e in efforts], axis=0)
+            effort_floor = _greatest_noise(efforts, owner)
     scales = joint_scales(simulator, segments)
     problem = Problem(
         simulator,
@@ -94,6 +94,17 @@ def prepare(
     problem.floor = np.sqrt(noise**2 + (problem.step_left * steps) ** 2)
     parts = {NOISE: noise, "discretization of the simulator": steps}
     return Prepared(problem, tuple(owner), parts)
+
+
+def _greatest_noise(values: Sequence[FloatArray], owner: Sequence[int]) -> FloatArray:
+    """(joints,) of the noisiest trial; the windows of one trial are taken together."""
+    trials = sorted(set(owner))
+    each = [
+        np.concatenate([v for v, o in zip(values, owner, strict=True) if o == trial])
+        for trial in trials
+    ]
+    greatest: FloatArray = np.max([sensor_noise(e) for e in each], axis=0)
+    return greatest
 
 
 def _start_width(segment: Segment) -> float:

@@ -1,15 +1,16 @@
 """Choose the structure: which effects earn their place.
 
-Forward: the best-screened candidates are fitted side by side, together with what is already
-named, and judged by evidence: log-likelihood on the fit recordings less half a log of the effective
-samples for each parameter (Schwarz 1978), plus log-likelihood on recordings that no fit has seen.
-Then backward: a term that no longer pays is dropped. Then sideways: each term is held against the
-rivals that could stand in its place.
+Forward: structures of one and more effects are searched to first order around the best fit so far
+(:mod:`screen`); the best of each size are fitted by simulation, side by side, and judged by
+evidence: log-likelihood on the fit recordings less half a log of the effective samples for each
+parameter (Schwarz 1978), plus log-likelihood on recordings that no fit has seen. Then backward: a
+term that no longer pays is dropped. Then sideways: each term is held against the rivals that could
+stand in its place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,12 +19,28 @@ from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.screen import Response, candidates, responses, screen
+from pytest_twin.diagnosis.responses import Response, bins, responses
+from pytest_twin.diagnosis.screen import (
+    Structure,
+    View,
+    candidates,
+    joined,
+    price,
+    refitted,
+    screen,
+    search,
+)
 from pytest_twin.effects.base import FloatArray
 
-_SHORTLIST = 10
 _MAX_TERMS = 10
-_QUICK, _LONG = 3, 8
+_ROUNDS = 6
+# Structures kept at each size, terms added at once, rivals looked at in a term's place.
+_WIDTH, _AT_ONCE, _RIVALS = 4, 4, 6
+# Evidence to first order beyond which no simulation would change the verdict.
+_CLEAR = 30.0
+_QUICK, _LONG = 2, 8
+# Rivals that stay in the race after one iteration: evidence behind the first, and how many.
+_IN_FRONT, _FRONT = 150.0, 3
 _ROUGH_ROUNDS = 2
 # Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many.
 _EARNS = 5.0
@@ -65,14 +82,14 @@ class Selected:
         nominal: the model as it came.
         confidence: term -> share of the evidence against the rivals in its place.
         alternatives: term -> rivals in its place with their share, best first.
-        answers: responses of all candidates, for a look at what is left.
+        tried: effects at joints that competed.
     """
 
     best: Rival
     nominal: Rival
     confidence: dict[Term, float] = field(default_factory=dict)
     alternatives: dict[Term, list[tuple[Term, float]]] = field(default_factory=dict)
-    answers: list[Response] = field(default_factory=list)
+    tried: int = 0
 
 
 class Selection:
@@ -87,15 +104,16 @@ class Selection:
         """Search forward, backward and sideways."""
         problem = self.problem
         nominal = self._rivals([EMPTY], np.ones(len(problem.signal_floor)), 0)[0]
-        terms = candidates(problem)
-        answers = responses(problem, terms, problem.fit)
+        self.nominal = nominal
         best = nominal
-        while len(best.hypothesis.terms) < _MAX_TERMS and not self._at_floor(best):
-            better = self._forward(best, answers, nominal)
+        for _ in range(_ROUNDS):
+            if len(best.hypothesis.terms) >= _MAX_TERMS or self._at_floor(best):
+                break
+            better = self._forward(best)
             if better is None:
                 break
             best = self._backward(better)
-        selected = Selected(best, nominal, answers=answers)
+        selected = Selected(best, nominal, tried=len(candidates(problem)))
         for _ in range(2):
             if not self._sideways(selected):
                 break
@@ -119,18 +137,19 @@ class Selection:
             held = [np.zeros((0, len(problem.signal_floor)))] * len(fitted)
         return [Rival(f, h) for f, h in zip(fitted, held, strict=True)]
 
-    def _judge(self, rivals: Sequence[Rival], against: Rival) -> None:
-        """Evidence of ``rivals`` over ``against``, by the effective samples of ``against``."""
+    def _judge(self, rivals: Sequence[Rival], against: Rival, under: Rival | None = None) -> None:
+        """Evidence of ``rivals`` over ``against``, by the effective samples of ``under``."""
         problem, floor = self.problem, self.problem.signal_floor
-        fit_n = effective_samples(against.fitted.residual, problem.lengths(problem.fit))
+        under = against if under is None else under
+        fit_n = effective_samples(under.fitted.residual, problem.lengths(problem.fit))
         base = log_likelihood(against.fitted.residual, floor, fit_n)
-        price = 0.5 * np.log(max(float(fit_n.mean()), 2.0))
+        cost = price(fit_n)
         if self.has_held:
-            held_n = effective_samples(against.held_residual, problem.lengths(problem.held_out))
+            held_n = effective_samples(under.held_residual, problem.lengths(problem.held_out))
             held_base = log_likelihood(against.held_residual, floor, held_n)
         for r in rivals:
             more = r.hypothesis.theta.size - against.hypothesis.theta.size
-            r.evidence = log_likelihood(r.fitted.residual, floor, fit_n) - base - price * more
+            r.evidence = log_likelihood(r.fitted.residual, floor, fit_n) - base - cost * more
             if self.has_held:
                 r.held_gain = log_likelihood(r.held_residual, floor, held_n) - held_base
                 r.evidence += r.held_gain
@@ -148,41 +167,74 @@ class Selection:
         fit = np.mean(rival.fitted.residual**2, axis=0)
         return bool((np.maximum(self._unseen(rival), fit) <= _AT_FLOOR * floor).all())
 
-    def _worth_a_name(self, rival: Rival, best: Rival, nominal: Rival) -> bool:
+    def _worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:
+        """Whether mean squares (signals,) fall by enough; ``whole`` of the model as it came."""
         floor = self.problem.signal_floor**2
-        before = self._unseen(best)
-        gone = before - self._unseen(rival)
+        gone = before - after
         rest = np.maximum(before - floor, 0.2 * floor)
-        whole = np.maximum(self._unseen(nominal) - floor, 0.2 * floor)
-        return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * whole)).any())
+        all_of_it = np.maximum(whole - floor, 0.2 * floor)
+        return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * all_of_it)).any())
 
-    def _forward(self, best: Rival, answers: Sequence[Response], nominal: Rival) -> Rival | None:
-        problem, floor = self.problem, self.problem.signal_floor
-        effective = effective_samples(best.fitted.residual, problem.lengths(problem.fit))
-        price = 0.5 * np.log(max(float(effective.mean()), 2.0))
+    def _look(self, best: Rival) -> tuple[View, list[Response]]:
+        """What is left to first order around a fit, and what every candidate would do to it."""
+        problem = self.problem
         named = set(best.hypothesis.terms)
-        found = [
-            s
-            for s in screen(best.fitted.residual, best.fitted.jacobian, answers, floor, effective)
-            if s.term not in named and s.gain > price
-        ][:_SHORTLIST]
-        if not found:
+        terms = [t for t in candidates(problem) if t not in named]
+        residual = best.fitted.residual
+        answers = responses(problem, terms, problem.fit, best.hypothesis)
+        binned = bins(problem, problem.fit)
+        view = View(
+            binned.mean(residual), binned.mean(best.fitted.jacobian), problem.signal_floor,
+            binned.lengths,
+        )  # fmt: skip
+        return view, answers
+
+    def _forward(self, best: Rival) -> Rival | None:
+        view, answers = self._look(best)
+        whole = np.mean(self.nominal.fitted.residual**2, axis=0)
+        levels = search(
+            view, answers, width=_WIDTH, most=_AT_ONCE, earns=_EARNS,
+            worth=lambda before, after: self._worth_a_name(before, after, whole),
+        )  # fmt: skip
+        if not levels:
             return None
-        starts = [best.hypothesis.with_term(s.term, s.start) for s in found]
-        rivals = self._rivals(starts, self._weights(best), _QUICK)
-        self._judge(rivals, best)
+        chosen = [*levels[-1]]
+        for level in levels[:-1]:
+            chosen += level[:2]
+        for structure in chosen:
+            self.say(f"  linear {_text(structure.starts)} evidence {structure.evidence:.1f}")
+        starts = []
+        for structure in chosen:
+            h = best.hypothesis
+            for term, start in structure.starts.items():
+                h = h.with_term(term, start)
+            starts.append(h)
+        # What the step costs differs between the model as it came and what explains the rest.
+        self.problem.refine_at(starts[0])
+        left = np.mean(levels[-1][0].residual ** 2, axis=0)
+        rivals = self._heats(starts, 1.0 / np.sqrt(left + view.floor**2), best)
+        before, unseen = self._unseen(best), self._unseen(self.nominal)
+        for r in rivals:
+            self.say(f"  {r.hypothesis.terms} evidence {r.evidence:.1f} held {r.held_gain:.1f}")
+        for r in rivals:
+            if r.evidence < _EARNS or (self.has_held and r.held_gain <= 0.0):
+                continue
+            if self._worth_a_name(before, self._unseen(r), unseen):
+                self.say(f"+ {r.hypothesis.terms} evidence {r.evidence:.1f}")
+                return self._settled(r)
+        self.problem.refine_at(best.hypothesis)
+        return None
+
+    def _heats(self, starts: Sequence[Hypothesis], weights: FloatArray, best: Rival) -> list[Rival]:
+        """Rivals by evidence over ``best``: all after one iteration, those in front after more."""
+        rivals = self._rivals(starts, weights, 1)
+        self._judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
         rivals.sort(key=lambda r: -r.evidence)
-        for r in rivals[:5]:
-            t = r.hypothesis.terms[-1]
-            self.say(f"  {t.effect} {t.joint} evidence {r.evidence:.1f} held {r.held_gain:.1f}")
-        earning = [
-            r for r in rivals if r.evidence >= _EARNS and (r.held_gain > 0.0 or not self.has_held)
-        ]
-        if not earning:
-            return None
-        top = self._settled(earning[0])
-        self.say(f"+ {top.hypothesis.terms[-1]} evidence {earning[0].evidence:.1f}")
-        return top
+        front = [r for r in rivals if r.evidence > rivals[0].evidence - _IN_FRONT][:_FRONT]
+        again = self._rivals([r.hypothesis for r in front], weights, _QUICK)
+        rivals[: len(front)] = again
+        self._judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
+        return sorted(rivals, key=lambda r: -r.evidence)
 
     def _settled(self, rival: Rival) -> Rival:
         """The rival fitted to the end, with the simulator's step corrected where it now stands."""
@@ -192,9 +244,43 @@ class Selection:
             rival = self._rivals([rival.hypothesis], self._weights(rival), _LONG)[0]
         return rival
 
+    def _bare(self, best: Rival) -> list[View]:
+        """For every term: what stands, to first order, with it taken away and the rest free."""
+        problem = self.problem
+        binned = bins(problem, problem.fit)
+        terms = best.hypothesis.terms
+        residuals = problem.residuals([best.hypothesis.without(t) for t in terms], problem.fit)
+        slope = binned.mean(best.fitted.jacobian)
+        out = []
+        for term, residual in zip(terms, residuals, strict=True):
+            keep = np.ones(slope.shape[2], dtype=bool)
+            keep[best.hypothesis.slice_of(term)] = False
+            out.append(
+                View(binned.mean(np.nan_to_num(residual)), slope[:, :, keep],
+                     problem.signal_floor, binned.lengths)
+            )  # fmt: skip
+        return out
+
+    def _linear_evidence(self, best: Rival, view: View, structure: Structure, more: int) -> float:
+        """Evidence of what a structure leaves over a fit, ``more`` parameters than it has."""
+        binned = bins(self.problem, self.problem.fit).mean(best.fitted.residual)
+        effective = effective_samples(binned, view.lengths)
+        base = log_likelihood(binned, view.floor, effective)
+        left = log_likelihood(structure.residual, view.floor, effective)
+        return left - base - price(effective) * more
+
     def _backward(self, best: Rival) -> Rival:
+        """Drop terms that do not pay; what clearly pays to first order is not simulated."""
         while len(best.hypothesis.terms) > 1:
-            starts = [best.hypothesis.without(t) for t in best.hypothesis.terms]
+            terms = best.hypothesis.terms
+            doubtful = []
+            for term, view in zip(terms, self._bare(best), strict=True):
+                fewer = -len(term.parameters)
+                if self._linear_evidence(best, view, refitted(view), fewer) > -_CLEAR:
+                    doubtful.append(term)
+            if not doubtful:
+                break
+            starts = [best.hypothesis.without(t) for t in doubtful]
             rivals = self._rivals(starts, self._weights(best), _QUICK)
             self._judge(rivals, best)
             top = max(rivals, key=lambda r: r.evidence)
@@ -206,36 +292,42 @@ class Selection:
         return best
 
     def _sideways(self, selected: Selected) -> bool:
-        """Hold every term against the rivals in its place; True if one was better."""
-        best, problem = selected.best, self.problem
-        floor = problem.signal_floor
+        """Hold every term against the rivals in its place; True if one was better.
+
+        Rivals that are far behind to first order keep that evidence; the others are fitted.
+        """
+        best = selected.best
         selected.confidence.clear()
         selected.alternatives.clear()
-        if not best.hypothesis.terms:
+        terms = best.hypothesis.terms
+        if not terms:
             return False
+        _, answers = self._look(best)
+        evidence: dict[tuple[Term, Term | None], float] = {}
+        close: list[tuple[Term, Term]] = []
         starts: list[Hypothesis] = []
-        replaced: list[tuple[Term, Term]] = []
-        named = set(best.hypothesis.terms)
-        without = [best.hypothesis.without(t) for t in best.hypothesis.terms]
-        bare = self._rivals(without, self._weights(best), _QUICK)
-        for term, rest in zip(best.hypothesis.terms, bare, strict=True):
-            effective = effective_samples(rest.fitted.residual, problem.lengths(problem.fit))
-            ranked = screen(rest.fitted.residual, rest.fitted.jacobian, selected.answers, floor,
-                            effective)  # fmt: skip
-            for s in [s for s in ranked if s.term not in named][:4]:
-                starts.append(rest.hypothesis.with_term(s.term, s.start))
-                replaced.append((term, s.term))
-        rivals = self._rivals(starts, self._weights(best), _QUICK + 1)
+        for term, view in zip(terms, self._bare(best), strict=True):
+            count = len(term.parameters)
+            evidence[term, None] = self._linear_evidence(best, view, refitted(view), -count)
+            for rival in screen(view, answers)[:_RIVALS]:
+                more = len(rival.start) - count
+                found = self._linear_evidence(best, view, joined(view, rival), more)
+                evidence[term, rival.term] = found
+                if found > -_CLEAR:
+                    close.append((term, rival.term))
+                    starts.append(best.hypothesis.without(term).with_term(rival.term, rival.start))
+        rivals = self._rivals(starts, self._weights(best), _QUICK + 1) if starts else []
         self._judge(rivals, best)
-        self._judge(bare, best)
-        for term, rest in zip(best.hypothesis.terms, bare, strict=True):
-            mine = [(new, r) for (old, new), r in zip(replaced, rivals, strict=True) if old == term]
-            evidence = np.array([0.0, rest.evidence, *(r.evidence for _, r in mine)])
-            share = np.exp(np.clip(evidence - evidence.max(), -700.0, 0.0))
+        for (term, new), r in zip(close, rivals, strict=True):
+            evidence[term, new] = r.evidence
+        for term in terms:
+            mine = {new: e for (old, new), e in evidence.items() if old == term}
+            values = np.array([0.0, *mine.values()])
+            share = np.exp(np.clip(values - values.max(), -700.0, 0.0))
             share /= share.sum()
             selected.confidence[term] = float(share[0])
-            others = sorted(zip((n for n, _ in mine), share[2:], strict=True), key=lambda x: -x[1])
-            selected.alternatives[term] = [(n, float(s)) for n, s in others]
+            others = [(n, float(s)) for n, s in zip(mine, share[1:], strict=True) if n is not None]
+            selected.alternatives[term] = sorted(others, key=lambda x: -x[1])
         if rivals:
             top = max(rivals, key=lambda r: r.evidence)
             if top.evidence > 1.0:
@@ -243,3 +335,7 @@ class Selection:
                 selected.best = self._backward(self._settled(top))
                 return True
         return False
+
+
+def _text(starts: Mapping[Term, FloatArray]) -> str:
+    return " + ".join(f"{t.effect}@{t.joint}{np.round(s, 3)}" for t, s in starts.items())

@@ -38,6 +38,12 @@ class FreeStart:
         left: FloatArray = (flat - self.response @ (self.solve @ flat)).reshape(residual.shape)
         return left
 
+    def freed_columns(self, residuals: FloatArray) -> FloatArray:
+        """The same of (samples, joints, k) residuals."""
+        flat = residuals.reshape(-1, residuals.shape[2])
+        left: FloatArray = flat - self.response @ (self.solve @ flat)
+        return left.reshape(residuals.shape)
+
 
 def free_starts(
     segments: Sequence[Segment],

@@ -17,6 +17,7 @@ class ActuatorLag(Effect):
     law = "time_constant d(delivered)/dt = drive - delivered"
     source = "current loop as a first-order lag; Siciliano et al., Robotics (2009), sec. 8.3"
     parameters = (Parameter("time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.05)),)
+    remembers = True
     confused_with: ClassVar = {
         "command_delay": "steps: a lag rises at once, a delay leaves a dead time",
         "armature": "two payloads: a lag does not depend on what is carried",
@@ -48,6 +49,7 @@ class RateLimit(Effect):
         ),
     )
     modes = ("position", "velocity")
+    remembers = True
     confused_with: ClassVar = {
         "torque_saturation": "a load added: a rate limit does not depend on it",
         "command_delay": "steps of two sizes: a delay does not grow with the step",

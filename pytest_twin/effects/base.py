@@ -168,6 +168,7 @@ class Effect:
         scope: ``joint``, or ``robot`` where it is the whole robot's.
         confused_with: effect id -> the experiment that tells the two apart.
         modes: command modes under which it can act.
+        remembers: whether a hook keeps a state between steps.
     """
 
     id: ClassVar[str]
@@ -178,6 +179,7 @@ class Effect:
     scope: ClassVar[Scope] = "joint"
     confused_with: ClassVar[Mapping[str, str]] = {}
     modes: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
+    remembers: ClassVar[bool] = False
 
     def command_delay(self, values: Values) -> FloatArray | None:
         """Latency of the command, (rows, joints) s."""

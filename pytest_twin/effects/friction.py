@@ -128,6 +128,7 @@ class PreslidingHysteresis(Effect):
         Parameter("coulomb", "effort", 0.0, 0.0, 5.0, (0.2,), "effort"),
         Parameter("presliding_distance", "position", None, 0.0005, 0.5, (0.01, 0.05), "one"),
     )
+    remembers = True
     confused_with: ClassVar = {
         "coulomb_friction": "symmetric reversals smaller than the break-away",
         "joint_spring": "both directions: a spring has no loop",

@@ -29,7 +29,7 @@ EffectValues = Mapping[str, Values]
 
 _MAX_ROWS = 384
 _UNBOUNDED = 1e9
-_BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "transmit")
+BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "transmit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +196,7 @@ class RowSimulator:
 
     def simulate(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
         """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i."""
-        values = _with_fixed(values, self.fixed, len(rows))
+        values = with_fixed(values, self.fixed, len(rows))
         found: list[Predicted | None] = [None] * len(rows)
         stepwise = _between_steps(values, len(rows))
         order = np.lexsort((self.steps[rows], stepwise))
@@ -222,25 +222,48 @@ class RowSimulator:
 
     def _batch(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
         effects = [(catalogue()[e], v) for e, v in values.items() if _acts(catalogue()[e], v)]
+        return self._sample(rows, effects, *self._moved(rows, effects))
+
+    def trajectories(
+        self, rows: NDArray[np.int64], values: EffectValues
+    ) -> tuple[FloatArray, FloatArray]:
+        """True positions and velocities at every step, (rows, steps + 1, joints), one batch.
+
+        A row that is shorter than the longest goes on under its last command.
+        """
+        values = with_fixed(values, self.fixed, len(rows))
+        effects = [(catalogue()[e], v) for e, v in values.items() if _acts(catalogue()[e], v)]
+        q, v, _ = self._moved(rows, effects)
+        return q, v
+
+    def _moved(
+        self, rows: NDArray[np.int64], effects: list[tuple[Effect, Values]]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         steps = int(self.steps[rows].max())
-        base = self._bounded(int(rows[0]))
+        batch, world = self.batch(rows, effects)
+        commands = self.commands(rows, effects, steps)
+        self.stepped += len(rows) * steps
+        with quiet():
+            return self._step(batch, rows, world, effects, commands, steps)
+
+    def batch(
+        self, rows: NDArray[np.int64], effects: list[tuple[Effect, Values]]
+    ) -> tuple[Batch, World]:
+        """Rows with their model fields written, and the state and drives that they start from."""
         models = [self._bounded(int(r)) for r in rows]
-        batch = Batch(base, len(rows), nthread=self.threads)
-        world = self._world(rows, models)
+        batch = Batch(models[0], len(rows), nthread=self.threads)
+        world = self.world(rows)
         for effect, parameters in reversed(effects):
             world.position, world.velocity = effect.unsense(
                 world.position, world.velocity, parameters
             )
         self._write_fields(batch, rows, models, effects, world)
-        commands = self._row_commands(rows, effects, steps)
-        self.stepped += len(rows) * steps
-        with quiet():
-            q, v, effort = self._step(batch, rows, world, effects, commands, steps)
-        return self._sample(rows, effects, q, v, effort)
+        return batch, world
 
-    def _row_commands(
-        self, rows: NDArray[np.int64], effects: list[tuple[Effect, Values]], steps: int
+    def commands(
+        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], steps: int
     ) -> FloatArray:
+        """Mean over each step of the held command after every delay, (rows, steps, joints)."""
         delay = np.zeros((len(rows), len(self.joints)))
         for effect, v in effects:
             added = effect.command_delay(v)
@@ -252,7 +275,9 @@ class RowSimulator:
             commands[i] = self._mean_commands(int(r), delay[i] if late[i] else None, steps)
         return np.nan_to_num(commands)
 
-    def _world(self, rows: NDArray[np.int64], models: list[mujoco.MjModel]) -> World:
+    def world(self, rows: NDArray[np.int64]) -> World:
+        """The rows' segments at their start, the drives as the model has them."""
+        models = [self._bounded(int(r)) for r in rows]
         count = (len(rows), len(self.joints))
         driven = self.actuator >= 0
         act, gear = self.actuator[driven], self.gear[driven]
@@ -455,7 +480,7 @@ class RowSimulator:
         v = np.empty((count, steps + 1, joints))
         effort = np.zeros((count, steps + 1, joints))
         q[:, 0], v[:, 0] = world.position, world.velocity
-        hooks = {h: [(e, p) for e, p in effects if _hooks(e, h)] for h in _BETWEEN_STEPS}
+        hooks = {h: [(e, p) for e, p in effects if _hooks(e, h)] for h in BETWEEN_STEPS}
         if not any(hooks.values()) and not bare.any():
             inputs = np.zeros((count, steps, batch.bind("ctrl").shape[1]))
             inputs[:] = ctrl[:, None]
@@ -588,7 +613,7 @@ class RowSimulator:
         ]
 
 
-def _with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
+def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
     """Rows' effects on top of fixed ones: switches add, a shape that is fixed stays."""
     if not fixed:
         return values
@@ -618,7 +643,7 @@ def _between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
     found = np.zeros(count, dtype=bool)
     for name, v in values.items():
         effect = catalogue()[name]
-        if any(_hooks(effect, hook) for hook in _BETWEEN_STEPS):
+        if any(_hooks(effect, hook) for hook in BETWEEN_STEPS):
             for p in effect.parameters:
                 if p.neutral is not None:
                     found |= (v[p.name] != p.neutral).any(axis=1)

@@ -58,6 +58,8 @@ class _Compliance(Effect):
     link feels what the gear then transmits.
     """
 
+    remembers = True
+
     def _gear(
         self, world: World, values: Values
     ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:

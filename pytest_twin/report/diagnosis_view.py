@@ -129,7 +129,7 @@ def view_of(
         },
         native=tuple(f"{_at(e)}: {e.written}" for e in patched.effects if e.written),
         beside=tuple(_at(e) for e in patched.beside),
-        tried=len({a.term for a in found.selected.answers}),
+        tried=found.selected.tried,
         laws={id: (law.law, law.source) for id, law in catalogue().items()},
         at_floor=AT_FLOOR,
         share_left=LEFT,

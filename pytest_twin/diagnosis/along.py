@@ -1,0 +1,108 @@
+"""Motion along which laws are evaluated: what a hypothesis predicts, moved to what was measured.
+
+A law that the model lacks acts on the real motion, not on the predicted one. Where the two lie
+close, what it adds can be read off along the measured motion, without a simulation of its own
+(equation error). Measured velocities and accelerations come from the simulation plus derivatives of
+the smoothed residual, so that reversals stay sharp and noise stays small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
+from pytest_twin.diagnosis.locate import derivatives
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects.base import FloatArray
+
+_GRID = 0.005
+"""s between samples of the motion, at most."""
+_SMOOTH = 0.1
+_AT_REST = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Along:
+    """Segments on an even grid; shorter ones are padded with their last state.
+
+    Attributes:
+        segments: (segments,) of the problem.
+        steps: of the model between two samples.
+        interval: s between two samples.
+        count: (segments,) samples inside each.
+        time: (segments, samples) s on each trial's clock.
+        position, velocity, acceleration: (segments, samples, joints) of the measured motion.
+        predicted_position, predicted_velocity: the same of the hypothesis.
+        at_rest: (segments, samples, joints) where neither moves.
+        rest_velocity: (joints,) rad/s or m/s, below which a joint counts as standing.
+    """
+
+    segments: NDArray[np.int64]
+    steps: int
+    interval: float
+    count: NDArray[np.int64]
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    predicted_position: FloatArray
+    predicted_velocity: FloatArray
+    at_rest: NDArray[np.bool_]
+    rest_velocity: FloatArray
+
+    @property
+    def midway(self) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities between measured and predicted."""
+        return (
+            0.5 * (self.position + self.predicted_position),
+            0.5 * (self.velocity + self.predicted_velocity),
+        )
+
+    @property
+    def predicted(self) -> Along:
+        """The predicted motion in the measured one's place; accelerations stay."""
+        return replace(self, position=self.predicted_position, velocity=self.predicted_velocity)
+
+
+def along(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    segments: NDArray[np.int64],
+) -> Along:
+    """The motion of ``segments`` under a hypothesis, moved by what its prediction is off.
+
+    Args:
+        problem: what to explain.
+        hypothesis: the best so far.
+        segments: indices of the problem's segments.
+    """
+    simulator = problem.simulator
+    joints = len(problem.joints)
+    values = effect_values([hypothesis] * len(segments), joints, problem.scales)
+    q, v = simulator.trajectories(segments, values)
+    steps = max(1, int(_GRID / simulator.timestep + 1e-9))
+    q, v = q[:, ::steps], v[:, ::steps]
+    samples = q.shape[1]
+    interval = steps * simulator.timestep
+    starts = np.array([simulator.segments[s].start for s in segments])
+    time = starts[:, None] + interval * np.arange(samples)
+    count = np.minimum(simulator.steps[segments] // steps + 1, samples)
+    shift = np.zeros((3, *q.shape))
+    predictions = problem.predict([hypothesis], segments)[0]
+    for i, (s, predicted) in enumerate(zip(segments, predictions, strict=True)):
+        stamps = simulator.segments[s].time
+        off = np.nan_to_num(simulator.segments[s].position - predicted.position)
+        for order, d in enumerate(derivatives(stamps, off, _SMOOTH)):
+            for j in range(joints):
+                shift[order, i, :, j] = np.interp(time[i], stamps, d[:, j])
+    a = np.gradient(v, interval, axis=1) if samples > 1 else np.zeros_like(v)
+    typical = problem.scales.of["velocity"]
+    rest = _AT_REST * typical
+    standing = (np.abs(v) < rest) & (np.abs(v + shift[1]) < rest)
+    return Along(
+        segments, steps, interval, count, time,
+        q + shift[0], v + shift[1], a + shift[2], q, v, standing, rest,
+    )  # fmt: skip

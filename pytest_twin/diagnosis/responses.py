@@ -1,0 +1,427 @@
+"""What every candidate would change, to first order, without simulating any of them.
+
+Along the measured motion each law gives the force that it adds; the equation of small deviations
+turns forces into positions. Sensors and clocks change the reading itself. In contact, where small
+deviations do not stay small, candidates are simulated instead.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.along import Along, along
+from pytest_twin.diagnosis.deviation import Deviation, deviation
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
+from pytest_twin.diagnosis.laws import ActiveEffects, Forces, Laws
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.rigid_terms import Rigid, rigid_terms, upsampled
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
+from pytest_twin.effects.rows import EffectValues, with_fixed
+
+_BIN, _COARSEST = 0.02, 0.05
+"""s that residuals are averaged over."""
+_MOST_BINNED = 12_000
+_AT_ONCE = 192
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """What a candidate changes at one choice of its shape parameters.
+
+    Attributes:
+        term: the candidate.
+        start: its parameters where the change was taken, each switch on.
+        switches: indices of the parameters that switch the effect on.
+        change: (bins, signals, switches) prediction with one switch on minus without.
+    """
+
+    term: Term
+    start: FloatArray
+    switches: tuple[int, ...]
+    change: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Bins:
+    """Samples of segments averaged over short stretches.
+
+    Attributes:
+        edges: first sample of every bin, over all segments stacked.
+        counts: samples in each.
+        lengths: bins of each segment.
+    """
+
+    edges: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    lengths: tuple[int, ...]
+
+    def mean(self, stacked: FloatArray) -> FloatArray:
+        """(bins, ...) means of (samples, ...)."""
+        total = np.add.reduceat(stacked, self.edges, axis=0)
+        out: FloatArray = total / self.counts.reshape(-1, *([1] * (stacked.ndim - 1)))
+        return out
+
+
+def bins(problem: Problem, segments: NDArray[np.int64]) -> Bins:
+    """Bins of ``_BIN`` s, longer where there are many signals; at least a sample each."""
+    edges, counts, lengths, at = [], [], [], 0
+    times = [problem.simulator.segments[s].time for s in segments]
+    seconds = sum(float(t[-1] - t[0]) for t in times) * len(problem.signal_floor)
+    width = float(np.clip(seconds / _MOST_BINNED, _BIN, _COARSEST))
+    for time in times:
+        stride = max(1, round(width / float(np.median(np.diff(time)))))
+        first = np.arange(0, len(time), stride)
+        edges.append(at + first)
+        counts.append(np.diff(np.append(first, len(time))))
+        lengths.append(len(first))
+        at += len(time)
+    return Bins(np.concatenate(edges), np.concatenate(counts), tuple(lengths))
+
+
+def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
+    """Starting sizes of a term, and which of its parameters switch it on."""
+    switches = tuple(i for i, p in enumerate(term.parameters) if p.neutral is not None)
+    sizes = [
+        p.starts if p.neutral is None or len(switches) == 1 else p.starts[:1]
+        for p in term.parameters
+    ]
+    return [(np.array(s), switches) for s in itertools.product(*sizes)]
+
+
+def simulated(
+    problem: Problem, terms: Sequence[Term], segments: NDArray[np.int64]
+) -> list[Response]:
+    """Responses by simulation of every candidate at its starting sizes, all in one batch."""
+    rows: list[Hypothesis] = [EMPTY]
+    plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
+    for term in terms:
+        for full, switches in grid(term):
+            plan.append((term, full, switches))
+            for s in switches:
+                rows.append(Hypothesis((term,), _alone(full, switches, s)))
+    binned = bins(problem, segments)
+    found = [binned.mean(r) for r in problem.residuals(rows, segments)]
+    at, out = 1, []
+    for term, start, switches in plan:
+        change = np.stack([found[0] - found[at + k] for k in range(len(switches))], axis=-1)
+        at += len(switches)
+        if np.isfinite(change).all():
+            out.append(Response(term, start, switches, change.astype(np.float32)))
+    return out
+
+
+def _alone(full: FloatArray, switches: tuple[int, ...], switch: int) -> FloatArray:
+    alone = full.copy()
+    alone[[k for k in switches if k != switch]] = 0.0
+    return alone
+
+
+@dataclass(slots=True)
+class _Column:
+    """One switch of one candidate: what it adds, to be turned into readings.
+
+    Attributes:
+        force, drive: (segments, samples, joints), or None.
+        initial: (segments, 2 joints) of the state behind the first reading, or None.
+        direct: per segment (samples, signals) of readings, or None.
+    """
+
+    force: FloatArray | None = None
+    drive: FloatArray | None = None
+    initial: FloatArray | None = None
+    direct: list[FloatArray] | None = None
+
+
+def responses(
+    problem: Problem,
+    terms: Sequence[Term],
+    segments: NDArray[np.int64],
+    hypothesis: Hypothesis = EMPTY,
+) -> list[Response]:
+    """First-order responses of every candidate at a hypothesis.
+
+    Args:
+        problem: what to explain.
+        terms: candidates, none of them in the hypothesis.
+        segments: on which.
+        hypothesis: the best so far.
+    """
+    if problem.simulator.contact.world.size:
+        return simulated(problem, terms, segments)
+    return _Linear(problem, hypothesis, segments).responses(terms)
+
+
+class _Linear:
+    """First-order responses at one hypothesis."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        hypothesis: Hypothesis,
+        segments: NDArray[np.int64],
+    ) -> None:
+        self.problem = problem
+        self.simulator = problem.simulator
+        self.segments = segments
+        self.hypothesis = hypothesis
+        joints = len(problem.joints)
+        self.own = with_fixed(
+            effect_values([hypothesis], joints, problem.scales), self.simulator.fixed, 1
+        )
+        self.along: Along = along(problem, hypothesis, segments)
+        active = self._active(self.own)
+        self.rigid: Rigid = rigid_terms(self.simulator, self.along, active)[0]
+        self.laws = Laws(self.simulator, self.along, self.rigid)
+        self.base: Forces = self.laws.forces(active, 1)
+        predicted = Laws(self.simulator, self.along.predicted, self.rigid).forces(active, 1)
+        self.deviation: Deviation = deviation(
+            self.simulator, self.along, active, self.base, predicted
+        )
+        self.bins = bins(problem, segments)
+
+    def _active(self, values: EffectValues) -> list[tuple[Effect, Values]]:
+        return [(catalogue()[e], v) for e, v in values.items()]
+
+    # -- candidates
+
+    def responses(self, terms: Sequence[Term]) -> list[Response]:
+        """All candidates', those of one effect together."""
+        out: list[Response] = []
+        plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
+        columns: list[_Column] = []
+        for effect, group in itertools.groupby(
+            sorted(terms, key=lambda t: t.effect), key=lambda t: t.effect
+        ):
+            mine = list(group)
+            for term, start, switches, found in self._columns(catalogue()[effect], mine):
+                plan.append((term, start, switches))
+                columns += found
+        changes = [
+            change
+            for first in range(0, len(columns), _AT_ONCE)
+            for change in self._readings(columns[first : first + _AT_ONCE])
+        ]
+        at = 0
+        for term, start, switches in plan:
+            change = np.stack(changes[at : at + len(switches)], axis=-1)
+            at += len(switches)
+            if np.isfinite(change).all() and change.any():
+                out.append(Response(term, start, switches, change))
+        return out
+
+    def _columns(
+        self, effect: Effect, terms: Sequence[Term]
+    ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[_Column]]]:
+        """Columns of one effect at all its joints: every joint has it at once."""
+        sizes = grid(terms[0])
+        switches = sizes[0][1]
+        rows = [_alone(full, switches, s) for full, _ in sizes for s in switches]
+        values = self._values(effect, rows, terms)
+        everything = {**self._wide(len(rows)), effect.id: values}
+        active = self._active(everything)
+        joints = len(self.problem.joints)
+        forces = None
+        if _any(effect, ("gains", "command", "servo", "drive", "friction", "force", "transmit",
+                         "command_delay", "fields", "separates")):  # fmt: skip
+            forces = self.laws.forces(active, len(rows))
+        heavy = _is_rigid(effect, values, joints)
+        masses: dict[int, list[FloatArray]] = {}
+        if heavy:
+            masses = self._rigid_forces(effect, rows, terms)
+        out = []
+        for term in terms:
+            j = term.joint
+            for k, (full, _) in enumerate(sizes):
+                columns = []
+                for n in range(len(switches)):
+                    row = k * len(switches) + n
+                    column = self._sensed(effect, values, row, j)
+                    if forces is not None:
+                        column.force = _only(forces.total[row] - self.base.total[0], j)
+                        column.drive = _only(forces.drive[row] - self.base.drive[0], j)
+                    if heavy:
+                        extra = masses[j][row]
+                        column.force = extra if column.force is None else column.force + extra
+                    columns.append(column)
+                out.append((term, full, switches, columns))
+        return out
+
+    def _values(
+        self, effect: Effect, rows: Sequence[FloatArray], terms: Sequence[Term]
+    ) -> dict[str, FloatArray]:
+        """(rows, joints) values: each row's sizes at all candidate joints, its own elsewhere."""
+        joints, scales = len(self.problem.joints), self.problem.scales
+        out = {}
+        for i, p in enumerate(effect.parameters):
+            array = np.empty((len(rows), joints))
+            own = self.own.get(effect.id)
+            array[:] = (p.neutral or 0.0) if own is None else own[p.name]
+            for term in terms:
+                column = slice(None) if term.joint < 0 else term.joint
+                array[:, column] = (
+                    np.reshape([r[i] * scales.value(p, term.joint) for r in rows], (-1, 1))
+                    if term.joint < 0
+                    else [r[i] * scales.value(p, term.joint) for r in rows]
+                )
+            out[p.name] = array
+        return out
+
+    def _wide(self, rows: int) -> dict[str, Values]:
+        return {
+            e: {n: np.repeat(x, rows, axis=0) for n, x in v.items()} for e, v in self.own.items()
+        }
+
+    def _rigid_forces(
+        self, effect: Effect, rows: Sequence[FloatArray], terms: Sequence[Term]
+    ) -> dict[int, list[FloatArray]]:
+        """Joint -> row -> (segments, samples, joints): what other masses leave unbalanced."""
+        samples = self.along.position.shape[1]
+        each = [self._values(effect, rows, [term]) for term in terms]
+        values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
+        copies = len(rows) * len(terms)
+        active = self._active({**self._wide(copies), effect.id: values})
+        found = rigid_terms(self.simulator, self.along, active, copies)
+        forces = [-upsampled(f.effort - self.rigid.effort, self.rigid.at, samples) for f in found]
+        return {
+            term.joint: forces[i * len(rows) : (i + 1) * len(rows)] for i, term in enumerate(terms)
+        }
+
+    def _sensed(self, effect: Effect, values: Values, row: int, joint: int) -> _Column:
+        """What sensors and clocks change by themselves."""
+        kinds = ("sense", "sense_effort", "sample_time", "unsense")
+        if not _any(effect, kinds):
+            return _Column()
+        mine = {n: x[row : row + 1] for n, x in values.items()}
+        direct = []
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            n = len(self.problem.joints)
+            stamps = np.repeat(segment.time[None, :, None], n, axis=2)
+            position = segment.position[None]
+            velocity = self._at(self.along.velocity[i], i, stamps[0])[None]
+            moved, _ = effect.sense(stamps, position, velocity, mine)
+            change = moved - position
+            late = effect.sample_time(stamps, mine)
+            if late is not stamps:
+                grid_q = self.along.position[i]
+                change = (
+                    change + (self._at(grid_q, i, late[0]) - self._at(grid_q, i, stamps[0]))[None]
+                )
+            change = _only(change[0], joint)
+            if self.problem.effort_floor is not None and segment.effort is not None:
+                measured = segment.effort[None]
+                effort = effect.sense_effort(measured, mine) - measured
+                change = np.concatenate([change, _only(effort[0], joint)], axis=1)
+            direct.append(change)
+        q0 = np.array([self.simulator.segments[s].initial_position for s in self.segments])
+        v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
+        repeated = {n: np.repeat(x, len(q0), axis=0) for n, x in mine.items()}
+        q, v = effect.unsense(q0, v0, repeated)
+        initial = np.concatenate([_only(q - q0, joint), _only(v - v0, joint)], axis=1)
+        return _Column(initial=initial if initial.any() else None, direct=direct)
+
+    def _at(self, values: FloatArray, i: int, stamps: FloatArray) -> FloatArray:
+        """(stamps, joints) of (samples, joints) values of segment ``i``, linear."""
+        time = self.along.time[i]
+        return np.stack(
+            [np.interp(stamps[:, j], time, values[:, j]) for j in range(values.shape[1])], axis=1
+        )
+
+    # -- readings
+
+    def _readings(self, columns: Sequence[_Column]) -> list[FloatArray]:
+        """(bins, signals) of every column."""
+        segments, samples, joints = self.along.position.shape
+        force = np.zeros((segments, samples, joints, len(columns)))
+        drive = np.zeros_like(force) if self.problem.effort_floor is not None else None
+        initial = np.zeros((segments, 2 * joints, len(columns)))
+        moving = False
+        for k, c in enumerate(columns):
+            if c.force is not None:
+                force[..., k] = c.force
+                moving = True
+            if drive is not None and c.drive is not None:
+                drive[..., k] = c.drive
+            if c.initial is not None:
+                initial[..., k] = c.initial
+                moving = True
+        state = self.deviation.of(force, initial) if moving else None
+        parts = []
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            at = (segment.time - self.along.time[i, 0]) / self.along.interval
+            left = np.clip(at.astype(np.int64), 0, samples - 2)
+            part = (at - left)[:, None, None]
+
+            def read(x: FloatArray, left: NDArray[np.int64] = left, part: FloatArray = part
+                     ) -> FloatArray:  # fmt: skip
+                return np.asarray(x[left] * (1.0 - part) + x[left + 1] * part)
+
+            if state is None:
+                position = np.zeros((len(segment.time), joints, len(columns)))
+            else:
+                position = read(state[i, :, :joints])
+            signals = [position]
+            if drive is not None:
+                effort = drive[i]
+                if state is not None:
+                    effort = (
+                        effort
+                        - self.deviation.stiffness[i][..., None] * state[i, :, :joints]
+                        - self.deviation.damping[i][..., None] * state[i, :, joints:]
+                    )
+                signals.append(read(effort))
+            stacked = np.concatenate(signals, axis=1)
+            for k, c in enumerate(columns):
+                if c.direct is not None:
+                    stacked[:, :, k] += c.direct[i]
+            start = self.problem.starts.get(int(s))
+            if start is not None:
+                stacked[:, :joints] = start.freed_columns(stacked[:, :joints])
+            parts.append(stacked)
+        binned = self.bins.mean(np.concatenate(parts)).astype(np.float32)
+        return [np.asarray(binned[:, :, k]) for k in range(len(columns))]
+
+
+def _only(values: FloatArray, joint: int) -> FloatArray:
+    """(..., joints) values of one joint alone; of all where it is the whole robot's."""
+    if joint < 0:
+        return values
+    out = np.zeros_like(values)
+    out[..., joint] = values[..., joint]
+    return out
+
+
+def _any(effect: Effect, hooks: Sequence[str]) -> bool:
+    return any(getattr(type(effect), h) is not getattr(Effect, h) for h in hooks)
+
+
+def _fields(active: ActiveEffects, rows: int, joints: int) -> ModelFields:
+    none = (rows, joints)
+    out = ModelFields(
+        damping=np.zeros(none), armature=np.zeros(none), friction=np.zeros(none),
+        constant_force=np.zeros(none), stiffness=np.zeros(none),
+        gravity=np.tile([0.0, 0.0, -9.81], (rows, 1)), added_mass=np.zeros(none),
+        added_distance=np.zeros(none), inertia_scale=np.ones(none),
+    )  # fmt: skip
+    for effect, values in active:
+        effect.fields(out, values)
+    return out
+
+
+def _is_rigid(effect: Effect, values: Values, joints: int) -> bool:
+    """Whether an effect changes masses or gravity."""
+    rows = len(next(iter(values.values())))
+    changed = _fields([(effect, values)], rows, joints)
+    same = _fields([], rows, joints)
+    return bool(
+        changed.added_mass.any()
+        or (changed.inertia_scale != 1.0).any()
+        or (changed.gravity != same.gravity).any()
+    )

@@ -1,0 +1,149 @@
+"""Rigid-body terms along a motion: mass matrix and the effort that the motion asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.along import Along
+from pytest_twin.effects.base import Effect, FloatArray, Values
+from pytest_twin.effects.rows import RowSimulator
+
+_EVERY = 0.02
+"""s between samples: rigid-body terms vary no faster than the motion."""
+_NUDGE = 1e-4
+_MAX_ROWS = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Rigid:
+    """Rigid-body terms on a coarser grid of a motion.
+
+    Attributes:
+        at: samples of the motion at which they stand.
+        mass: (segments, len(at), joints, joints) kg*m^2 and the like, with armature.
+        effort: (segments, len(at), joints) N*m or N that the motion asks for.
+        bias: its part without acceleration: gravity, Coriolis, centrifugal.
+    """
+
+    at: NDArray[np.int64]
+    mass: FloatArray
+    effort: FloatArray
+    bias: FloatArray
+
+
+def coarse(along: Along) -> NDArray[np.int64]:
+    """Samples at which rigid-body terms are taken."""
+    every = max(1, round(_EVERY / along.interval))
+    samples = along.position.shape[1]
+    return np.unique(np.append(np.arange(0, samples, every), samples - 1))
+
+
+def rigid_terms(
+    simulator: RowSimulator,
+    along: Along,
+    effects: Sequence[tuple[Effect, Values]] = (),
+    copies: int = 1,
+    nudges: FloatArray | None = None,
+) -> list[Rigid]:
+    """Terms of ``copies`` variants of the model.
+
+    Args:
+        simulator: of the segments.
+        along: the motion.
+        effects: what changes the variants, values (copies, joints).
+        copies: how many variants.
+        nudges: (copies, 2, joints) added to positions and velocities; where given, terms are taken
+            midway between the measured motion and the predicted one.
+    """
+    at = coarse(along)
+    segments, points = len(along.segments), len(at)
+    joints = along.position.shape[2]
+    motion = (along.position, along.velocity) if nudges is None else along.midway
+    q, v, a = (x[:, at].reshape(-1, joints) for x in (*motion, along.acceleration))
+    rows = np.repeat(along.segments, points)
+    per = max(1, _MAX_ROWS // len(rows))
+    found: list[Rigid] = []
+    for first in range(0, copies, per):
+        part = np.arange(first, min(first + per, copies))
+        owner = np.repeat(part, len(rows))
+        values: list[tuple[Effect, Values]] = [
+            (e, {n: x[owner] for n, x in p.items()}) for e, p in effects
+        ]
+        batch, _ = simulator.batch(np.tile(rows, len(part)), values)
+        many_q, many_v = np.tile(q, (len(part), 1)), np.tile(v, (len(part), 1))
+        if nudges is not None:
+            many_q, many_v = many_q + nudges[owner, 0], many_v + nudges[owner, 1]
+        batch.bind("qpos")[:, simulator.qpos_index] = many_q
+        batch.bind("qvel")[:, simulator.dof_index] = many_v
+        mass_out, bias = batch.bind("M"), batch.bind("qfrc_bias")
+        batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        mass = _full_mass(simulator, mass_out)
+        still = bias[:, simulator.dof_index]
+        effort = still + np.einsum("rij,rj->ri", mass, np.tile(a, (len(part), 1)))
+        for i in range(len(part)):
+            mine = slice(i * len(rows), (i + 1) * len(rows))
+            found.append(
+                Rigid(
+                    at,
+                    mass[mine].reshape(segments, points, joints, joints),
+                    effort[mine].reshape(segments, points, joints),
+                    still[mine].reshape(segments, points, joints),
+                )
+            )
+    return found
+
+
+def slopes(
+    simulator: RowSimulator, along: Along, effects: Sequence[tuple[Effect, Values]]
+) -> tuple[Rigid, FloatArray, FloatArray]:
+    """Terms midway between measured and predicted motion, and their effort's derivatives.
+
+    Args:
+        effects: what the hypothesis changes, values (1, joints).
+
+    Returns:
+        The terms, and (segments, len(at), joints, joints) derivatives by position and velocity.
+    """
+    n = along.position.shape[2]
+    nudges = np.zeros((2 * n + 1, 2, n))
+    nudges[1 : n + 1, 0] = nudges[n + 1 :, 1] = _NUDGE * np.eye(n)
+    wide = [(e, {k: np.repeat(x, 2 * n + 1, axis=0) for k, x in v.items()}) for e, v in effects]
+    middle, *moved = rigid_terms(simulator, along, wide, 2 * n + 1, nudges)
+    by_position, by_velocity = (
+        np.stack([(m.effort - middle.effort) / _NUDGE for m in part], axis=-1)
+        for part in (moved[:n], moved[n:])
+    )
+    return middle, by_position, by_velocity
+
+
+def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatArray:
+    """(segments, len(at), ...) values on every sample, linear in between."""
+    if len(at) == 1:
+        return np.repeat(values, samples, axis=1)
+    t = np.arange(samples)
+    right = np.clip(np.searchsorted(at, t, side="left"), 1, len(at) - 1)
+    left = right - 1
+    part = ((t - at[left]) / (at[right] - at[left])).reshape(1, -1, *([1] * (values.ndim - 2)))
+    out: FloatArray = values[:, left] * (1.0 - part) + values[:, right] * part
+    return out
+
+
+def _full_mass(simulator: RowSimulator, packed: FloatArray) -> FloatArray:
+    """(rows, joints, joints) of MuJoCo's lower triangle in compressed rows."""
+    model = simulator.segments[0].model
+    of = np.full(model.nv, -1)
+    of[simulator.dof_index] = np.arange(len(simulator.dof_index))
+    n = len(simulator.dof_index)
+    full = np.zeros((len(packed), n, n))
+    for row in range(model.nv):
+        start = model.M_rowadr[row]
+        for k in range(start, start + model.M_rownnz[row]):
+            i, j = of[row], of[model.M_colind[k]]
+            if i >= 0 and j >= 0:
+                full[:, i, j] = full[:, j, i] = packed[:, k]
+    return full
