@@ -65,13 +65,9 @@ STRUCTURE: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "viscous_friction": {"coefficient": (-0.02, 0.04)},
     "watchdog_timeout": {"inverse_timeout": (138.0, 138.0), "back_emf": (0.03, 0.07)},
 }  # fmt: skip
-# Friction of one servo differs from run to run: a fit that holds for a little less and a little
-# more does not hang on the instant at which one run happened to stick.
-FRICTION = ("coulomb_friction", "motor_load_friction")
-FRICTION_SPREAD = (0.92, 1.0, 1.08)
 
 
-def structure(problem: Problem, share: FloatArray, friction: float = 1.0) -> Hypothesis:
+def structure(problem: Problem, share: FloatArray) -> Hypothesis:
     """The structure at ``share`` of the way through its ranges."""
     terms: list[Term] = []
     theta: list[float] = []
@@ -85,8 +81,6 @@ def structure(problem: Problem, share: FloatArray, friction: float = 1.0) -> Hyp
             if high > low:
                 value = low + float(share[at]) * (high - low)
                 at += 1
-            if effect in FRICTION and p.quantity in ("effort", "effort_per_load"):
-                value *= friction
             theta.append(value / problem.scales.value(p, 0))
     return Hypothesis(tuple(terms), np.array(theta))
 
@@ -110,12 +104,12 @@ def absolute_errors(
 
 
 def evolve(
-    cost: Callable[[FloatArray, int], FloatArray], size: int, generations: int, seed: int
+    cost: Callable[[FloatArray], FloatArray], size: int, generations: int, seed: int
 ) -> FloatArray:
-    """Least mean cost over the unit cube: covariance matrix adaptation (Hansen, 2016).
+    """Least cost over the unit cube: covariance matrix adaptation (Hansen, 2016).
 
     Args:
-        cost: of (n, size) points in a generation, which may differ from one to the next.
+        cost: of (n, size) points.
         size: number of parameters.
         generations: of 4 + 3 ln(size) points.
         seed: of every draw.
@@ -123,7 +117,9 @@ def evolve(
     random = np.random.default_rng(seed)
     count = int(np.ceil(4 + 3 * np.log(size)))
     first = random.uniform(0.05, 0.95, (6 * count, size))
-    mean = first[cost(first, 0).argmin()]
+    value = cost(first)
+    mean = best = first[value.argmin()]
+    least = float(value.min())
     weight = np.log(count / 2 + 0.5) - np.log(np.arange(1, count // 2 + 1))
     weight /= weight.sum()
     effective = 1.0 / (weight**2).sum()
@@ -141,9 +137,11 @@ def evolve(
         step = (random.standard_normal((count, size)) * root) @ axes.T
         points = mean + sigma * step
         inside = np.clip(points, 0.0, 1.0)
-        value = cost(inside, generation)
-        if generation % 5 == 0:
-            print(f"  {generation}: {1e3 * value.min():.1f} mrad", file=sys.stderr, flush=True)
+        value = cost(inside)
+        if value.min() < least:
+            least, best = float(value.min()), inside[value.argmin()]
+        if generation % 20 == 0:
+            print(f"  {generation}: {1e3 * least:.1f} mrad", file=sys.stderr, flush=True)
         chosen = step[np.argsort(value + ((points - inside) ** 2).sum(axis=1))[: count // 2]]
         move = weight @ chosen
         mean = mean + sigma * move
@@ -159,7 +157,7 @@ def evolve(
             + c_mu * (chosen.T * weight) @ chosen
         )
         sigma = min(0.5, sigma * float(np.exp(c_sigma / d_sigma * (length / expected - 1))))
-    found: FloatArray = np.clip(mean, 0.0, 1.0)
+    found: FloatArray = best
     return found
 
 
@@ -178,9 +176,8 @@ def fit_structure(problem: Problem, generations: int, seed: int) -> Hypothesis:
     """The structure at its least mean absolute error over the logs to fit."""
     quick = coarse(problem)
 
-    def cost(shares: FloatArray, generation: int) -> FloatArray:
-        friction = FRICTION_SPREAD[generation % len(FRICTION_SPREAD)]
-        each = [structure(quick, s, friction) for s in shares]
+    def cost(shares: FloatArray) -> FloatArray:
+        each = [structure(quick, s) for s in shares]
         errors = absolute_errors(quick, each, quick.fit)
         # Mean and root mean square over the logs: none is given up for the others.
         value: FloatArray = errors.mean(axis=1) + 0.3 * np.sqrt((errors**2).mean(axis=1))
@@ -251,11 +248,12 @@ def main() -> None:
     parser.add_argument("--gains", type=int, nargs="+", default=[400], choices=GAINS)
     parser.add_argument("--no-diagnosis", action="store_true", help="without pytest-twin diagnose")
     parser.add_argument("--structure", action="store_true", help="fit the structure that is given")
-    parser.add_argument("--generations", type=int, default=120)
+    parser.add_argument("--generations", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     if not (RECORDINGS / "xl330").is_dir():
         raise SystemExit(f"no recordings at {RECORDINGS}: the variable TWIN_RECORDINGS says where")
+    args.out.mkdir(parents=True, exist_ok=True)
     realization = load_model(RECORDINGS / "xl330" / "twin.yaml").realization
     for gain in args.gains:
         fit = recordings(realization, [g for g in GAINS if g != gain])
