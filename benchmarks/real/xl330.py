@@ -48,6 +48,7 @@ RECORDINGS = Path(
     os.environ.get("TWIN_RECORDINGS") or Path(__file__).resolve().parents[3] / "shared/recordings"
 )
 GAINS = (100, 200, 400, 800)
+STARTS = 3
 LOGS = ("sin_sin", "sin_time_square", "up_and_down", "lift_and_drop")
 
 # effect -> parameter -> (low, high), SI units: where it is sought; both alike: held there.
@@ -56,19 +57,19 @@ STRUCTURE: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "armature": {"inertia": (-0.001, 0.003)},
     "base_tilt": {"roll": (0.0, 0.0), "pitch": (-0.06, 0.06)},
     "command_delay": {"delay": (0.0, 0.015)},
-    "coulomb_friction": {"coulomb": (0.0, 0.05)},
+    "coulomb_friction": {"coulomb": (0.0005, 0.1)},
     "motor_load_friction": {
-        "coefficient": (0.0, 0.6), "stiction_excess": (0.0, 0.5), "stribeck_velocity": (0.03, 1.5),
+        "coefficient": (0.0, 0.6), "stiction_excess": (0.0, 0.5), "stribeck_velocity": (0.02, 4.0),
     },
     "torque_constant": {"relative_error": (-0.4, 1.0)},
-    "torque_rolloff": {"inverse_knee": (0.0, 3.0), "back_emf": (0.03, 0.09)},
+    "torque_rolloff": {"inverse_knee": (0.1, 10.0), "back_emf": (0.02, 0.1)},
     "viscous_friction": {"coefficient": (-0.02, 0.04)},
     "watchdog_timeout": {"inverse_timeout": (138.0, 138.0), "back_emf": (0.03, 0.07)},
 }  # fmt: skip
 
 
 def structure(problem: Problem, share: FloatArray) -> Hypothesis:
-    """The structure at ``share`` of the way through its ranges."""
+    """The structure at ``share`` of the way through its ranges; positive ranges by ratio."""
     terms: list[Term] = []
     theta: list[float] = []
     at = 0
@@ -79,7 +80,8 @@ def structure(problem: Problem, share: FloatArray) -> Hypothesis:
             low, high = ranges[p.name]
             value = low
             if high > low:
-                value = low + float(share[at]) * (high - low)
+                part = float(share[at])
+                value = low * (high / low) ** part if low > 0.0 else low + part * (high - low)
                 at += 1
             theta.append(value / problem.scales.value(p, 0))
     return Hypothesis(tuple(terms), np.array(theta))
@@ -105,17 +107,17 @@ def absolute_errors(
 
 def evolve(
     cost: Callable[[FloatArray], FloatArray], size: int, generations: int, seed: int
-) -> FloatArray:
+) -> tuple[float, FloatArray]:
     """Least cost over the unit cube: covariance matrix adaptation (Hansen, 2016).
 
     Args:
         cost: of (n, size) points.
         size: number of parameters.
-        generations: of 4 + 3 ln(size) points.
+        generations: of twice 4 + 3 ln(size) points.
         seed: of every draw.
     """
     random = np.random.default_rng(seed)
-    count = int(np.ceil(4 + 3 * np.log(size)))
+    count = 2 * int(np.ceil(4 + 3 * np.log(size)))
     first = random.uniform(0.05, 0.95, (6 * count, size))
     value = cost(first)
     mean = best = first[value.argmin()]
@@ -157,8 +159,7 @@ def evolve(
             + c_mu * (chosen.T * weight) @ chosen
         )
         sigma = min(0.5, sigma * float(np.exp(c_sigma / d_sigma * (length / expected - 1))))
-    found: FloatArray = best
-    return found
+    return least, best
 
 
 def coarse(problem: Problem) -> Problem:
@@ -183,7 +184,9 @@ def fit_structure(problem: Problem, generations: int, seed: int) -> Hypothesis:
         value: FloatArray = errors.mean(axis=1) + 0.3 * np.sqrt((errors**2).mean(axis=1))
         return value / 1.3
 
-    return structure(problem, evolve(cost, free_parameters(), generations, seed))
+    # Leaps of a joint that sticks or slips make valleys: the best of several searches stands.
+    found = [evolve(cost, free_parameters(), generations, seed + k) for k in range(STARTS)]
+    return structure(problem, min(found, key=lambda each: each[0])[1])
 
 
 def recordings(realization: Realization, gains: Sequence[int]) -> list[Trial]:
@@ -248,7 +251,7 @@ def main() -> None:
     parser.add_argument("--gains", type=int, nargs="+", default=[400], choices=GAINS)
     parser.add_argument("--no-diagnosis", action="store_true", help="without pytest-twin diagnose")
     parser.add_argument("--structure", action="store_true", help="fit the structure that is given")
-    parser.add_argument("--generations", type=int, default=200)
+    parser.add_argument("--generations", type=int, default=120)
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     if not (RECORDINGS / "xl330").is_dir():
