@@ -32,10 +32,10 @@ class Along:
         segments: (segments,) of the problem.
         steps: of the model between two samples.
         interval: s between two samples.
-        count: (segments,) samples inside each.
         time: (segments, samples) s on each trial's clock.
         position, velocity, acceleration: (segments, samples, joints) of the measured motion.
         predicted_position, predicted_velocity: the same of the hypothesis.
+        reading: per segment, (stamps, joints) what it predicts that the encoders read.
         at_rest: (segments, samples, joints) where neither moves.
         rest_velocity: (joints,) rad/s or m/s, below which a joint counts as standing.
     """
@@ -43,13 +43,13 @@ class Along:
     segments: NDArray[np.int64]
     steps: int
     interval: float
-    count: NDArray[np.int64]
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
     predicted_position: FloatArray
     predicted_velocity: FloatArray
+    reading: tuple[FloatArray, ...]
     at_rest: NDArray[np.bool_]
     rest_velocity: FloatArray
 
@@ -89,7 +89,6 @@ def along(
     interval = steps * simulator.timestep
     starts = np.array([simulator.segments[s].start for s in segments])
     time = starts[:, None] + interval * np.arange(samples)
-    count = np.minimum(simulator.steps[segments] // steps + 1, samples)
     shift = np.zeros((3, *q.shape))
     predictions = problem.predict([hypothesis], segments)[0]
     for i, (s, predicted) in enumerate(zip(segments, predictions, strict=True)):
@@ -103,6 +102,16 @@ def along(
     rest = _AT_REST * typical
     standing = (np.abs(v) < rest) & (np.abs(v + shift[1]) < rest)
     return Along(
-        segments, steps, interval, count, time,
-        q + shift[0], v + shift[1], a + shift[2], q, v, standing, rest,
-    )  # fmt: skip
+        segments=segments,
+        steps=steps,
+        interval=interval,
+        time=time,
+        position=q + shift[0],
+        velocity=v + shift[1],
+        acceleration=a + shift[2],
+        predicted_position=q,
+        predicted_velocity=v,
+        reading=tuple(p.position for p in predictions),
+        at_rest=standing,
+        rest_velocity=rest,
+    )

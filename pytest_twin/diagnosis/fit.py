@@ -13,6 +13,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import FloatArray
 
 _DAMPINGS = (1e-4, 1e-1)
+_FAST, _ENOUGH = 0.5, 1e-4
 
 
 @dataclass(slots=True)
@@ -22,7 +23,8 @@ class Fitted:
     Attributes:
         hypothesis: with the fitted parameters.
         residual: (samples, signals) on the fit segments.
-        jacobian: (samples, signals, parameters) of the prediction, per scaled parameter.
+        jacobian: (samples, signals, parameters) of the prediction, per scaled parameter; empty
+            where it was not wanted.
         cost: weighted mean square on the fit segments.
     """
 
@@ -39,6 +41,7 @@ def fit(
     segments: NDArray[np.int64],
     *,
     iterations: int,
+    slopes: bool = True,
 ) -> list[Fitted]:
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
@@ -47,17 +50,23 @@ def fit(
         starts: rival hypotheses with starting values.
         weights: (signals,) reciprocal deviations.
         segments: fit on these.
-        iterations: Jacobians at most; a rival that no longer gains stops earlier.
+        iterations: steps at most; a rival that no longer gains stops earlier.
+        slopes: whether the Jacobian at the optimum is wanted.
     """
     current = list(starts)
     residual = problem.residuals(current, segments)
     cost = [_cost(r, weights) for r in residual]
     jacobians: list[FloatArray | None] = [None] * len(current)
+    fresh = [False] * len(current)
     active = [i for i, h in enumerate(current) if h.theta.size]
-    for iteration in range(iterations):
+    for _ in range(iterations):
         if not active:
             break
-        _fill_jacobians(problem, current, residual, segments, active, jacobians)
+        missing = [i for i in active if jacobians[i] is None]
+        if missing:
+            _fill_jacobians(problem, current, residual, segments, missing, jacobians)
+            for i in missing:
+                fresh[i] = True
         trials: list[Hypothesis] = []
         for i in active:
             jac = jacobians[i]
@@ -69,21 +78,29 @@ def fit(
             options = range(k * len(_DAMPINGS), (k + 1) * len(_DAMPINGS))
             best = min(options, key=lambda o: _cost(tried[o], weights))
             gained = _cost(tried[best], weights)
+            # The slopes of the last step serve on while they bring the cost down fast.
+            fast = gained < _FAST * cost[i]
             if gained < cost[i]:
-                enough = gained < cost[i] * (1.0 - 1e-4)
-                current[i], residual[i], cost[i] = trials[best], tried[best], gained
-                jacobians[i] = None
-                if enough and iteration + 1 < iterations:
+                if gained < cost[i] * (1.0 - _ENOUGH) or not fresh[i]:
                     still.append(i)
+                current[i], residual[i], cost[i] = trials[best], tried[best], gained
+            elif not fresh[i]:
+                still.append(i)
+            fresh[i] = False
+            if not fast:
+                jacobians[i] = None
         active = still
-    stale = [i for i, h in enumerate(current) if jacobians[i] is None and h.theta.size]
-    if stale:
-        _fill_jacobians(problem, current, residual, segments, stale, jacobians)
+    if slopes:
+        stale = [i for i, h in enumerate(current) if not fresh[i] and h.theta.size]
+        if stale:
+            _fill_jacobians(problem, current, residual, segments, stale, jacobians)
     out = []
     for i, h in enumerate(current):
         jac = jacobians[i]
         shape = (*residual[i].shape, 0)
-        out.append(Fitted(h, residual[i], np.empty(shape) if jac is None else jac, cost[i]))
+        out.append(
+            Fitted(h, residual[i], np.empty(shape) if jac is None or not slopes else jac, cost[i])
+        )
     return out
 
 

@@ -237,9 +237,8 @@ def _suspect(
     floor = problem.signal_floor
     nominal = problem.residuals([EMPTY], problem.fit)[0]
     effective = effective_samples(nominal, problem.lengths(problem.fit))
-    answers = responses(problem, terms, problem.fit)
+    answers, mean = responses(problem, terms, problem.fit, residual=nominal)
     binned = bins(problem, problem.fit)
-    mean = binned.mean(nominal)
     view = View(mean, np.empty((*mean.shape, 0)), floor, binned.lengths)
     found = screen(view, answers)[:_RIVALS]
     if not found:

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, sensor_noise, smooth_state
-from pytest_twin.diagnosis.start import free_starts
+from pytest_twin.diagnosis.start import FreeStart, free_starts
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
 from pytest_twin.errors import RecordingError
@@ -86,7 +86,15 @@ def prepare(
         effort_floor,
         refined,
     )
-    problem.starts = free_starts(segments, joints, noise, _start_width(segments[0]), threads)
+    problem.start_noise, problem.start_width = noise, _start_width(segments[0])
+    if any(s.mode == "effort" for s in segments):
+
+        def free(hypothesis: Hypothesis) -> dict[int, FreeStart]:
+            return free_starts(
+                segments, joints, noise, problem.start_width, threads, hypothesis, scales
+            )
+
+        problem.free = free
     problem.refine_at(EMPTY)
     steps = discretization(problem)
     if simulator.contact.world.size:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.start import FreeStart
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
 
+_REMEMBERED = 4
 REFINE = 4
 """How much finer the step is by which the error of the model's own is measured."""
 
@@ -57,6 +58,8 @@ class Problem:
         step_left: share of the step's error that the correction leaves, at most an eighth as
             measured on arms in the air.
         starts: segment -> its free initial state, where errors of it would grow.
+        free: gives ``starts`` around a hypothesis, where there are any.
+        start_noise, start_width: what their priors rest on, as :func:`free_starts` takes them.
     """
 
     simulator: RowSimulator
@@ -68,7 +71,13 @@ class Problem:
     refined: RowSimulator | None = None
     defect: dict[int, Predicted] = field(default_factory=dict)
     starts: dict[int, FreeStart] = field(default_factory=dict)
+    free: Callable[[Hypothesis], dict[int, FreeStart]] | None = None
+    start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
+    start_width: float = 0.0
     step_left: float = 0.125
+    _refined_at: dict[
+        tuple[tuple[Term, ...], bytes], tuple[dict[int, Predicted], dict[int, FreeStart]]
+    ] = field(default_factory=dict)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -108,16 +117,27 @@ class Problem:
         return p if error is None else corrected(p, error, share)
 
     def refine_at(self, hypothesis: Hypothesis) -> None:
-        """Measure the defect of the model's step at a hypothesis, on every segment."""
+        """Measure at a hypothesis, on every segment, the defect of the model's step and what a
+        shifted start changes.
+        """
+        key = (hypothesis.terms, hypothesis.theta.tobytes())
+        if key not in self._refined_at:
+            if len(self._refined_at) >= _REMEMBERED:
+                self._refined_at.pop(next(iter(self._refined_at)))
+            self._refined_at[key] = self._refined(hypothesis)
+        self.defect, self.starts = self._refined_at[key]
+
+    def _refined(self, hypothesis: Hypothesis) -> tuple[dict[int, Predicted], dict[int, FreeStart]]:
+        starts = self.starts if self.free is None else self.free(hypothesis)
         if self.refined is None:
-            return
+            return {}, starts
         rows = np.arange(len(self.simulator.segments))
         values = effect_values([hypothesis] * len(rows), len(self.joints), self.scales)
         coarse = self.simulator.simulate(rows, values)
         fine = self.refined.simulate(rows, values)
         errors = (step_error(c, f) for c, f in zip(coarse, fine, strict=True))
         found = {i: add for i, add in enumerate(errors) if np.isfinite(add.position).all()}
-        self.defect = found
+        return found, starts
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]

@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_val
 from pytest_twin.diagnosis.laws import ActiveEffects, Forces, Laws
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rigid_terms import Rigid, rigid_terms, upsampled
+from pytest_twin.diagnosis.start import FreeStart, free_start
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
 from pytest_twin.effects.rows import EffectValues, with_fixed
@@ -143,7 +144,8 @@ def responses(
     terms: Sequence[Term],
     segments: NDArray[np.int64],
     hypothesis: Hypothesis = EMPTY,
-) -> list[Response]:
+    residual: FloatArray | None = None,
+) -> tuple[list[Response], FloatArray]:
     """First-order responses of every candidate at a hypothesis.
 
     Args:
@@ -151,10 +153,17 @@ def responses(
         terms: candidates, none of them in the hypothesis.
         segments: on which.
         hypothesis: the best so far.
+        residual: (samples, signals) its residual there, if it is known.
+
+    Returns:
+        The responses, and the (bins, signals) residual that they are to explain.
     """
+    if residual is None:
+        residual = problem.residuals([hypothesis], segments)[0]
     if problem.simulator.contact.world.size:
-        return simulated(problem, terms, segments)
-    return _Linear(problem, hypothesis, segments).responses(terms)
+        return simulated(problem, terms, segments), bins(problem, segments).mean(residual)
+    linear = _Linear(problem, hypothesis, segments)
+    return linear.responses(terms), linear.residual(residual)
 
 
 class _Linear:
@@ -184,6 +193,45 @@ class _Linear:
             self.simulator, self.along, active, self.base, predicted
         )
         self.bins = bins(problem, segments)
+        self.starts = self._free_starts()
+
+    def residual(self, residual: FloatArray) -> FloatArray:
+        """(bins, signals) of (samples, signals), freed of shifted starts as responses are."""
+        joints = len(self.problem.joints)
+        out, at = residual.copy(), 0
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            n = len(segment.time)
+            if i in self.starts:
+                off = segment.position - self.along.reading[i]
+                out[at : at + n, :joints] = self.starts[i].freed(off)
+            at += n
+        return self.bins.mean(out)
+
+    def _free_starts(self) -> dict[int, FreeStart]:
+        """Free starts of this motion: a shift dies out or grows as other deviations do."""
+        if self.problem.free is None:
+            return {}
+        segments, samples, joints = self.along.position.shape
+        unit = np.tile(np.eye(2 * joints), (segments, 1, 1))
+        state = self.deviation.of(np.zeros((segments, samples, joints, 2 * joints)), unit)
+        out = {}
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            if segment.mode == "effort":
+                response = self._read(i, state[i, :, :joints]).reshape(-1, 2 * joints)
+                out[i] = free_start(
+                    response, segment, self.problem.start_noise, self.problem.start_width
+                )
+        return out
+
+    def _read(self, i: int, values: FloatArray) -> FloatArray:
+        """(stamps, ...) of (samples, ...) values of segment ``i``, linear in between."""
+        time = self.simulator.segments[self.segments[i]].time
+        at = (time - self.along.time[i, 0]) / self.along.interval
+        left = np.clip(at.astype(np.int64), 0, len(values) - 2)
+        part = (at - left).reshape(-1, *([1] * (values.ndim - 1)))
+        return np.asarray(values[left] * (1.0 - part) + values[left + 1] * part)
 
     def _active(self, values: EffectValues) -> list[tuple[Effect, Values]]:
         return [(catalogue()[e], v) for e, v in values.items()]
@@ -355,18 +403,10 @@ class _Linear:
         parts = []
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
-            at = (segment.time - self.along.time[i, 0]) / self.along.interval
-            left = np.clip(at.astype(np.int64), 0, samples - 2)
-            part = (at - left)[:, None, None]
-
-            def read(x: FloatArray, left: NDArray[np.int64] = left, part: FloatArray = part
-                     ) -> FloatArray:  # fmt: skip
-                return np.asarray(x[left] * (1.0 - part) + x[left + 1] * part)
-
             if state is None:
                 position = np.zeros((len(segment.time), joints, len(columns)))
             else:
-                position = read(state[i, :, :joints])
+                position = self._read(i, state[i, :, :joints])
             signals = [position]
             if drive is not None:
                 effort = drive[i]
@@ -376,14 +416,13 @@ class _Linear:
                         - self.deviation.stiffness[i][..., None] * state[i, :, :joints]
                         - self.deviation.damping[i][..., None] * state[i, :, joints:]
                     )
-                signals.append(read(effort))
+                signals.append(self._read(i, effort))
             stacked = np.concatenate(signals, axis=1)
             for k, c in enumerate(columns):
                 if c.direct is not None:
                     stacked[:, :, k] += c.direct[i]
-            start = self.problem.starts.get(int(s))
-            if start is not None:
-                stacked[:, :joints] = start.freed_columns(stacked[:, :joints])
+            if i in self.starts:
+                stacked[:, :joints] = self.starts[i].freed_columns(stacked[:, :joints])
             parts.append(stacked)
         binned = self.bins.mean(np.concatenate(parts)).astype(np.float32)
         return [np.asarray(binned[:, :, k]) for k in range(len(columns))]

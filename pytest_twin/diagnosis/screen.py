@@ -246,10 +246,9 @@ def _fitted(
 
 
 def _ridge(a: FloatArray, b: FloatArray) -> FloatArray:
-    normal: FloatArray = a.T @ a
+    normal = a.T @ a
     ridge = 1e-9 * max(float(np.trace(normal)), 1e-300) * np.eye(len(normal))
-    out: FloatArray = np.linalg.solve(normal + ridge, a.T @ b)
-    return out
+    return np.asarray(np.linalg.solve(normal + ridge, a.T @ b), dtype=np.float64)
 
 
 def _bounded_least_squares(a: FloatArray, b: FloatArray, answer: Response) -> FloatArray:
@@ -265,10 +264,8 @@ def _bounded_least_squares(a: FloatArray, b: FloatArray, answer: Response) -> Fl
             break
         rest = b - a @ np.where(free, 0.0, amplitude)
         normal = a[:, free].T @ a[:, free]
-        normal += 1e-9 * np.trace(normal) * np.eye(len(normal))
-        amplitude[free] = np.linalg.solve(
-            normal + 1e-300 * np.eye(len(normal)), a[:, free].T @ rest
-        )
+        ridge = max(1e-7 * float(np.trace(normal)), 1e-30) * np.eye(len(normal))
+        amplitude[free] = np.linalg.solve(normal + ridge, a[:, free].T @ rest)
         outside = free & ((amplitude < lower) | (amplitude > upper))
         if not outside.any():
             break

@@ -127,10 +127,15 @@ class Selection:
         return weights
 
     def _rivals(
-        self, starts: Sequence[Hypothesis], weights: FloatArray, iterations: int
+        self,
+        starts: Sequence[Hypothesis],
+        weights: FloatArray,
+        iterations: int,
+        *,
+        slopes: bool = False,
     ) -> list[Rival]:
         problem = self.problem
-        fitted = fit(problem, starts, weights, problem.fit, iterations=iterations)
+        fitted = fit(problem, starts, weights, problem.fit, iterations=iterations, slopes=slopes)
         if self.has_held:
             held = problem.residuals([f.hypothesis for f in fitted], problem.held_out)
         else:
@@ -181,10 +186,10 @@ class Selection:
         named = set(best.hypothesis.terms)
         terms = [t for t in candidates(problem) if t not in named]
         residual = best.fitted.residual
-        answers = responses(problem, terms, problem.fit, best.hypothesis)
+        answers, left = responses(problem, terms, problem.fit, best.hypothesis, residual)
         binned = bins(problem, problem.fit)
         view = View(
-            binned.mean(residual), binned.mean(best.fitted.jacobian), problem.signal_floor,
+            left, binned.mean(best.fitted.jacobian), problem.signal_floor,
             binned.lengths,
         )  # fmt: skip
         return view, answers
@@ -241,7 +246,7 @@ class Selection:
         # Where impacts fall between steps depends on the parameters themselves.
         for _ in range(_ROUGH_ROUNDS if rival.hypothesis.rough else 1):
             self.problem.refine_at(rival.hypothesis)
-            rival = self._rivals([rival.hypothesis], self._weights(rival), _LONG)[0]
+            rival = self._rivals([rival.hypothesis], self._weights(rival), _LONG, slopes=True)[0]
         return rival
 
     def _bare(self, best: Rival) -> list[View]:
@@ -288,7 +293,7 @@ class Selection:
                 break
             gone = set(best.hypothesis.terms) - set(top.hypothesis.terms)
             self.say(f"- {gone} evidence {top.evidence:.1f}")
-            best = top
+            best = self._settled(top)
         return best
 
     def _sideways(self, selected: Selected) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pytest_twin.diagnosis.hypothesis import EMPTY, Scales, effect_values
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
 
@@ -51,6 +51,8 @@ def free_starts(
     noise: FloatArray,
     width: float,
     threads: int,
+    hypothesis: Hypothesis = EMPTY,
+    scales: Scales | None = None,
 ) -> dict[int, FreeStart]:
     """A free start for every window of an effort command.
 
@@ -60,6 +62,8 @@ def free_starts(
         noise: (joints,) deviation of a sample, rad or m.
         width: s, of the local cubic that gave the initial states.
         threads: of the batch.
+        hypothesis, scales: around which the shifted starts are simulated: under friction a shift
+            of the velocity dies out, without it it grows with time.
     """
     which = [i for i, s in enumerate(segments) if s.mode == "effort"]
     if not which:
@@ -74,7 +78,7 @@ def free_starts(
             (q if k < count else v)[k % count] += _STEP
             shifted.append(replace(s, initial_position=q, initial_velocity=v))
     rows = np.arange(len(shifted))
-    values = effect_values([EMPTY] * len(rows), count, Scales({}))
+    values = effect_values([hypothesis] * len(rows), count, scales or Scales({}))
     found = RowSimulator(shifted, joints, threads=threads).simulate(rows, values)
     out: dict[int, FreeStart] = {}
     each = 2 * count + 1
@@ -83,12 +87,19 @@ def free_starts(
         response = np.stack([(m.position - base.position).ravel() / _STEP for m in moved], axis=1)
         if not np.isfinite(response).all():
             continue
-        weight = np.tile(1.0 / noise**2, len(base.position))
-        prior = 1.0 / _start_variance(segments[i], noise, width)
-        normal = response.T @ (weight[:, None] * response) + np.diag(prior)
-        solve: FloatArray = np.linalg.solve(normal, response.T * weight).astype(np.float64)
-        out[i] = FreeStart(response, solve)
+        out[i] = free_start(response, segments[i], noise, width)
     return out
+
+
+def free_start(
+    response: FloatArray, segment: Segment, noise: FloatArray, width: float
+) -> FreeStart:
+    """A free start from its (samples * joints, 2 joints) response; the rest as above."""
+    weight = np.tile(1.0 / noise**2, len(response) // len(noise))
+    prior = 1.0 / _start_variance(segment, noise, width)
+    normal = response.T @ (weight[:, None] * response) + np.diag(prior)
+    solve: FloatArray = np.linalg.solve(normal, response.T * weight).astype(np.float64)
+    return FreeStart(response, solve)
 
 
 def _start_variance(segment: Segment, noise: FloatArray, width: float) -> FloatArray:

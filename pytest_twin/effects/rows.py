@@ -118,6 +118,9 @@ class RowSimulator:
         self._commands: dict[int, FloatArray] = {}
         self._contact: ContactGeoms | None = None
         self.directions = self._link_directions(model)
+        driven = np.flatnonzero(self.actuator >= 0)
+        gear = self.gear[driven]
+        self._driven = self.actuator[driven], driven, gear < 0.0, gear
 
     def _inputs(self, model: mujoco.MjModel) -> None:
         count = len(self.joints)
@@ -418,11 +421,13 @@ class RowSimulator:
             batch.set_const()
 
     def _write_bounds(self, world: World) -> None:
-        driven = self.actuator >= 0
-        act, gear = self.actuator[driven], self.gear[driven]
         assert self._range is not None
-        ends = np.stack([world.lower[:, driven] / gear, world.upper[:, driven] / gear], axis=-1)
-        self._range[:, act] = np.clip(np.sort(ends, axis=-1), -_UNBOUNDED, _UNBOUNDED)
+        act, columns, reverse, gear = self._driven
+        low, high = world.lower[:, columns] / gear, world.upper[:, columns] / gear
+        if reverse.any():
+            low, high = np.where(reverse, high, low), np.where(reverse, low, high)
+        self._range[:, act, 0] = np.maximum(low, -_UNBOUNDED)
+        self._range[:, act, 1] = np.minimum(high, _UNBOUNDED)
 
     def _write_inertia(
         self, batch: Batch, models: list[mujoco.MjModel], fields: ModelFields
