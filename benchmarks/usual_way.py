@@ -1,13 +1,13 @@
 """What parameter fitting alone does on blind cases: mujoco.sysid beside the diagnosis.
 
     pip install 'mujoco[sysid]'
-    python benchmarks/concealed/usual_way.py --cases DIR --results DIR [--truth DIR] --out DIR
-    python benchmarks/concealed/usual_way.py --delay DIR
+    python benchmarks/usual_way.py --cases DIR --results DIR [--truth DIR] --out DIR
+    python benchmarks/usual_way.py --delay DIR
 
 For each case mujoco.sysid fits damping, armature, dry friction and servo gains of every joint to
 the recordings that the diagnosis fits, from the same initial states. Both are then judged on the
 held-out recordings by the same measure: root mean square of position, joint by joint, under
-effort commands in windows of a second. ``--results`` is what run.py wrote.
+effort commands in the windows of the diagnosis. ``--results`` is what run.py wrote.
 
 ``--delay`` writes recordings of one servo whose commands arrive 20 ms late, and prints what both
 say of it.
