@@ -221,7 +221,7 @@ def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[s
     for j, joint in enumerate(problem.joints):
         if problem.floor[j] >= _UNSEEN:
             continue
-        rms = [float(np.sqrt(np.nanmean(r[inside, j] ** 2))) for r in (before, after)]
+        rms = [float(np.sqrt(np.mean(r[inside, j] ** 2))) for r in (before, after)]
         floor, unit = float(problem.floor[j]), joint_unit(problem, j)
         found[joint] = JointError(rms[0], rms[1], floor, unit)
     return found

@@ -128,20 +128,23 @@ def explain(
     in_test = _tested(problem)
 
     def error(residual: FloatArray) -> float:
-        return float(np.nansum((residual[in_test] / problem.signal_floor) ** 2))
+        return float((_in_floors(residual[in_test], problem.signal_floor) ** 2).sum())
 
     with_all, with_none = error(residuals[0]), error(nominal)
     paths = motions(prepared, trials)
     found = []
     for term, without in zip(hypothesis.terms, residuals[1:], strict=True):
         alone = error(without)
-        gain = (alone - with_all) / alone if alone > 0.0 else 0.0
+        gain = _gain(alone, with_all)
         share = (alone - with_all) / with_none if with_none > 0.0 else 0.0
         blame = _blame(problem, term, residuals[0], without)
         at = max(term.joint, 0)
         where = place_of(paths, blame, at, joint_unit(problem, at))
         others = selected.alternatives.get(term, [])
         confidence = selected.confidence.get(term, 1.0)
+        if not np.isfinite(confidence):
+            # Nothing speaks for it where even what was chosen could not be compared.
+            confidence = 0.0
         if not len(problem.held_out):
             confidence = min(confidence, _UNTESTED)
         if at_bound(hypothesis, term):
@@ -157,7 +160,7 @@ def explain(
                 confidence=confidence,
                 parameters=_estimates(problem, hypothesis, term, width),
                 where=where,
-                held_out_gain=float(np.clip(gain, -1.0, 1.0)),
+                held_out_gain=gain,
                 share=float(share),
                 alternatives=tuple(
                     Alternative(t.effect, _joint(problem, t), c) for t, c in others if c > 1e-4
@@ -186,7 +189,8 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
     A term stays where some signal of the tested recordings, refitted without it, stands above
     the floor: what lies under it may be noise and the simulator's own error, and has no name. A
     term goes as well where most of its joint's mismatch is left with it: something else is at work
-    there, and the nearest name in the catalogue would be a wrong one.
+    there, and the nearest name in the catalogue would be a wrong one. What diverges on a recording
+    predicts nothing: terms go until nothing diverges.
     """
     notes: list[str] = []
     # Once, with every term at work: afterwards each removal leaves more for the others.
@@ -198,13 +202,20 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
     while fitted.hypothesis.terms:
         terms = fitted.hypothesis.terms
         problem.refine_at(fitted.hypothesis)
-        weights = 1.0 / np.sqrt(np.mean(fitted.residual**2, axis=0) + problem.signal_floor**2)
+        weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
         starts = [fitted.hypothesis.without(t) for t in terms]
         refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
         rests = [f.hypothesis for f in refitted]
         with_it, *without = problem.residuals([fitted.hypothesis, *rests], tested)
         base = _in_floors(with_it, problem.signal_floor)
         levels = [_in_floors(residual, problem.signal_floor) for residual in without]
+        if not np.isfinite([base, _in_floors(fitted.residual, problem.signal_floor)]).all():
+            least = int(np.argmin([np.linalg.norm(v) for v in levels]))
+            notes.append(
+                f"with {_label(problem, terms[least])} the prediction diverges; it is not claimed"
+            )
+            fitted = refitted[least]
+            continue
         height = [float(v[v > _WORSE * base].max(initial=0.0)) for v in levels]
         least = int(np.argmin(height))
         if height[least] <= _STANDS_OUT:
@@ -271,8 +282,22 @@ def _label(problem: Problem, term: Term) -> str:
 
 
 def _in_floors(residual: FloatArray, floor: FloatArray) -> FloatArray:
-    level: FloatArray = np.sqrt(np.nanmean(residual**2, axis=0)) / floor
-    return level
+    """(signals,) root mean squares; infinite where a simulation diverged."""
+    with np.errstate(over="ignore"):
+        level: FloatArray = np.sqrt(np.mean(residual**2, axis=0)) / floor
+    return np.where(np.isfinite(level), level, np.inf)
+
+
+def _finite_floors(fitted: Fitted, problem: Problem) -> FloatArray:
+    level = _in_floors(fitted.residual, problem.signal_floor)
+    return np.where(np.isfinite(level), level, 0.0)
+
+
+def _gain(without: float, with_it: float) -> float:
+    """Share of a squared error that a finding removes; all of it where it ends a divergence."""
+    if not np.isfinite(without):
+        return 1.0
+    return float(np.clip((without - with_it) / without, -1.0, 1.0)) if without > 0.0 else 0.0
 
 
 def _tested(problem: Problem) -> NDArray[np.bool_]:
@@ -286,9 +311,12 @@ def _tested(problem: Problem) -> NDArray[np.bool_]:
 def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) -> FloatArray:
     """(samples,) rise of the squared error, in floors, where the term is taken away."""
     rise = (without**2 - best**2) / problem.signal_floor**2
+    diverged = ~np.isfinite(rise)
+    # All of a stretch that diverges is to blame alike, and no less than any other.
+    rise[diverged] = max(float(rise[~diverged].max(initial=0.0)), 1.0)
     joints = len(problem.joints)
     columns = range(rise.shape[1]) if term.joint < 0 else range(term.joint, rise.shape[1], joints)
-    total: FloatArray = np.nan_to_num(rise[:, list(columns)]).sum(axis=1)
+    total: FloatArray = rise[:, list(columns)].sum(axis=1)
     return np.maximum(total, 0.0)
 
 
@@ -316,19 +344,32 @@ def _estimates(
     found = {}
     for i, p in enumerate(term.parameters, start=place.start):
         scale = problem.scales.value(p, term.joint)
-        theta, half = float(hypothesis.theta[i]), float(width.half_width[i])
-        ends = np.clip([theta - half, theta + half], p.lower, p.upper) * scale
-        found[p.reported_name] = Estimate(
-            p.reported(theta * scale), p.unit(kind, servo), *_ends(p, theta * scale, ends)
+        found[p.reported_name] = estimate(
+            p, float(hypothesis.theta[i]), float(width.half_width[i]), scale, p.unit(kind, servo)
         )
     return found
 
 
-def _ends(p: Parameter, value: float, ends: NDArray[np.float64]) -> tuple[float, float]:
-    low, high = float(ends[0]), float(ends[1])
+def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -> Estimate:
+    """A parameter as it is reported: finite numbers, within its physical bounds.
+
+    Args:
+        p: the parameter.
+        theta, half: value and half of the interval's width, in multiples of ``scale``; where
+            the width is unknown the interval is all that the bounds allow.
+        scale: SI units.
+        unit: of the reported value.
+    """
+    half = half if np.isfinite(half) else np.inf
+    low, high = (float(x) * scale for x in np.clip([theta - half, theta + half], p.lower, p.upper))
+    value = theta * scale
     if p.reciprocal_of is None:
-        return low, high
-    return p.reported(high), p.reported(max(low, value / _OPEN))
+        return Estimate(value, unit, low, high)
+    # No reciprocal of zero can be said: an open end is far beyond what the interval does know.
+    far = max(high, p.upper * scale / _OPEN) / _OPEN
+    value = value if value > far / _OPEN else far
+    high = max(high, value)
+    return Estimate(p.reported(value), unit, p.reported(high), p.reported(max(low, value / _OPEN)))
 
 
 def _correlations(
@@ -341,7 +382,7 @@ def _correlations(
     for i in range(place.start, place.stop):
         for k, (other, q) in enumerate(owner):
             rho = float(width.correlation[i, k])
-            if k == i or abs(rho) < _CORRELATED or (other == term and k < i):
+            if k == i or not abs(rho) >= _CORRELATED or (other == term and k < i):
                 continue
             p = owner[i][1]
             mine, its = (problem.scales.value(x, t.joint) for x, t in ((p, term), (q, other)))
