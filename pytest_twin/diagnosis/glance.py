@@ -26,7 +26,7 @@ from pytest_twin.diagnosis.patched_replay import (
 from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem, smooth_state
 from pytest_twin.diagnosis.responses import bins, responses
-from pytest_twin.diagnosis.screen import Screened, View, candidates, screen
+from pytest_twin.diagnosis.screen import Answers, Lens, View, candidates
 from pytest_twin.diagnosis.verdict import AT_FLOOR
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.errors import SimulationError
@@ -240,7 +240,11 @@ def _suspect(
     answers, mean = responses(problem, terms, problem.fit, residual=nominal)
     binned = bins(problem, problem.fit)
     view = View(mean, np.empty((*mean.shape, 0)), floor, binned.lengths)
-    found = screen(view, answers)[:_RIVALS]
+    lens = Lens(view, Answers(answers))
+    found = [
+        next(iter(lens.structure(chosen).starts.items()))
+        for chosen in lens.children(lens.bare, _RIVALS)
+    ]
     if not found:
         return None
     fitted, evidence = _weighed(problem, found, nominal, effective)
@@ -253,21 +257,24 @@ def _suspect(
         return None
     rivals = [i for i in np.argsort(-share) if i != best and share[i] >= 1.0 - _MOST_SURE]
     return Suspect(
-        term=found[best].term,
-        joint=_joint(problem, found[best].term),
+        term=found[best][0],
+        joint=_joint(problem, found[best][0]),
         values=_values(problem, fitted[best].hypothesis),
         share=min(float(share[best]), _MOST_SURE),
         removed=float(removed),
-        rivals=tuple((found[i].term.effect, _joint(problem, found[i].term)) for i in rivals),
+        rivals=tuple((found[i][0].effect, _joint(problem, found[i][0])) for i in rivals),
     )
 
 
 def _weighed(
-    problem: Problem, found: Sequence[Screened], nominal: FloatArray, effective: FloatArray
+    problem: Problem,
+    found: Sequence[tuple[Term, FloatArray]],
+    nominal: FloatArray,
+    effective: FloatArray,
 ) -> tuple[list[Fitted], FloatArray]:
     """The candidates after a short fit, and the evidence of each over the model as it came."""
     floor = np.maximum(problem.signal_floor, _COARSE * np.sqrt(np.mean(nominal**2, axis=0)))
-    starts = [EMPTY.with_term(s.term, s.start) for s in found]
+    starts = [EMPTY.with_term(term, start) for term, start in found]
     weights = 1.0 / np.sqrt(np.mean(nominal**2, axis=0) + floor**2)
     fitted = fit(problem, starts, weights, problem.fit, iterations=_ITERATIONS)
     price = 0.5 * np.log(max(float(effective.mean()), 2.0))

@@ -1,9 +1,10 @@
 """Which effects, at which joints, alone and together, could explain a residual: to first order.
 
 Forces add, and so do their first-order responses: a structure of several effects is a least-squares
-problem of its own, in which the parameters of effects that are already named may give way too.
-Structures are searched breadth first over a few best at each size, so that a name which only
-covers two others together does not end the search.
+problem of its own, in which the parameters of effects that are already named may give way too. All
+of them are solved from inner products that are taken once (normal equations), so that many
+structures can be looked at: the best few of every size are grown, then every term is held against
+one or two others in its place.
 """
 
 from __future__ import annotations
@@ -22,16 +23,8 @@ from pytest_twin.effects.base import FloatArray
 
 # Laws with one period a turn say nothing of a slide.
 _OF_A_TURN = frozenset({"cogging", "encoder_eccentricity", "position_dependent_friction"})
-
-
-@dataclass(frozen=True, slots=True)
-class Screened:
-    """A candidate with a start for its fit, and the log-likelihood that it promises."""
-
-    term: Term
-    start: FloatArray
-    gain: float
-    answer: Response | None = None
+_RIDGE = 1e-8
+_SWAPS = 4
 
 
 def candidates(problem: Problem) -> list[Term]:
@@ -73,11 +66,6 @@ class View:
     floor: FloatArray
     lengths: Sequence[int]
 
-    @property
-    def effective(self) -> FloatArray:
-        """(signals,) how many independent samples the residual is worth."""
-        return effective_samples(self.residual, self.lengths)
-
 
 @dataclass(slots=True)
 class Structure:
@@ -86,14 +74,14 @@ class Structure:
     Attributes:
         starts: term -> parameters, in multiples of their scales, in the order of naming.
         residual: (bins, signals) what they leave.
-        evidence: over the structure without them; comparable among structures of one search.
-        columns: (bins, signals, switches) of every term.
+        evidence: over the structure that it was held against.
+        chosen: responses of its terms, by their number.
     """
 
     starts: dict[Term, FloatArray]
     residual: FloatArray
     evidence: float = 0.0
-    columns: dict[Term, Response] = field(default_factory=dict)
+    chosen: tuple[int, ...] = ()
 
     @property
     def parameters(self) -> int:
@@ -106,169 +94,297 @@ def price(effective: FloatArray) -> float:
     return float(0.5 * np.log(max(float(effective.mean()), 2.0)))
 
 
-def screen(view: View, answers: Sequence[Response]) -> list[Screened]:
-    """Candidates by the log-likelihood that they promise less their price, best first.
+@dataclass(slots=True)
+class _Group:
+    """Responses with the same number of switches, for batched algebra.
 
-    One entry per term, at the best of its starting shapes.
+    Attributes:
+        which: their numbers.
+        columns: (responses, switches) their columns.
+        own: (signals, responses, switches, switches) inner products with themselves.
+        lower, upper: (responses, switches) bounds of their amplitudes.
     """
-    floor, effective = view.floor, view.effective
-    cost = price(effective)
-    weight = (1.0 / np.sqrt(np.mean(view.residual**2, axis=0) + floor**2)).astype(np.float32)
-    b = (view.residual * weight).ravel().astype(np.float32)
-    own = (view.jacobian * weight[:, None]).reshape(len(b), -1).astype(np.float32)
-    if own.shape[1]:
-        own, _ = np.linalg.qr(own)
-        b = b - own @ (own.T @ b)
-    before = log_likelihood(b.reshape(view.residual.shape) / weight, floor, effective)
-    best: dict[Term, Screened] = {}
-    for answer in answers:
-        a = (answer.change * weight[:, None]).reshape(len(b), -1)
-        if own.shape[1]:
-            a = a - own @ (own.T @ a)
-        amplitude = _bounded_least_squares(a, b, answer)
-        if not amplitude.any():
-            continue
-        left = (b - a @ amplitude).reshape(view.residual.shape) / weight
-        gain = log_likelihood(left, floor, effective) - before - cost * len(answer.start)
-        if answer.term not in best or gain > best[answer.term].gain:
-            start = answer.start.copy()
-            start[list(answer.switches)] *= amplitude
-            best[answer.term] = Screened(answer.term, start, gain, answer)
-    return sorted(best.values(), key=lambda s: -s.gain)
+
+    which: list[int]
+    columns: FloatArray
+    own: FloatArray
+    lower: FloatArray
+    upper: FloatArray
 
 
-def search(
-    view: View, answers: Sequence[Response], *, width: int, most: int, earns: float,
-    worth: Callable[[FloatArray, FloatArray], bool],
-) -> list[list[Structure]]:  # fmt: skip
-    """Structures of one, two, ... terms that explain a residual, best first at each size.
+class Answers:
+    """Responses of all candidates as columns, and their inner products."""
 
-    Args:
-        view: what has to be explained.
-        answers: responses of the candidates.
+    def __init__(self, responses: Sequence[Response]) -> None:
+        self.responses = list(responses)
+        self.at: list[slice] = []
+        parts, count = [], 0
+        for r in self.responses:
+            self.at.append(slice(count, count + len(r.switches)))
+            count += len(r.switches)
+            parts.append(np.moveaxis(r.change, 0, -1))  # (signals, switches, bins)
+        self.columns = np.ascontiguousarray(np.concatenate(parts, axis=1), dtype=np.float32)
+        self._products: dict[int, FloatArray] = {}
+        self.groups = [self._group(m) for m in sorted({len(r.switches) for r in self.responses})]
+
+    def _group(self, switches: int) -> _Group:
+        which = [i for i, r in enumerate(self.responses) if len(r.switches) == switches]
+        columns = np.array([np.arange(self.at[i].start, self.at[i].stop) for i in which])
+        block = self.columns[:, columns].astype(np.float64)
+        own = np.matmul(block, block.swapaxes(-1, -2))
+        ends = []
+        for i in which:
+            r = self.responses[i]
+            sizes = r.start[list(r.switches)]
+            both = np.array(
+                [[r.term.parameters[s].lower, r.term.parameters[s].upper] for s in r.switches]
+            ) / sizes[:, None]  # fmt: skip
+            ends.append((both.min(axis=1), both.max(axis=1)))
+        lower, upper = (np.array(e) for e in zip(*ends, strict=True))
+        return _Group(which, columns, own, lower, upper)
+
+    def with_columns(self, other: FloatArray) -> FloatArray:
+        """(signals, columns, k) inner products with (bins, signals, k) other columns."""
+        moved = np.ascontiguousarray(np.moveaxis(other, 0, 1), dtype=np.float32)
+        return np.asarray(np.matmul(self.columns, moved), dtype=np.float64)
+
+    def products(self, response: int) -> FloatArray:
+        """(signals, columns, switches) inner products with a response's own columns."""
+        if response not in self._products:
+            mine = self.columns[:, self.at[response]].swapaxes(-1, -2)
+            self._products[response] = np.matmul(self.columns, mine).astype(np.float64)
+        return self._products[response]
+
+
+class Lens:
+    """One view through all responses: structures by their normal equations."""
+
+    def __init__(self, view: View, answers: Answers) -> None:
+        self.view = view
+        self.answers = answers
+        self.bins = len(view.residual)
+        jacobian = np.moveaxis(view.jacobian, 1, 0)  # (signals, bins, parameters)
+        self.own = jacobian.swapaxes(-1, -2) @ jacobian
+        self.own_residual = np.einsum("sbp,bs->sp", jacobian, view.residual)
+        self.squared = np.einsum("bs,bs->s", view.residual, view.residual)
+        self.with_own = answers.with_columns(view.jacobian)
+        self.with_residual = answers.with_columns(view.residual[:, :, None])[:, :, 0]
+
+    @property
+    def bare(self) -> Structure:
+        """Nothing new: only what is named gives way."""
+        return self.structure(())
+
+    def _normal(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Of own parameters and chosen responses: (signals, p, p) and (signals, p)."""
+        answers = self.answers
+        columns = [c for i in chosen for c in range(answers.at[i].start, answers.at[i].stop)]
+        p = self.own.shape[1]
+        total = p + len(columns)
+        normal = np.empty((len(self.squared), total, total))
+        normal[:, :p, :p] = self.own
+        side = self.with_own[:, columns]
+        normal[:, p:, :p] = side
+        normal[:, :p, p:] = side.swapaxes(-1, -2)
+        at = p
+        for i in chosen:
+            block = answers.products(i)[:, columns]
+            normal[:, p:, at : at + block.shape[2]] = block
+            at += block.shape[2]
+        right = np.concatenate([self.own_residual, self.with_residual[:, columns]], axis=1)
+        return normal, right
+
+    def structure(self, chosen: tuple[int, ...]) -> Structure:
+        """A structure with all its amplitudes fitted together, inside their bounds."""
+        normal, right = self._normal(chosen)
+        p = self.own.shape[1]
+        answers = self.answers
+        lower = np.full(right.shape[1], -np.inf)
+        upper = np.full(right.shape[1], np.inf)
+        at = p
+        for i in chosen:
+            for group in answers.groups:
+                if i in group.which:
+                    k = group.which.index(i)
+                    m = group.lower.shape[1]
+                    lower[at : at + m], upper[at : at + m] = group.lower[k], group.upper[k]
+                    at += m
+        x = self._solved(normal[:, None], right[:, None], lower[None], upper[None])[0][0]
+        residual = self.view.residual - self.view.jacobian @ x[:p]
+        starts: dict[Term, FloatArray] = {}
+        at = p
+        for i in chosen:
+            r = answers.responses[i]
+            amplitude = x[at : at + len(r.switches)]
+            at += len(r.switches)
+            residual = residual - r.change @ amplitude
+            start = r.start.copy()
+            start[list(r.switches)] *= amplitude
+            starts[r.term] = start
+        return Structure(starts, residual, 0.0, chosen)
+
+    def _solved(
+        self, normal: FloatArray, right: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Amplitudes (k, p) and mean squares (k, signals) of k problems.
+
+        Args:
+            normal: (signals, k, p, p); right: (signals, k, p).
+            lower, upper: (k, p) bounds; amplitudes beyond stop there and the others give way.
+        """
+        count, p = right.shape[1:]
+        mean_square = np.repeat((self.squared / self.bins)[None], count, axis=0)
+        x = np.zeros((count, p))
+        if not p:
+            return x, mean_square
+        eye = np.eye(p)
+        for _ in range(3):
+            # Again under the weights of what is left: what is explained must not drown the rest.
+            weight = 1.0 / (mean_square + self.view.floor**2)
+            a = np.einsum("ks,skpq->kpq", weight, normal)
+            b = np.einsum("ks,skp->kp", weight, right)
+            size = np.sqrt(np.maximum(np.einsum("kpp->kp", a), 1e-300))
+            scaled = a / (size[:, :, None] * size[:, None, :]) + _RIDGE * eye
+            x = np.linalg.solve(scaled, (b / size)[..., None])[..., 0] / size
+            held = np.clip(x, lower, upper)
+            fixed = held != x
+            if fixed.any():
+                # Those at a bound leave the equations; the rest is solved anew.
+                keep = ~fixed
+                kept = scaled * (keep[:, :, None] & keep[:, None, :]) + eye * fixed[:, :, None]
+                rest = b / size - np.einsum("kpq,kq->kp", scaled, np.where(fixed, held * size, 0.0))
+                again = np.linalg.solve(kept, np.where(keep, rest, 0.0)[..., None])[..., 0] / size
+                x = np.clip(np.where(fixed, held, again), lower, upper)
+            explained = 2.0 * np.einsum("kp,skp->ks", x, right) - np.einsum(
+                "kp,skpq,kq->ks", x, normal, x, optimize=True
+            )
+            mean_square = np.maximum(self.squared[None] - explained, 0.0) / self.bins
+        return x, mean_square
+
+    def children(self, parent: Structure, count: int) -> list[tuple[int, ...]]:
+        """The parent with one more term: the most promising, one entry per term."""
+        view, answers = self.view, self.answers
+        effective = effective_samples(parent.residual, view.lengths)
+        cost = price(effective)
+        base, base_right = self._normal(parent.chosen)
+        p = base.shape[1]
+        beside = [self.with_own, *(answers.products(i) for i in parent.chosen)]
+        with_base = np.concatenate(beside, axis=2)
+        best: dict[Term, tuple[float, int]] = {}
+        for group in answers.groups:
+            m = group.columns.shape[1]
+            k = len(group.which)
+            normal = np.empty((len(self.squared), k, p + m, p + m))
+            normal[:, :, :p, :p] = base[:, None]
+            side = with_base[:, group.columns]
+            normal[:, :, p:, :p] = side
+            normal[:, :, :p, p:] = side.swapaxes(-1, -2)
+            normal[:, :, p:, p:] = group.own
+            right = np.concatenate(
+                [np.repeat(base_right[:, None], k, axis=1), self.with_residual[:, group.columns]],
+                axis=2,
+            )
+            lower = np.concatenate([np.full((k, p), -np.inf), group.lower], axis=1)
+            upper = np.concatenate([np.full((k, p), np.inf), group.upper], axis=1)
+            _, mean_square = self._solved(normal, right, lower, upper)
+            likelihood = -0.5 * np.log(np.maximum(mean_square, view.floor**2)) @ effective
+            for i, value in zip(group.which, likelihood, strict=True):
+                response = answers.responses[i]
+                if response.term in parent.starts or not np.isfinite(value):
+                    continue
+                gain = float(value) - cost * len(response.start)
+                if response.term not in best or gain > best[response.term][0]:
+                    best[response.term] = gain, i
+        ranked = sorted(best.values(), key=lambda x: -x[0])[:count]
+        return [(*parent.chosen, i) for _, i in ranked]
+
+    def compared(self, parent: Structure, children: list[Structure]) -> list[Structure]:
+        """Children by their evidence over a parent, under the best child's effective samples."""
+        view = self.view
+
+        def misfit(s: Structure) -> float:
+            return float(np.log(np.maximum(np.mean(s.residual**2, axis=0), view.floor**2)).sum())
+
+        best = min(children, key=misfit)
+        effective = effective_samples(best.residual, view.lengths)
+        cost = price(effective)
+        base = log_likelihood(parent.residual, view.floor, effective) - cost * parent.parameters
+        for c in children:
+            own = log_likelihood(c.residual, view.floor, effective)
+            c.evidence = own - cost * c.parameters - base
+        return sorted(children, key=lambda c: -c.evidence)
+
+
+@dataclass(slots=True)
+class Search:
+    """How far structures are searched.
+
+    Attributes:
         width: structures kept at each size.
         most: terms at most.
-        earns: evidence that a larger structure must gain.
-        worth: whether (signals,) mean squares ``after`` are worth one more name than ``before``.
+        earns: evidence that a larger structure, or another in its place, must gain.
+        worth: whether (signals,) mean squares after are worth one more name than before.
     """
-    level = [Structure({}, view.residual)]
-    found: list[list[Structure]] = []
-    for _ in range(most):
-        grown: dict[frozenset[Term], Structure] = {}
-        for parent in level:
-            for child in _children(view, parent, answers, width):
-                key = frozenset(child.starts)
-                if key not in grown or child.evidence > grown[key].evidence:
-                    grown[key] = child
-        if not grown:
-            break
-        children = _compared(view, level[0], list(grown.values()))
-        before = np.mean(level[0].residual ** 2, axis=0)
-        kept = [
-            c for c in children[:width]
-            if c.evidence >= earns and worth(before, np.mean(c.residual**2, axis=0))
-        ]  # fmt: skip
-        if not kept:
-            break
-        found.append(kept)
-        level = kept
-    return found
 
+    width: int
+    most: int
+    earns: float
+    worth: Callable[[FloatArray, FloatArray], bool]
+    _seen: dict[frozenset[int], Structure] = field(default_factory=dict)
 
-def _compared(view: View, parent: Structure, children: list[Structure]) -> list[Structure]:
-    """Children by their evidence over the best parent, under the best child's effective samples."""
+    def levels(self, lens: Lens) -> list[list[Structure]]:
+        """Structures of one, two, ... terms that explain a residual, best first at each size."""
+        level = [lens.bare]
+        found: list[list[Structure]] = []
+        for _ in range(self.most):
+            grown = self._grown(lens, level, 2 * self.width)
+            if not grown:
+                break
+            children = lens.compared(level[0], grown)
+            before = np.mean(level[0].residual ** 2, axis=0)
+            kept = [
+                c for c in children[: self.width]
+                if c.evidence >= self.earns
+                and self.worth(before, np.mean(c.residual**2, axis=0))
+            ]  # fmt: skip
+            if not kept:
+                break
+            better = self._swapped(lens, kept[0])
+            if better.chosen != kept[0].chosen:
+                kept.insert(0, better)
+            found.append(kept)
+            level = kept
+        return found
 
-    def misfit(s: Structure) -> float:
-        return float(np.log(np.maximum(np.mean(s.residual**2, axis=0), view.floor**2)).sum())
+    def _grown(self, lens: Lens, level: Sequence[Structure], count: int) -> list[Structure]:
+        wanted = {frozenset(c): c for s in level for c in lens.children(s, count)}
+        out = []
+        for key, chosen in wanted.items():
+            if key not in self._seen:
+                self._seen[key] = lens.structure(chosen)
+            out.append(self._seen[key])
+        return out
 
-    best = min(children, key=misfit)
-    effective = effective_samples(best.residual, view.lengths)
-    cost = price(effective)
-    base = log_likelihood(parent.residual, view.floor, effective) - cost * parent.parameters
-    for c in children:
-        own = log_likelihood(c.residual, view.floor, effective)
-        c.evidence = own - cost * c.parameters - base
-    return sorted(children, key=lambda c: -c.evidence)
-
-
-def _children(
-    view: View, parent: Structure, answers: Sequence[Response], width: int
-) -> list[Structure]:
-    """The parent with one more term, the most promising ones, all amplitudes fitted together."""
-    mine = [r.change for r in parent.columns.values()]
-    jacobian = np.concatenate([view.jacobian, *mine], axis=-1) if mine else view.jacobian
-    inner = View(parent.residual, jacobian, view.floor, view.lengths)
-    free = [a for a in answers if a.term not in parent.starts]
-    return [joined(view, s, parent) for s in screen(inner, free)[: 2 * width]]
-
-
-def joined(view: View, more: Screened, parent: Structure | None = None) -> Structure:
-    """A structure with one more term, all amplitudes fitted together."""
-    assert more.answer is not None
-    parent = Structure({}, view.residual) if parent is None else parent
-    chosen = {**parent.columns, more.term: more.answer}
-    starts = {**parent.starts, more.term: more.start}
-    amplitude, residual = _fitted(view, [r.change for r in chosen.values()], parent.residual)
-    at = view.jacobian.shape[2]
-    for term, response in chosen.items():
-        switches = list(response.switches)
-        start = response.start.copy()
-        start[switches] *= amplitude[at : at + len(switches)]
-        at += len(switches)
-        lower = np.array([p.lower for p in term.parameters])
-        upper = np.array([p.upper for p in term.parameters])
-        starts[term] = np.clip(start, lower, upper)
-    return Structure(starts, residual, more.gain, chosen)
-
-
-def refitted(view: View) -> Structure:
-    """What stands when only what is named already gives way."""
-    return Structure({}, _fitted(view, [], view.residual)[1])
-
-
-def _fitted(
-    view: View, changes: Sequence[FloatArray], current: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Amplitudes of named parameters and ``changes``, and the (bins, signals) residual."""
-    columns = np.concatenate([view.jacobian, *changes], axis=-1)
-    amplitude = np.zeros(columns.shape[2])
-    if not amplitude.size:
-        return amplitude, view.residual
-    for _ in range(2):
-        # Again under the weights of what is left: what is explained must not drown the rest.
-        weight = 1.0 / np.sqrt(np.mean(current**2, axis=0) + view.floor**2)
-        a = (columns * weight[:, None]).reshape(view.residual.size, -1)
-        b = (view.residual * weight).ravel()
-        amplitude = _ridge(a, b)
-        left: FloatArray = (b - a @ amplitude).reshape(view.residual.shape)
-        current = left / weight
-    return amplitude, current
-
-
-def _ridge(a: FloatArray, b: FloatArray) -> FloatArray:
-    normal = a.T @ a
-    ridge = 1e-9 * max(float(np.trace(normal)), 1e-300) * np.eye(len(normal))
-    return np.asarray(np.linalg.solve(normal + ridge, a.T @ b), dtype=np.float64)
-
-
-def _bounded_least_squares(a: FloatArray, b: FloatArray, answer: Response) -> FloatArray:
-    """Amplitudes of the simulated changes; those that would leave their bounds stop there."""
-    parameters = [answer.term.parameters[s] for s in answer.switches]
-    sizes = answer.start[list(answer.switches)]
-    ends = np.array([[p.lower, p.upper] for p in parameters]) / sizes[:, None]
-    lower, upper = ends.min(axis=1), ends.max(axis=1)
-    free = np.ones(len(sizes), dtype=bool)
-    amplitude = np.zeros(len(sizes))
-    for _ in range(len(sizes)):
-        if not free.any():
-            break
-        rest = b - a @ np.where(free, 0.0, amplitude)
-        normal = a[:, free].T @ a[:, free]
-        ridge = max(1e-7 * float(np.trace(normal)), 1e-30) * np.eye(len(normal))
-        amplitude[free] = np.linalg.solve(normal + ridge, a[:, free].T @ rest)
-        outside = free & ((amplitude < lower) | (amplitude > upper))
-        if not outside.any():
-            break
-        amplitude = np.clip(amplitude, lower, upper)
-        free &= ~outside
-    return amplitude
+    def _swapped(self, lens: Lens, best: Structure) -> Structure:
+        """The structure with terms exchanged for one or two others, while that pays."""
+        for _ in range(_SWAPS):
+            if len(best.chosen) < 1:
+                break
+            pool: list[Structure] = []
+            for i in best.chosen:
+                rest = lens.structure(tuple(c for c in best.chosen if c != i))
+                ones = self._grown(lens, [rest], self.width)
+                pool += ones
+                if len(best.chosen) < self.most:
+                    pool += self._grown(lens, ones, 3)
+            pool = [s for s in pool if set(s.chosen) != set(best.chosen)]
+            if not pool:
+                break
+            evidence = best.evidence
+            top = lens.compared(best, pool)[0]
+            if top.evidence < self.earns:
+                best.evidence = evidence
+                break
+            top.evidence += evidence
+            best = top
+        return best

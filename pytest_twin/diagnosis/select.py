@@ -20,22 +20,14 @@ from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Response, bins, responses
-from pytest_twin.diagnosis.screen import (
-    Structure,
-    View,
-    candidates,
-    joined,
-    price,
-    refitted,
-    screen,
-    search,
-)
+from pytest_twin.diagnosis.screen import Answers, Lens, Search, Structure, View, candidates, price
 from pytest_twin.effects.base import FloatArray
 
 _MAX_TERMS = 10
 _ROUNDS = 6
-# Structures kept at each size, terms added at once, rivals looked at in a term's place.
-_WIDTH, _AT_ONCE, _RIVALS = 4, 4, 6
+# Structures kept at each size, terms added at once, structures of the largest size that are fitted,
+# rivals looked at in a term's place.
+_WIDTH, _AT_ONCE, _FITTED, _RIVALS = 10, 4, 4, 6
 # Evidence to first order beyond which no simulation would change the verdict.
 _CLEAR = 30.0
 _QUICK, _LONG = 2, 8
@@ -197,13 +189,14 @@ class Selection:
     def _forward(self, best: Rival) -> Rival | None:
         view, answers = self._look(best)
         whole = np.mean(self.nominal.fitted.residual**2, axis=0)
-        levels = search(
-            view, answers, width=_WIDTH, most=_AT_ONCE, earns=_EARNS,
-            worth=lambda before, after: self._worth_a_name(before, after, whole),
-        )  # fmt: skip
+        lens = Lens(view, Answers(answers))
+        levels = Search(
+            _WIDTH, _AT_ONCE, _EARNS,
+            lambda before, after: self._worth_a_name(before, after, whole),
+        ).levels(lens)  # fmt: skip
         if not levels:
             return None
-        chosen = [*levels[-1]]
+        chosen = [*levels[-1][:_FITTED]]
         for level in levels[:-1]:
             chosen += level[:2]
         for structure in chosen:
@@ -281,7 +274,7 @@ class Selection:
             doubtful = []
             for term, view in zip(terms, self._bare(best), strict=True):
                 fewer = -len(term.parameters)
-                if self._linear_evidence(best, view, refitted(view), fewer) > -_CLEAR:
+                if self._linear_evidence(best, view, bare(view), fewer) > -_CLEAR:
                     doubtful.append(term)
             if not doubtful:
                 break
@@ -307,20 +300,22 @@ class Selection:
         terms = best.hypothesis.terms
         if not terms:
             return False
-        _, answers = self._look(best)
+        answers = Answers(self._look(best)[1])
         evidence: dict[tuple[Term, Term | None], float] = {}
         close: list[tuple[Term, Term]] = []
         starts: list[Hypothesis] = []
         for term, view in zip(terms, self._bare(best), strict=True):
             count = len(term.parameters)
-            evidence[term, None] = self._linear_evidence(best, view, refitted(view), -count)
-            for rival in screen(view, answers)[:_RIVALS]:
-                more = len(rival.start) - count
-                found = self._linear_evidence(best, view, joined(view, rival), more)
-                evidence[term, rival.term] = found
+            lens = Lens(view, answers)
+            evidence[term, None] = self._linear_evidence(best, view, lens.bare, -count)
+            for chosen in lens.children(lens.bare, _RIVALS):
+                structure = lens.structure(chosen)
+                ((new, start),) = structure.starts.items()
+                found = self._linear_evidence(best, view, structure, len(start) - count)
+                evidence[term, new] = found
                 if found > -_CLEAR:
-                    close.append((term, rival.term))
-                    starts.append(best.hypothesis.without(term).with_term(rival.term, rival.start))
+                    close.append((term, new))
+                    starts.append(best.hypothesis.without(term).with_term(new, start))
         rivals = self._rivals(starts, self._weights(best), _QUICK + 1) if starts else []
         self._judge(rivals, best)
         for (term, new), r in zip(close, rivals, strict=True):
@@ -344,3 +339,13 @@ class Selection:
 
 def _text(starts: Mapping[Term, FloatArray]) -> str:
     return " + ".join(f"{t.effect}@{t.joint}{np.round(s, 3)}" for t, s in starts.items())
+
+
+def bare(view: View) -> Structure:
+    """What stands when only what is named gives way."""
+    weight = 1.0 / np.sqrt(np.mean(view.residual**2, axis=0) + view.floor**2)
+    a = (view.jacobian * weight[:, None]).reshape(view.residual.size, -1)
+    if not a.shape[1]:
+        return Structure({}, view.residual)
+    amplitude = np.linalg.lstsq(a, (view.residual * weight).ravel(), rcond=1e-9)[0]
+    return Structure({}, view.residual - view.jacobian @ amplitude)

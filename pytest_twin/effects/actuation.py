@@ -16,7 +16,7 @@ class ActuatorLag(Effect):
     family = "actuation"
     law = "time_constant d(delivered)/dt = drive - delivered"
     source = "current loop as a first-order lag; Siciliano et al., Robotics (2009), sec. 8.3"
-    parameters = (Parameter("time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.05)),)
+    parameters = (Parameter("time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.03, 0.08)),)
     remembers = True
     confused_with: ClassVar = {
         "command_delay": "steps: a lag rises at once, a delay leaves a dead time",
@@ -45,7 +45,14 @@ class RateLimit(Effect):
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the rate.
         Parameter(
-            "inverse_rate", "one", 0.0, 0.0, 20.0, (0.3, 1.0), "slowness", ("rate", "velocity")
+            "inverse_rate",
+            "one",
+            0.0,
+            0.0,
+            20.0,
+            (0.2, 0.35, 0.55, 0.8, 1.1, 1.6, 2.5),
+            "slowness",
+            ("rate", "velocity"),
         ),
     )
     modes = ("position", "velocity")
@@ -105,7 +112,7 @@ class TorqueSaturation(Effect):
             0.0,
             0.0,
             10.0,
-            (0.6, 1.0),
+            (0.8, 1.1, 1.5, 2.0, 3.0),
             "inverse_effort",
             ("limit", "effort"),
         ),
@@ -136,11 +143,11 @@ class TorqueSpeedLimit(Effect):
             0.0,
             0.0,
             5.0,
-            (0.3, 0.6),
+            (0.15, 0.3, 0.6, 1.0),
             "slowness",
             ("no_load_speed", "velocity"),
         ),
-        Parameter("stall", "effort", None, 0.2, 20.0, (1.5, 4.0), "effort"),
+        Parameter("stall", "effort", None, 0.2, 20.0, (1.5, 2.5, 4.0, 7.0), "effort"),
     )
     confused_with: ClassVar = {
         "torque_saturation": "a stall against a stop",
@@ -162,7 +169,7 @@ class DeadZone(Effect):
     family = "actuation"
     law = "error -> sign(error) max(|error| - width, 0); an effort drive: the same of its command"
     source = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities"
-    parameters = (Parameter("width", "command", 0.0, 0.0, 1.0, (0.01, 0.04), "command"),)
+    parameters = (Parameter("width", "command", 0.0, 0.0, 1.0, (0.01, 0.03, 0.1), "command"),)
     confused_with: ClassVar = {
         "coulomb_friction": "release at rest: friction holds, a dead zone lets go",
         "backlash": "hold the link by hand: only backlash lets it move freely",
@@ -184,7 +191,15 @@ class Cogging(Effect):
     parameters = (
         Parameter("sine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort"),
         Parameter("cosine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort"),
-        Parameter("harmonic", "wavenumber", None, 2.0, 200.0, (6.0, 12.0, 24.0), "one"),
+        Parameter(
+            "harmonic",
+            "wavenumber",
+            None,
+            2.0,
+            200.0,
+            tuple(float(k) for k in (3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24)),
+            "one",
+        ),
     )
     confused_with: ClassVar = {
         "position_dependent_friction": "both directions: friction changes its sign",

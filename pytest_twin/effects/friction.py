@@ -111,7 +111,9 @@ class StribeckFriction(Effect):
     parameters = (
         Parameter("coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort"),
         Parameter("stiction_excess", "effort", 0.0, 0.0, 5.0, (0.2,), "effort"),
-        Parameter("stribeck_velocity", "velocity", None, 0.003, 3.0, (0.05, 0.3), "velocity"),
+        Parameter(
+            "stribeck_velocity", "velocity", None, 0.003, 3.0, (0.03, 0.08, 0.2, 0.5), "velocity"
+        ),
     )
     confused_with: ClassVar = {
         "coulomb_friction": "slow reversals",
@@ -151,7 +153,9 @@ class PreslidingHysteresis(Effect):
     source = "Dahl (1968); Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995): LuGre"
     parameters = (
         Parameter("coulomb", "effort", 0.0, 0.0, 5.0, (0.2,), "effort"),
-        Parameter("presliding_distance", "position", None, 0.0005, 0.5, (0.01, 0.05), "one"),
+        Parameter(
+            "presliding_distance", "position", None, 0.0005, 0.5, (0.005, 0.015, 0.04, 0.1), "one"
+        ),
     )
     remembers = True
     confused_with: ClassVar = {
@@ -183,7 +187,7 @@ class ThermalFriction(Effect):
     source = "Bittencourt, Axelsson, J. Dyn. Syst. Meas. Control 136 (2014)"
     parameters = (
         Parameter("excess", "effort", 0.0, -5.0, 5.0, (0.2,), "effort"),
-        Parameter("warm_up_time", "time", None, 0.5, 1000.0, (4.0, 30.0)),
+        Parameter("warm_up_time", "time", None, 0.5, 1000.0, (2.0, 5.0, 12.0, 40.0)),
     )
     confused_with: ClassVar = {
         "coulomb_friction": "the same motion cold and warm",

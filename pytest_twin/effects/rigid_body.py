@@ -19,7 +19,7 @@ class Payload(Effect):
     scope = "robot"
     parameters = (
         Parameter("mass", "mass", 0.0, -0.9, 20.0, (0.2,), "mass"),
-        Parameter("distance", "length", None, -2.0, 4.0, (1.0,), "length"),
+        Parameter("distance", "length", None, -2.0, 4.0, (0.5, 1.0, 2.0), "length"),
     )
     confused_with: ClassVar = {
         "inertial_parameters": "take the payload off",

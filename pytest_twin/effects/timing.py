@@ -19,7 +19,7 @@ class CommandDelay(Effect):
     family = "timing"
     law = "setpoint(t) = command(t - delay)"
     source = "transport delay, e.g. Franklin, Powell, Emami-Naeini, Feedback Control, ch. 5"
-    parameters = (Parameter("delay", "time", 0.0, 0.0, 0.3, (0.01, 0.04)),)
+    parameters = (Parameter("delay", "time", 0.0, 0.0, 0.3, (0.005, 0.015, 0.03, 0.06)),)
     confused_with: ClassVar = {
         "sensor_delay": "an outside disturbance or a release: only a sensor delay shifts it",
         "actuator_lag": _LATE_OR_LAGGING,
@@ -38,7 +38,7 @@ class SensorDelay(Effect):
     law = "measured(t) = state(t - delay)"
     source = "transport delay, e.g. Franklin, Powell, Emami-Naeini, Feedback Control, ch. 5"
     scope = "robot"
-    parameters = (Parameter("delay", "time", 0.0, 0.0, 0.3, (0.01, 0.04)),)
+    parameters = (Parameter("delay", "time", 0.0, 0.0, 0.3, (0.005, 0.015, 0.03, 0.06)),)
     confused_with: ClassVar = {
         "command_delay": "an outside disturbance or a release: only a sensor delay shifts it",
     }

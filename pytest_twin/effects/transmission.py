@@ -119,7 +119,7 @@ class Backlash(_Compliance):
     family = "transmission"
     law = "effort passes where |motor - link| > gap / 2"
     source = "Nordin, Gutman, Automatica 38 (2002): controlling systems with backlash"
-    parameters = (Parameter("gap", "position", 0.0, 0.0, 0.4, (0.02,)),)
+    parameters = (Parameter("gap", "position", 0.0, 0.0, 0.4, (0.01, 0.025, 0.06)),)
     confused_with: ClassVar = {
         "dead_zone": "hold the link by hand: only backlash lets it move freely",
         "coulomb_friction": "hold the link by hand",
@@ -151,10 +151,10 @@ class JointElasticity(_Compliance):
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the stiffness.
         Parameter(
-            "compliance", "one", 0.0, 0.0, 20.0, (0.02, 0.1), "compliance",
+            "compliance", "one", 0.0, 0.0, 20.0, (0.02, 0.06, 0.15, 0.4), "compliance",
             ("stiffness", "stiffness"),
         ),
-        Parameter("damping_time", "time", None, 0.0, 0.2, (0.01,)),
+        Parameter("damping_time", "time", None, 0.0, 0.2, (0.004, 0.015)),
     )  # fmt: skip
     confused_with: ClassVar = {
         "backlash": "two loads: elasticity yields in proportion",
