@@ -1,0 +1,349 @@
+"""What the search to first order says of motions whose cause is known, no candidate simulated.
+
+Plants are the package's own simulation with one effect or two, plus noise of an ordinary encoder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.along import Along, along
+from pytest_twin.diagnosis.deviation import Deviation, deviation
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.laws import Laws
+from pytest_twin.diagnosis.problem import Problem, joint_scales, smooth_state
+from pytest_twin.diagnosis.responses import bins, responses
+from pytest_twin.diagnosis.rigid_terms import rigid_terms, upsampled
+from pytest_twin.diagnosis.screen import Answers, Lens, Search, Structure, View, candidates
+from pytest_twin.diagnosis.start import free_starts
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.rows import RowSimulator, Segment
+
+FloatArray = NDArray[np.float64]
+Hidden = Mapping[Term, Mapping[str, float]]
+"""What the plant has and the model lacks, SI units."""
+
+NOISE = 3e-4
+"""rad: an encoder of 4096 counts, and some jitter."""
+SAMPLE, SECONDS, WINDOW, START_WIDTH = 0.01, 5.0, 0.5, 0.12
+NEAR = 0.1
+
+ARM = """\
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+<joint name="shoulder" axis="0 1 0" damping=".4" armature=".02"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/><body pos=".3 0 0">
+<joint name="elbow" axis="0 1 0" damping=".15" armature=".01"/>
+<geom type="capsule" fromto="0 0 0 .25 0 0" size=".02" mass=".5"/></body></body></worldbody>
+<actuator><position joint="shoulder" kp="60" kv="2"/><position joint="elbow" kp="25" kv=".7"/>
+</actuator></mujoco>
+"""
+CRANK = """\
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+<joint name="crank" axis="0 1 0" damping=".05" armature=".01"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass="1"/></body></worldbody>
+<actuator><motor joint="crank"/></actuator></mujoco>
+"""
+ROBOT, SHOULDER, ELBOW, CRANK_JOINT = -1, 0, 1, 0
+
+# Command mode, what is hidden where, and its parameters.
+ALONE: list[tuple[str, Term, dict[str, float]]] = [
+    ("position", Term("viscous_friction", ELBOW), {"coefficient": 0.2}),
+    ("position", Term("coulomb_friction", SHOULDER), {"coulomb": 0.3}),
+    ("position", Term("command_delay", ELBOW), {"delay": 0.02}),
+    ("position", Term("actuator_lag", SHOULDER), {"time_constant": 0.02}),
+    ("position", Term("rate_limit", ELBOW), {"inverse_rate": 1 / 1.5}),
+    ("position", Term("torque_saturation", SHOULDER), {"inverse_limit": 1 / 4.0}),
+    ("position", Term("encoder_bias", ELBOW), {"bias": 0.03}),
+    ("position", Term("payload", ROBOT), {"mass": 0.1, "distance": 0.12}),
+    ("position", Term("inertial_parameters", SHOULDER), {"relative_error": 0.15}),
+    (
+        "position",
+        Term("joint_elasticity", SHOULDER),
+        {"compliance": 1 / 150.0, "damping_time": 0.008},
+    ),
+    ("position", Term("joint_coupling", ELBOW), {"ratio": 0.08}),
+    (
+        "position",
+        Term("external_force", SHOULDER),
+        {"effort": 1.0, "start": 2.0, "duration": 0.6},
+    ),
+    ("effort", Term("viscous_friction", CRANK_JOINT), {"coefficient": 0.08}),
+    ("effort", Term("coulomb_friction", CRANK_JOINT), {"coulomb": 0.15}),
+    ("effort", Term("asymmetric_viscous_friction", CRANK_JOINT), {"coefficient": 0.05}),
+    ("effort", Term("torque_constant", CRANK_JOINT), {"relative_error": 0.12}),
+    ("effort", Term("inertial_parameters", CRANK_JOINT), {"relative_error": 0.2}),
+]
+# Laws that hold another as a special case: they take up what first order leaves of it as well, so
+# they may lie ahead of it here. The fits, on simulations, decide between them.
+HELD_BY: Mapping[str, frozenset[str]] = {
+    # Its damping error, under a servo.
+    "viscous_friction": frozenset({"controller_gain"}),
+    # A bias holds the servo off by a constant effort: a preload.
+    "encoder_bias": frozenset({"joint_spring"}),
+    # Without excess, offset, waves, warming up.
+    "coulomb_friction": frozenset(
+        {
+            "stribeck_friction",
+            "asymmetric_friction",
+            "position_dependent_friction",
+            "thermal_friction",
+        }
+    ),
+}
+
+
+def wave(time: FloatArray, joints: int, size: float) -> FloatArray:
+    """(samples, joints) of three sines a joint, from rest."""
+    random = np.random.default_rng(1)
+    frequency = random.uniform(0.3, 1.6, (3, joints))
+    phase = random.uniform(0.0, 2.0 * np.pi, (3, joints))
+    total = np.zeros((len(time), joints))
+    for f, p in zip(frequency, phase, strict=True):
+        total += np.sin(2.0 * np.pi * time[:, None] * f + p)
+    return size * total * np.minimum(time / 0.4, 1.0)[:, None]
+
+
+def moved(segment: Segment, joints: tuple[str, ...], hidden: Hidden) -> FloatArray:
+    """Positions that a plant with ``hidden`` effects has."""
+    values: dict[str, dict[str, FloatArray]] = {}
+    for term, own in hidden.items():
+        values[term.effect] = {
+            p.name: np.full((1, len(joints)), own[p.name] if p.neutral is None else p.neutral)
+            for p in term.parameters
+        }
+        for name, value in own.items():
+            column = slice(None) if term.joint < 0 else term.joint
+            values[term.effect][name][:, column] = value
+    simulator = RowSimulator([segment], joints, threads=1)
+    return simulator.simulate(np.array([0]), values)[0].position
+
+
+def problem_of(mode: str, hidden: Hidden) -> Problem:
+    """An arm on position servos, or a crank under effort commands in windows as a fit has them."""
+    servo = mode == "position"
+    joints = ("shoulder", "elbow") if servo else ("crank",)
+    model = mujoco.MjModel.from_xml_string(ARM if servo else CRANK)
+    time: FloatArray = SAMPLE * np.arange(round(SECONDS / SAMPLE), dtype=np.float64)
+    still = np.zeros(len(joints))
+    segment = Segment(
+        trial=0, model=model, mode=mode, start=0.0, time=time,
+        position=np.zeros((len(time), len(joints))), velocity=None, effort=None,
+        command_time=time, command=wave(time, len(joints), 0.25 if servo else 1.0),
+        initial_position=still, initial_velocity=still,
+    )  # fmt: skip
+    position = moved(segment, joints, hidden)
+    position = position + NOISE * np.random.default_rng(2).standard_normal(position.shape)
+    segments = [replace(segment, position=position)]
+    if not servo:
+        segments = []
+        for start in np.arange(0.0, SECONDS - 1e-9, WINDOW):
+            inside = (time >= start - 1e-9) & (time <= start + WINDOW + 1e-9)
+            q, v = smooth_state(time, position, float(start), START_WIDTH)
+            segments.append(
+                replace(segment, start=float(start), time=time[inside], position=position[inside],
+                        initial_position=q, initial_velocity=v)
+            )  # fmt: skip
+    simulator = RowSimulator(segments, joints, threads=1)
+    scales = joint_scales(simulator, segments)
+    noise = np.full(len(joints), NOISE)
+    problem = Problem(simulator, np.arange(len(segments)), np.zeros(0, np.int64), noise, scales)
+    if not servo:
+        problem.start_noise, problem.start_width = noise, START_WIDTH
+        problem.free = lambda h: free_starts(segments, joints, noise, START_WIDTH, 1, h, scales)
+    problem.refine_at(EMPTY)
+    return problem
+
+
+def look(problem: Problem) -> Lens:
+    """Every candidate of the catalogue, around the model as it came."""
+    answers, left = responses(problem, candidates(problem), problem.fit)
+    lengths = bins(problem, problem.fit).lengths
+    view = View(left, np.empty((*left.shape, 0)), problem.signal_floor, lengths)
+    return Lens(view, Answers(answers))
+
+
+def assert_near(problem: Problem, term: Term, start: FloatArray, hidden: Hidden) -> None:
+    """What switches an effect on starts near the truth; what shapes it stands on its grid."""
+    for p, found in zip(term.parameters, start, strict=True):
+        if p.neutral is not None:
+            truth = hidden[term][p.name] / problem.scales.value(p, term.joint)
+            assert found == pytest.approx(truth, rel=NEAR), p.name
+
+
+@pytest.mark.parametrize(
+    ("mode", "term", "values"), ALONE, ids=[f"{m}-{t.effect}" for m, t, _ in ALONE]
+)
+def test_one_effect_comes_first_and_starts_near_the_truth(
+    mode: str, term: Term, values: dict[str, float]
+) -> None:
+    hidden = {term: values}
+    problem = problem_of(mode, hidden)
+    lens = look(problem)
+    level = np.sqrt(np.mean(lens.view.residual**2, axis=0)) / lens.view.floor
+    assert level.max() > 10.0, "too small to be found by more than luck"
+    children = [lens.structure(chosen) for chosen in lens.children(lens.bare, 12)]
+    ahead: list[Term] = []
+    for structure in lens.compared(lens.bare, children):
+        ((found, start),) = structure.starts.items()
+        if found == term:
+            assert_near(problem, term, start, hidden)
+            break
+        ahead.append(found)
+    else:
+        pytest.fail(f"{term} is not among the first; first: {ahead}")
+    allowed = {Term(e, term.joint) for e in HELD_BY.get(term.effect, ())}
+    assert set(ahead) <= allowed
+
+
+def test_a_push_is_found_when_it_was() -> None:
+    term = Term("external_force", SHOULDER)
+    mode, _, values = next(a for a in ALONE if a[1] == term)
+    problem = problem_of(mode, {term: values})
+    lens = look(problem)
+    first = lens.structure(lens.children(lens.bare, 1)[0])
+    for p, found in zip(term.parameters, first.starts[term], strict=True):
+        if p.neutral is None:
+            truth = values[p.name] / problem.scales.value(p, term.joint)
+            nearest = p.starts[int(np.argmin([abs(s - truth) for s in p.starts]))]
+            assert found == nearest, p.name
+
+
+PAIRS: list[tuple[str, dict[Term, dict[str, float]]]] = [
+    (
+        "position",
+        {
+            Term("command_delay", ELBOW): {"delay": 0.02},
+            Term("payload", ROBOT): {"mass": 0.1, "distance": 0.12},
+        },
+    ),
+    (
+        "effort",
+        {
+            Term("torque_constant", CRANK_JOINT): {"relative_error": 0.12},
+            Term("viscous_friction", CRANK_JOINT): {"coefficient": 0.08},
+        },
+    ),
+]
+
+
+@pytest.mark.parametrize(("mode", "hidden"), PAIRS, ids=[m for m, _ in PAIRS])
+def test_two_effects_are_found_together(mode: str, hidden: dict[Term, dict[str, float]]) -> None:
+    problem = problem_of(mode, hidden)
+    lens = look(problem)
+
+    def worth(before: FloatArray, after: FloatArray) -> bool:
+        return bool((after < 0.9 * before).any())
+
+    levels = Search(width=6, most=2, earns=5.0, worth=worth).levels(lens)
+    pairs = [s for level in levels for s in level if len(s.starts) == 2]
+    assert set(pairs[0].starts) == set(hidden)
+    for term, start in pairs[0].starts.items():
+        assert_near(problem, term, start, hidden)
+    ones: list[Structure] = [lens.structure(c) for c in lens.children(lens.bare, 6)]
+    best = lens.compared(lens.bare, ones)[0]
+    assert lens.compared(best, [pairs[0]])[0].evidence > 20.0
+
+
+# -- the equation of small deviations
+
+MASS, DAMPING, KP, KV, STEP = 2.0, 3.0, 80.0, 4.0, 0.002
+
+
+def slide(limit: float, push: float) -> tuple[Along, Deviation]:
+    """A slide that follows a ramp without lag, its plant pushed with ``push`` N all the time."""
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{STEP}" integrator="implicitfast" gravity="0 0 0"/><worldbody>'
+        f'<body><inertial pos="0 0 0" mass="{MASS}" diaginertia="1 1 1"/>'
+        f'<joint name="j" type="slide" axis="1 0 0" damping="{DAMPING}"/></body></worldbody>'
+        f'<actuator><position joint="j" kp="{KP}" kv="{KV}" forcerange="-{limit} {limit}"/>'
+        "</actuator></mujoco>"
+    )
+    time = SAMPLE * np.arange(151, dtype=np.float64)
+    sent = STEP * np.arange(751, dtype=np.float64)
+    segment = Segment(
+        trial=0, model=model, mode="position", start=0.0, time=time,
+        position=np.zeros((len(time), 1)), velocity=None, effort=None,
+        command_time=sent, command=((DAMPING + KV) / KP + sent)[:, None],
+        initial_position=np.zeros(1), initial_velocity=np.ones(1),
+    )  # fmt: skip
+    force = {"effort": push, "start": -1.0, "duration": 1e3}
+    hidden = {Term("external_force", 0): force} if push else {}
+    segment = replace(segment, position=moved(segment, ("j",), hidden))
+    simulator = RowSimulator([segment], ("j",), threads=1)
+    scales = joint_scales(simulator, [segment])
+    problem = Problem(simulator, np.array([0]), np.zeros(0, np.int64), np.full(1, 1e-6), scales)
+    motion = along(problem, EMPTY, problem.fit)
+    rigid = rigid_terms(simulator, motion)[0]
+    measured = Laws(simulator, motion, rigid).forces([], 1)
+    predicted = Laws(simulator, motion.predicted, rigid).forces([], 1)
+    return motion, deviation(simulator, motion, [], measured, predicted)
+
+
+def closed_form(time: FloatArray, force: float) -> tuple[FloatArray, FloatArray]:
+    """Responses to a constant force from rest, and to an initial velocity of 1 m/s."""
+    natural = np.sqrt(KP / MASS)
+    ratio = (DAMPING + KV) / (2.0 * np.sqrt(KP * MASS))
+    damped = natural * np.sqrt(1.0 - ratio**2)
+    fading = np.exp(-ratio * natural * time)
+    sine, cosine = np.sin(damped * time), np.cos(damped * time)
+    pushed = force / KP * (1.0 - fading * (cosine + ratio * natural / damped * sine))
+    return pushed, fading * sine / damped
+
+
+def test_small_deviations_of_a_linear_joint_are_its_closed_form() -> None:
+    motion, equation = slide(limit=1e3, push=0.0)
+    time = motion.interval * np.arange(motion.position.shape[1])
+    force = np.zeros((1, len(time), 1, 2))
+    force[..., 0] = 5.0
+    initial = np.zeros((1, 2, 2))
+    initial[0, 1, 1] = 1.0
+    found = equation.of(force, initial)[0]
+    for column, expected in enumerate(closed_form(time, 5.0)):
+        assert np.abs(found[:, 0, column] - expected).max() < 3e-4 * np.abs(expected).max()
+        velocity = np.gradient(expected, motion.interval)
+        inner = slice(1, -1)
+        assert np.abs(found[inner, 1, column] - velocity[inner]).max() < 2e-2
+
+
+def test_secants_carry_large_deviations_through_a_drive_at_its_limit() -> None:
+    push = 30.0
+    motion, equation = slide(limit=12.0, push=push)
+    time = motion.interval * np.arange(motion.position.shape[1])
+    off = (motion.position - motion.predicted_position)[0, :, 0]
+    found = equation.of(np.full((1, len(time), 1, 1), push))[0, :, 0, 0]
+    assert off[-1] > 3.0
+    assert np.abs(found - off).max() < 0.01 * np.abs(off).max()
+    # The tangent at the prediction has the whole stiffness and never comes near.
+    tangent = closed_form(time, push)[0]
+    assert np.abs(tangent - off).max() > 0.5 * np.abs(off).max()
+
+
+@given(
+    at=st.lists(st.integers(1, 60), min_size=0, max_size=6, unique=True),
+    seed=st.integers(0, 2**16),
+)
+@settings(max_examples=40, deadline=None)
+def test_upsampled_is_linear_between_its_points(at: list[int], seed: int) -> None:
+    points = np.array([0, *sorted(at)])
+    values = np.random.default_rng(seed).standard_normal((2, len(points), 3, 2))
+    samples = int(points[-1]) + 1
+    found = upsampled(values, points, samples)
+    assert found.shape == (2, samples, 3, 2)
+    for s, j, k in np.ndindex(2, 3, 2):
+        expected = np.interp(np.arange(samples), points, values[s, :, j, k])
+        assert np.abs(found[s, :, j, k] - expected).max() < 1e-12
+
+
+def test_every_hidden_effect_is_of_the_catalogue() -> None:
+    families = {catalogue()[t.effect].family for _, t, _ in ALONE}
+    assert families >= {
+        "timing", "sensing", "actuation", "friction", "transmission", "rigid_body", "environment",
+    }  # fmt: skip
