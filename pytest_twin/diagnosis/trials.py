@@ -28,6 +28,8 @@ _HELD_SWEEP = 2.0
 _TRAVEL = 0.2
 # A hinge that turns this far, rad, is asked about its unit.
 _FAR = 8.0 * np.pi
+# States, each at a time of its own, from which sensor noise can be told at all.
+_FEWEST = 8
 # Share of messages with the very same greatest speed.
 _CLIPPED = 0.02
 
@@ -72,6 +74,7 @@ def read_trials(
     for path in dict.fromkeys([*recordings, *held_out]):
         try:
             known[path] = make_trial(read(path, topics), structure)
+            _refuse_too_few(known[path])
             _refuse_other_unit(known[path])
         except TwinError as error:
             known.pop(path, None)
@@ -191,6 +194,22 @@ def _friction_could_hold(trial: Trial, joint: str) -> bool:
     error = sent - position
     still = trial.marked(joint, ("stuck",))
     return float(np.ptp(error[still])) <= _HELD_SWEEP * float(np.ptp(error[~still]))
+
+
+def _refuse_too_few(trial: Trial) -> None:
+    """What is too short to show its sensors' noise says nothing of a model either.
+
+    Raises:
+        RecordingError: it is.
+    """
+    count = len(np.unique(trial.time))
+    if count < _FEWEST:
+        raise RecordingError(
+            "too few states for a diagnosis",
+            path=trial.path,
+            value=str(count),
+            expected=f"at least {_FEWEST}, each at a time of its own",
+        )
 
 
 def _refuse_other_unit(trial: Trial) -> None:

@@ -11,6 +11,7 @@ from two_pendulums import JOINTS, STEP, mjcf, record, reference, swing, write
 from pytest_twin import cli
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.errors import RecordingError
 
@@ -104,6 +105,19 @@ def test_a_recording_that_cannot_be_used_is_left_out_with_its_reason(bench: Benc
     assert any("torn.mcap" in n and "not finite" in n and "right" in n for n in found.notes)
     with pytest.raises(RecordingError, match="do not overlap"):
         bench.read(later)
+
+
+def test_a_recording_too_short_to_show_its_noise_is_left_out(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    good = bench.put("good.mcap")
+    brief = record(tmp_path / "brief.mcap", 2, seconds=0.015)
+    found = bench.read(good, brief)
+    assert names(found.fit) == ["good.mcap"]
+    assert any("brief.mcap" in n and "too few states" in n for n in found.notes)
+    problem = prepare(bench.loaded.realization, found.fit, found.held_out, threads=1).problem
+    assert np.isfinite(problem.floor).all()
+    with pytest.raises(RecordingError, match="too few states"):
+        bench.read(brief)
 
 
 @pytest.mark.parametrize(
