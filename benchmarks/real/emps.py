@@ -63,7 +63,7 @@ FINDINGS = {
     ("coulomb_friction", "coulomb"): "coulomb",
     ("asymmetric_friction", "coulomb"): "coulomb",
     ("asymmetric_friction", "offset"): "offset",
-    ("asymmetric_viscous_friction", "difference"): "viscous_difference",
+    ("asymmetric_viscous_friction", "coefficient"): "viscous_difference",
     ("quadratic_drag", "coefficient"): "drag",
 }
 
