@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, explain, finding_json, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
@@ -53,6 +55,7 @@ class Diagnosis:
         notes: what a reader has to know, one line each.
         prepared, selected, trials: what it rests on.
         before, after: (samples, signals) residuals over all segments.
+        cost: in time.
     """
 
     verdict: Verdict
@@ -65,6 +68,7 @@ class Diagnosis:
     trials: TrialSet
     before: FloatArray
     after: FloatArray
+    cost: Cost
 
     @property
     def has_held_out(self) -> bool:
@@ -100,6 +104,7 @@ class Diagnosis:
                 "held_out": [t.path.name for t in self.trials.held_out],
             },
             "notes": list(self.notes),
+            "cost": self.cost.to_json(),
         }
 
 
@@ -124,6 +129,7 @@ def diagnose(
         RecordingError: no joint that the model and every recording share.
         SpecError: a controller, payload or actuator that the model lacks.
     """
+    since = time.perf_counter()
     notes = list(trials.notes)
     if inherited is not None:
         realization = without_delays(realization, inherited)
@@ -163,8 +169,9 @@ def diagnose(
         notes.append("errors and gains are of the recordings that were fitted")
     progress(0.94)
     return Diagnosis(
-        word, explained, errors, left, tuple(notes), prepared, selected, trials, before, after
-    )
+        word, explained, errors, left, tuple(notes), prepared, selected, trials, before, after,
+        cost(problem, since),
+    )  # fmt: skip
 
 
 def _prepared(

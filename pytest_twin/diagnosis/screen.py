@@ -342,13 +342,15 @@ class Search:
                 break
             children = lens.compared(level[0], grown)
             before = np.mean(level[0].residual ** 2, axis=0)
-            kept = [
-                c for c in children[: self.width]
+            # One that is worth it carries the others along: a pair may win whose halves do not.
+            passing = [
+                c for c in children
                 if c.evidence >= self.earns
                 and self.worth(before, np.mean(c.residual**2, axis=0))
             ]  # fmt: skip
-            if not kept:
+            if not passing:
                 break
+            kept = [passing[0], *(c for c in children[: self.width] if c is not passing[0])]
             better = self._swapped(lens, kept[0])
             if better.chosen != kept[0].chosen:
                 kept.insert(0, better)

@@ -196,7 +196,7 @@ class Selection:
         ).levels(lens)  # fmt: skip
         if not levels:
             return None
-        chosen = [*levels[-1][:_FITTED]]
+        chosen = levels[-1][:_FITTED]
         for level in levels[:-1]:
             chosen += level[:2]
         for structure in chosen:

@@ -1,0 +1,54 @@
+"""What a diagnosis costs, against what the engine alone would have taken for the same steps."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.diagnosis.hypothesis import EMPTY, effect_values
+from pytest_twin.diagnosis.problem import Problem
+
+_ROWS = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Time of one diagnosis.
+
+    Attributes:
+        wall_seconds: from reading to the last number.
+        engine_seconds: for the same number of steps of the model as it came, rolled out by MuJoCo
+            in batches on the same threads, without anything of this package between steps.
+        steps: of simulation, in millions.
+    """
+
+    wall_seconds: float
+    engine_seconds: float
+    steps: float
+
+    def to_json(self) -> dict[str, float]:
+        """As ``diagnosis.json`` has it."""
+        ratio = self.wall_seconds / max(self.engine_seconds, 1e-9)
+        return {
+            "wall_seconds": round(self.wall_seconds, 2),
+            "engine_seconds": round(self.engine_seconds, 2),
+            "wall_per_engine": round(ratio, 2),
+            "million_steps": round(self.steps, 3),
+        }
+
+
+def cost(problem: Problem, since: float) -> Cost:
+    """Cost of a diagnosis that began at ``since`` (``time.perf_counter``)."""
+    wall = time.perf_counter() - since
+    simulator = problem.simulator
+    stepped = simulator.stepped + (0 if problem.refined is None else problem.refined.stepped)
+    rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
+    values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
+    before = simulator.stepped
+    start = time.perf_counter()
+    simulator.trajectories(rows, values)
+    seconds = time.perf_counter() - start
+    per_step = seconds / max(simulator.stepped - before, 1)
+    return Cost(wall, per_step * stepped, stepped * 1e-6)
