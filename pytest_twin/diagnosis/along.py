@@ -21,7 +21,8 @@ from pytest_twin.effects.base import FloatArray
 _GRID = 0.005
 """s between samples of the motion, at most."""
 _SMOOTH = 0.1
-_AT_REST = 0.02
+# Of the typical velocity: below the first both motions stand, over the second friction reverses.
+_AT_REST, _SLIP = 0.02, 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class Along:
         predicted_position, predicted_velocity: the same of the hypothesis.
         reading: per segment, (stamps, joints) what it predicts that the encoders read.
         at_rest: (segments, samples, joints) where neither moves.
-        rest_velocity: (joints,) rad/s or m/s, below which a joint counts as standing.
+        slip_velocity: (joints,) rad/s or m/s, over which dry friction changes its sign.
     """
 
     segments: NDArray[np.int64]
@@ -51,7 +52,7 @@ class Along:
     predicted_velocity: FloatArray
     reading: tuple[FloatArray, ...]
     at_rest: NDArray[np.bool_]
-    rest_velocity: FloatArray
+    slip_velocity: FloatArray
 
     @property
     def midway(self) -> tuple[FloatArray, FloatArray]:
@@ -113,5 +114,5 @@ def along(
         predicted_velocity=v,
         reading=tuple(p.position for p in predictions),
         at_rest=standing,
-        rest_velocity=rest,
+        slip_velocity=_SLIP * typical,
     )

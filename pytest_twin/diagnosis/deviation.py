@@ -88,13 +88,13 @@ def deviation(
         np.abs(linear) > tiny, np.clip(real / np.where(linear == 0.0, 1.0, linear), 0.0, 1.0), 1.0
     )
     stiffness, damping = share * measured.stiffness[0], share * measured.damping[0]
-    apart = np.abs(off_v) > 1e-6 * along.rest_velocity
+    apart = np.abs(off_v) > 1e-6 * along.slip_velocity
     friction = np.where(
         apart,
         -(measured.dry[0] - predicted.dry[0]) / np.where(apart, off_v, 1.0),
         measured.level[0]
-        / along.rest_velocity
-        / np.cosh(np.minimum(np.abs(along.velocity) / along.rest_velocity, 30.0)) ** 2,
+        / along.slip_velocity
+        / np.cosh(np.minimum(np.abs(along.velocity) / along.slip_velocity, 30.0)) ** 2,
     )
     eye = np.eye(n)
     h = along.interval

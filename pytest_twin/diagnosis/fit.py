@@ -71,7 +71,7 @@ def fit(
         for i in active:
             jac = jacobians[i]
             assert jac is not None
-            trials += [_propose(current[i], residual[i], jac, weights, d) for d in _DAMPINGS]
+            trials += [propose(current[i], residual[i], jac, weights, d) for d in _DAMPINGS]
         tried = problem.residuals(trials, segments)
         still = []
         for k, i in enumerate(active):
@@ -140,7 +140,7 @@ def _fill_jacobians(
         into[i] = np.nan_to_num(np.stack(columns, axis=-1))
 
 
-def _propose(
+def propose(
     h: Hypothesis, residual: FloatArray, jacobian: FloatArray, weights: FloatArray, damping: float
 ) -> Hypothesis:
     """A damped Gauss-Newton step inside the bounds; parameters at a bound that pull out stay."""

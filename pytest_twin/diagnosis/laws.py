@@ -253,7 +253,7 @@ class Laws:
             effect.force(world, v)
         drive = world.delivered
         level = np.maximum(world.friction_level, 0.0)
-        dry = -level * np.tanh(world.velocity / self.along.rest_velocity)
+        dry = -level * np.tanh(world.velocity / self.along.slip_velocity)
         rigid = (
             drive
             + world.applied

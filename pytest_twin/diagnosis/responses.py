@@ -160,14 +160,23 @@ def responses(
     """
     if residual is None:
         residual = problem.residuals([hypothesis], segments)[0]
-    if problem.simulator.contact.world.size:
+    linear = linearized(problem, segments, hypothesis)
+    if linear is None:
         return simulated(problem, terms, segments), bins(problem, segments).mean(residual)
-    linear = _Linear(problem, hypothesis, segments)
     return linear.responses(terms), linear.residual(residual)
 
 
-class _Linear:
-    """First-order responses at one hypothesis."""
+def linearized(
+    problem: Problem, segments: NDArray[np.int64], hypothesis: Hypothesis
+) -> Linear | None:
+    """What is of first order around a hypothesis; None where the robot meets something."""
+    if problem.simulator.contact.world.size:
+        return None
+    return Linear(problem, hypothesis, segments)
+
+
+class Linear:
+    """First-order responses at one hypothesis, and whole hypotheses along its measured motion."""
 
     def __init__(
         self,
@@ -380,6 +389,81 @@ class _Linear:
         return np.stack(
             [np.interp(stamps[:, j], time, values[:, j]) for j in range(values.shape[1])], axis=1
         )
+
+    # -- whole hypotheses
+
+    def differences(self, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+        """What hypotheses would read more than the one at hand, (bins, signals) each.
+
+        Their laws act all at once along the measured motion; only the deviations that follow from
+        them are of first order.
+        """
+        joints, copies = len(self.problem.joints), len(hypotheses)
+        values = with_fixed(
+            effect_values(hypotheses, joints, self.problem.scales), self.simulator.fixed, copies
+        )
+        for effect, own in self.own.items():
+            if effect not in values:
+                # Absent from all of them, as a hypothesis without it has it.
+                neutral = {p.name: p.neutral for p in catalogue()[effect].parameters}
+                values = {
+                    **values,
+                    effect: {
+                        n: np.repeat(x, copies, axis=0)
+                        if neutral[n] is None
+                        else np.full((copies, joints), neutral[n], dtype=np.float64)
+                        for n, x in own.items()
+                    },
+                }
+        active = self._active(values)
+        forces = self.laws.forces(active, copies)
+        columns = [
+            _Column(forces.total[k] - self.base.total[0], forces.drive[k] - self.base.drive[0])
+            for k in range(copies)
+        ]
+        if any(_is_rigid(e, v, joints) for e, v in active):
+            samples = self.along.position.shape[1]
+            found = rigid_terms(self.simulator, self.along, active, copies)
+            for column, f in zip(columns, found, strict=True):
+                assert column.force is not None
+                column.force = column.force - upsampled(
+                    f.effort - self.rigid.effort, self.rigid.at, samples
+                )
+        base_reading, base_start = self._read_off(self._active(self.own), 0)
+        for k, column in enumerate(columns):
+            reading, start = self._read_off(active, k)
+            column.direct = [r - b for r, b in zip(reading, base_reading, strict=True)]
+            column.initial = start - base_start
+        return [
+            change
+            for first in range(0, copies, _AT_ONCE)
+            for change in self._readings(columns[first : first + _AT_ONCE])
+        ]
+
+    def _read_off(self, active: ActiveEffects, row: int) -> tuple[list[FloatArray], FloatArray]:
+        """What sensors and clocks make of the measured motion, and the state behind its start."""
+        mine = [(e, {n: x[row : row + 1] for n, x in v.items()}) for e, v in active]
+        n = len(self.problem.joints)
+        out = []
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            stamps = np.repeat(segment.time[None, :, None], n, axis=2)
+            for effect, v in mine:
+                stamps = effect.sample_time(stamps, v)
+            position = self._at(self.along.position[i], i, stamps[0])[None]
+            velocity = self._at(self.along.velocity[i], i, stamps[0])[None]
+            measured = segment.effort is not None and self.problem.effort_floor is not None
+            effort = segment.effort[None] if measured and segment.effort is not None else position
+            for effect, v in mine:
+                position, velocity = effect.sense(stamps, position, velocity, v)
+                effort = effect.sense_effort(effort, v)
+            signals = [position[0], effort[0]] if measured else [position[0]]
+            out.append(np.concatenate(signals, axis=1))
+        q = np.array([self.simulator.segments[s].initial_position for s in self.segments])
+        v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
+        for effect, v in reversed(mine):
+            q, v0 = effect.unsense(q, v0, {k: np.repeat(x, len(q), axis=0) for k, x in v.items()})
+        return out, np.concatenate([q, v0], axis=1)
 
     # -- readings
 

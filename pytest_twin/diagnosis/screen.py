@@ -123,7 +123,8 @@ class Answers:
             self.at.append(slice(count, count + len(r.switches)))
             count += len(r.switches)
             parts.append(np.moveaxis(r.change, 0, -1))  # (signals, switches, bins)
-        self.columns = np.ascontiguousarray(np.concatenate(parts, axis=1), dtype=np.float32)
+        joined = np.concatenate(parts, axis=1) if parts else np.zeros((1, 0, 1))
+        self.columns = np.ascontiguousarray(joined, dtype=np.float32)
         self._products: dict[int, FloatArray] = {}
         self.groups = [self._group(m) for m in sorted({len(r.switches) for r in self.responses})]
 
@@ -350,16 +351,24 @@ class Search:
             ]  # fmt: skip
             if not passing:
                 break
-            kept = [passing[0], *(c for c in children[: self.width] if c is not passing[0])]
-            better = self._swapped(lens, kept[0])
-            if better.chosen != kept[0].chosen:
-                kept.insert(0, better)
-            found.append(kept)
-            level = kept
-        return found
+            level = [passing[0], *(c for c in children[: self.width] if c is not passing[0])]
+            found.append(level)
+        if not found:
+            return []
+        for size in list(found):
+            self._swapped(lens, size[0])
+        sizes: dict[int, list[Structure]] = {}
+        for structure in self._seen.values():
+            sizes.setdefault(len(structure.chosen), []).append(structure)
+        return [lens.compared(lens.bare, sizes[n])[: self.width] for n in sorted(sizes)]
 
     def _grown(self, lens: Lens, level: Sequence[Structure], count: int) -> list[Structure]:
-        wanted = {frozenset(c): c for s in level for c in lens.children(s, count)}
+        wanted = {
+            frozenset(c): c
+            for s in level
+            if len(s.chosen) < self.most
+            for c in lens.children(s, count)
+        }
         out = []
         for key, chosen in wanted.items():
             if key not in self._seen:

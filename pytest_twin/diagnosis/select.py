@@ -10,7 +10,7 @@ stand in its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,21 +18,24 @@ import numpy as np
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Response, bins, responses
-from pytest_twin.diagnosis.screen import Answers, Lens, Search, Structure, View, candidates, price
+from pytest_twin.diagnosis.responses import Linear, bins, linearized, simulated
+from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates, price
 from pytest_twin.effects.base import FloatArray
 
 _MAX_TERMS = 10
 _ROUNDS = 6
-# Structures kept at each size, terms added at once, structures of the largest size that are fitted,
-# rivals looked at in a term's place.
-_WIDTH, _AT_ONCE, _FITTED, _RIVALS = 10, 4, 4, 6
+# Structures kept at each size, terms added at once, structures of each size that are fitted along
+# the motion, rivals looked at in a term's place.
+_WIDTH, _AT_ONCE, _OFFERED, _RIVALS = 10, 4, 2, 6
 # Evidence to first order beyond which no simulation would change the verdict.
 _CLEAR = 30.0
+_FAR = 100.0
+_POLISH, _MOST_CLOSE = 3, 2
 _QUICK, _LONG = 2, 8
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many.
-_IN_FRONT, _FRONT = 150.0, 3
+_IN_FRONT, _FRONT = 150.0, 4
 _ROUGH_ROUNDS = 2
 # Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many.
 _EARNS = 5.0
@@ -84,6 +87,21 @@ class Selected:
     tried: int = 0
 
 
+@dataclass(slots=True)
+class Look:
+    """A fit seen to first order.
+
+    Attributes:
+        linear: laws along the measured motion; None where the robot meets something.
+        view: what is left of the fit, and what may give way.
+        answers: responses of the candidates.
+    """
+
+    linear: Linear | None
+    view: View
+    answers: Answers
+
+
 class Selection:
     """One search over structures."""
 
@@ -97,17 +115,15 @@ class Selection:
         problem = self.problem
         nominal = self._rivals([EMPTY], np.ones(len(problem.signal_floor)), 0)[0]
         self.nominal = nominal
-        best = nominal
+        selected = Selected(nominal, nominal, tried=len(candidates(problem)))
         for _ in range(_ROUNDS):
-            if len(best.hypothesis.terms) >= _MAX_TERMS or self._at_floor(best):
-                break
-            better = self._forward(best)
-            if better is None:
-                break
-            best = self._backward(better)
-        selected = Selected(best, nominal, tried=len(candidates(problem)))
-        for _ in range(2):
-            if not self._sideways(selected):
+            best = selected.best
+            better = None
+            if len(best.hypothesis.terms) < _MAX_TERMS and not self._at_floor(best):
+                better = self._forward(best)
+            if better is not None:
+                selected.best = self._backward(better)
+            elif not self._sideways(selected):
                 break
         return selected
 
@@ -172,56 +188,96 @@ class Selection:
         all_of_it = np.maximum(whole - floor, 0.2 * floor)
         return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * all_of_it)).any())
 
-    def _look(self, best: Rival) -> tuple[View, list[Response]]:
-        """What is left to first order around a fit, and what every candidate would do to it."""
+    def _look(self, best: Rival) -> Look:
+        """What is left around a fit, and what every candidate would do to it."""
         problem = self.problem
         named = set(best.hypothesis.terms)
         terms = [t for t in candidates(problem) if t not in named]
         residual = best.fitted.residual
-        answers, left = responses(problem, terms, problem.fit, best.hypothesis, residual)
         binned = bins(problem, problem.fit)
-        view = View(
-            left, binned.mean(best.fitted.jacobian), problem.signal_floor,
-            binned.lengths,
-        )  # fmt: skip
-        return view, answers
+        linear = linearized(problem, problem.fit, best.hypothesis)
+        if linear is None:
+            answers, left = simulated(problem, terms, problem.fit), binned.mean(residual)
+        else:
+            answers, left = linear.responses(terms), linear.residual(residual)
+        slope = binned.mean(best.fitted.jacobian)
+        view = View(left, slope, problem.signal_floor, binned.lengths)
+        return Look(linear, view, Answers(answers))
 
     def _forward(self, best: Rival) -> Rival | None:
-        view, answers = self._look(best)
+        look = self._look(best)
         whole = np.mean(self.nominal.fitted.residual**2, axis=0)
-        lens = Lens(view, Answers(answers))
         levels = Search(
             _WIDTH, _AT_ONCE, _EARNS,
             lambda before, after: self._worth_a_name(before, after, whole),
-        ).levels(lens)  # fmt: skip
+        ).levels(Lens(look.view, look.answers))  # fmt: skip
         if not levels:
             return None
-        chosen = levels[-1][:_FITTED]
-        for level in levels[:-1]:
-            chosen += level[:2]
-        for structure in chosen:
-            self.say(f"  linear {_text(structure.starts)} evidence {structure.evidence:.1f}")
+        chosen = [structure for level in reversed(levels) for structure in level[:_OFFERED]]
         starts = []
         for structure in chosen:
             h = best.hypothesis
             for term, start in structure.starts.items():
                 h = h.with_term(term, start)
             starts.append(h)
+        starts, left = self._front(look, starts, chosen[0].residual)
         # What the step costs differs between the model as it came and what explains the rest.
         self.problem.refine_at(starts[0])
-        left = np.mean(levels[-1][0].residual ** 2, axis=0)
-        rivals = self._heats(starts, 1.0 / np.sqrt(left + view.floor**2), best)
+        rivals = self._heats(starts, 1.0 / np.sqrt(left + look.view.floor**2), best)
         before, unseen = self._unseen(best), self._unseen(self.nominal)
         for r in rivals:
-            self.say(f"  {r.hypothesis.terms} evidence {r.evidence:.1f} held {r.held_gain:.1f}")
+            self.say(f"  {_text(r.hypothesis)} evidence {r.evidence:.1f} held {r.held_gain:.1f}")
         for r in rivals:
             if r.evidence < _EARNS or (self.has_held and r.held_gain <= 0.0):
                 continue
             if self._worth_a_name(before, self._unseen(r), unseen):
-                self.say(f"+ {r.hypothesis.terms} evidence {r.evidence:.1f}")
+                self.say(f"+ {_text(r.hypothesis)} evidence {r.evidence:.1f}")
                 return self._settled(r)
         self.problem.refine_at(best.hypothesis)
         return None
+
+    def _front(
+        self, look: Look, starts: list[Hypothesis], residual: FloatArray
+    ) -> tuple[list[Hypothesis], FloatArray]:
+        """The few that are worth a simulation, and the (signals,) mean square that is left."""
+        view = look.view
+        if look.linear is None:
+            return starts, np.mean(residual**2, axis=0)
+        polished = polish(look.linear, view, starts, _POLISH)
+        evidence = self._surrogate_evidence(view, polished)
+        order = np.argsort(-evidence)
+        for i in order:
+            self.say(f"  along {_text(polished[i].hypothesis)} evidence {evidence[i]:.1f}")
+        front: list[int] = []
+        for i in order:
+            terms = set(polished[i].hypothesis.terms)
+            # What only adds to another in front, and not enough, says nothing new.
+            covered = any(
+                terms > set(polished[k].hypothesis.terms) and evidence[i] < evidence[k] + _EARNS
+                for k in order
+            )
+            if np.isfinite(evidence[i]) and not covered:
+                front.append(int(i))
+        front = front[:_FRONT]
+        left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
+        return [polished[i].hypothesis for i in front], left
+
+    def _surrogate_evidence(self, view: View, polished: Sequence[Polished]) -> FloatArray:
+        """Log-likelihood less price of hypotheses along the measured motion, comparable."""
+
+        def misfit(p: Polished) -> float:
+            mean_square = np.nan_to_num(np.mean(p.residual**2, axis=0), nan=np.inf)
+            return float(np.log(np.maximum(mean_square, view.floor**2)).sum())
+
+        best = min(polished, key=misfit)
+        effective = effective_samples(np.nan_to_num(best.residual), view.lengths)
+        cost = price(effective)
+        return np.array(
+            [
+                log_likelihood(p.residual, view.floor, effective) - cost * p.hypothesis.theta.size
+                for p in polished
+            ]
+        )
 
     def _heats(self, starts: Sequence[Hypothesis], weights: FloatArray, best: Rival) -> list[Rival]:
         """Rivals by evidence over ``best``: all after one iteration, those in front after more."""
@@ -242,44 +298,48 @@ class Selection:
             rival = self._rivals([rival.hypothesis], self._weights(rival), _LONG, slopes=True)[0]
         return rival
 
-    def _bare(self, best: Rival) -> list[View]:
+    def _lenses(self, best: Rival, look: Look) -> list[Lens]:
         """For every term: what stands, to first order, with it taken away and the rest free."""
-        problem = self.problem
+        problem, terms = self.problem, best.hypothesis.terms
         binned = bins(problem, problem.fit)
-        terms = best.hypothesis.terms
         residuals = problem.residuals([best.hypothesis.without(t) for t in terms], problem.fit)
-        slope = binned.mean(best.fitted.jacobian)
         out = []
         for term, residual in zip(terms, residuals, strict=True):
-            keep = np.ones(slope.shape[2], dtype=bool)
+            keep = np.ones(look.view.jacobian.shape[2], dtype=bool)
             keep[best.hypothesis.slice_of(term)] = False
-            out.append(
-                View(binned.mean(np.nan_to_num(residual)), slope[:, :, keep],
-                     problem.signal_floor, binned.lengths)
-            )  # fmt: skip
+            left = binned.mean(np.nan_to_num(residual))
+            slope = look.view.jacobian[:, :, keep]
+            out.append(Lens(View(left, slope, look.view.floor, look.view.lengths), look.answers))
         return out
 
-    def _linear_evidence(self, best: Rival, view: View, structure: Structure, more: int) -> float:
-        """Evidence of what a structure leaves over a fit, ``more`` parameters than it has."""
-        binned = bins(self.problem, self.problem.fit).mean(best.fitted.residual)
-        effective = effective_samples(binned, view.lengths)
-        base = log_likelihood(binned, view.floor, effective)
-        left = log_likelihood(structure.residual, view.floor, effective)
-        return left - base - price(effective) * more
+    def _against(self, look: Look, best: Rival, others: Sequence[Hypothesis]) -> list[Polished]:
+        """Hypotheses fitted along the measured motion of ``best``, itself first."""
+        assert look.linear is not None
+        mine = Polished(best.hypothesis, look.view.residual)
+        return [mine, *polish(look.linear, look.view, others, _POLISH)]
 
     def _backward(self, best: Rival) -> Rival:
-        """Drop terms that do not pay; what clearly pays to first order is not simulated."""
+        """Drop terms that do not pay; what clearly pays along the motion is not simulated."""
         while len(best.hypothesis.terms) > 1:
-            terms = best.hypothesis.terms
-            doubtful = []
-            for term, view in zip(terms, self._bare(best), strict=True):
-                fewer = -len(term.parameters)
-                if self._linear_evidence(best, view, bare(view), fewer) > -_CLEAR:
-                    doubtful.append(term)
+            doubtful = [best.hypothesis.without(t) for t in best.hypothesis.terms]
+            linear = linearized(self.problem, self.problem.fit, best.hypothesis)
+            if linear is not None:
+                binned = bins(self.problem, self.problem.fit)
+                view = View(
+                    linear.residual(best.fitted.residual), binned.mean(best.fitted.jacobian),
+                    self.problem.signal_floor, binned.lengths,
+                )  # fmt: skip
+                look = Look(linear, view, Answers([]))
+                polished = self._against(look, best, doubtful)
+                evidence = self._surrogate_evidence(view, polished)
+                doubtful = [
+                    p.hypothesis
+                    for p, e in zip(polished[1:], evidence[1:], strict=True)
+                    if e > evidence[0] - _CLEAR
+                ]
             if not doubtful:
                 break
-            starts = [best.hypothesis.without(t) for t in doubtful]
-            rivals = self._rivals(starts, self._weights(best), _QUICK)
+            rivals = self._rivals(doubtful, self._weights(best), _QUICK)
             self._judge(rivals, best)
             top = max(rivals, key=lambda r: r.evidence)
             if top.evidence < -_EARNS / 2:
@@ -292,7 +352,8 @@ class Selection:
     def _sideways(self, selected: Selected) -> bool:
         """Hold every term against the rivals in its place; True if one was better.
 
-        Rivals that are far behind to first order keep that evidence; the others are fitted.
+        Rivals that are far behind along the measured motion keep that evidence; the others are
+        simulated.
         """
         best = selected.best
         selected.confidence.clear()
@@ -300,52 +361,59 @@ class Selection:
         terms = best.hypothesis.terms
         if not terms:
             return False
-        answers = Answers(self._look(best)[1])
-        evidence: dict[tuple[Term, Term | None], float] = {}
-        close: list[tuple[Term, Term]] = []
-        starts: list[Hypothesis] = []
-        for term, view in zip(terms, self._bare(best), strict=True):
-            count = len(term.parameters)
-            lens = Lens(view, answers)
-            evidence[term, None] = self._linear_evidence(best, view, lens.bare, -count)
+        look = self._look(best)
+        places: list[tuple[Term, Term | None]] = []
+        others: list[Hypothesis] = []
+        linear: list[float] = []
+        for term, lens in zip(terms, self._lenses(best, look), strict=True):
+            rest = best.hypothesis.without(term)
+            places.append((term, None))
+            others.append(rest)
+            structures = [lens.bare]
             for chosen in lens.children(lens.bare, _RIVALS):
                 structure = lens.structure(chosen)
                 ((new, start),) = structure.starts.items()
-                found = self._linear_evidence(best, view, structure, len(start) - count)
-                evidence[term, new] = found
-                if found > -_CLEAR:
-                    close.append((term, new))
-                    starts.append(best.hypothesis.without(term).with_term(new, start))
-        rivals = self._rivals(starts, self._weights(best), _QUICK + 1) if starts else []
+                structures.append(structure)
+                places.append((term, new))
+                others.append(rest.with_term(new, start))
+            hypotheses = [best.hypothesis, *others[-len(structures) :]]
+            seen = [Polished(h, r) for h, r in zip(
+                hypotheses, [look.view.residual, *(x.residual for x in structures)], strict=True
+            )]  # fmt: skip
+            values = self._surrogate_evidence(look.view, seen)
+            linear += list(values[1:] - values[0])
+        found = np.nan_to_num(np.array(linear), nan=-np.inf)
+        if look.linear is not None:
+            near = [i for i in range(len(others)) if found[i] > -_FAR]
+            polished = self._against(look, best, [others[i] for i in near])
+            values = self._surrogate_evidence(look.view, polished)
+            for i, p, value in zip(near, polished[1:], values[1:], strict=True):
+                found[i] = float(np.nan_to_num(value - values[0], nan=-np.inf))
+                others[i] = p.hypothesis
+        order = np.argsort(-found)
+        close = [i for i in order if found[i] > -_CLEAR and places[i][1] is not None]
+        close = close[: _MOST_CLOSE * len(terms)]
+        rivals = self._rivals([others[i] for i in close], self._weights(best), _QUICK)
         self._judge(rivals, best)
-        for (term, new), r in zip(close, rivals, strict=True):
-            evidence[term, new] = r.evidence
+        evidence = {place: float(value) for place, value in zip(places, found, strict=True)}
+        for i, r in zip(close, rivals, strict=True):
+            evidence[places[i]] = r.evidence
         for term in terms:
             mine = {new: e for (old, new), e in evidence.items() if old == term}
             values = np.array([0.0, *mine.values()])
             share = np.exp(np.clip(values - values.max(), -700.0, 0.0))
             share /= share.sum()
             selected.confidence[term] = float(share[0])
-            others = [(n, float(s)) for n, s in zip(mine, share[1:], strict=True) if n is not None]
-            selected.alternatives[term] = sorted(others, key=lambda x: -x[1])
+            ranked = [(n, float(s)) for n, s in zip(mine, share[1:], strict=True) if n is not None]
+            selected.alternatives[term] = sorted(ranked, key=lambda x: -x[1])
         if rivals:
             top = max(rivals, key=lambda r: r.evidence)
             if top.evidence > 1.0:
-                self.say(f"~ {top.hypothesis.terms} evidence {top.evidence:.1f}")
+                self.say(f"~ {_text(top.hypothesis)} evidence {top.evidence:.1f}")
                 selected.best = self._backward(self._settled(top))
                 return True
         return False
 
 
-def _text(starts: Mapping[Term, FloatArray]) -> str:
-    return " + ".join(f"{t.effect}@{t.joint}{np.round(s, 3)}" for t, s in starts.items())
-
-
-def bare(view: View) -> Structure:
-    """What stands when only what is named gives way."""
-    weight = 1.0 / np.sqrt(np.mean(view.residual**2, axis=0) + view.floor**2)
-    a = (view.jacobian * weight[:, None]).reshape(view.residual.size, -1)
-    if not a.shape[1]:
-        return Structure({}, view.residual)
-    amplitude = np.linalg.lstsq(a, (view.residual * weight).ravel(), rcond=1e-9)[0]
-    return Structure({}, view.residual - view.jacobian @ amplitude)
+def _text(h: Hypothesis) -> str:
+    return " + ".join(f"{t.effect}@{t.joint}{np.round(h.theta[h.slice_of(t)], 3)}" for t in h.terms)

@@ -110,7 +110,7 @@ class EffortBias(Effect):
     family = "sensing"
     law = "measured effort = effort + bias"
     source = "ISO 376; zero offset of force-proving instruments"
-    parameters = (Parameter("bias", "effort", 0.0, -1.0, 1.0, (0.05,), "effort"),)
+    parameters = (Parameter("bias", "effort", 0.0, -10.0, 10.0, (0.05,), "effort"),)
     confused_with: ClassVar = {
         "torque_constant": "two loads: a bias does not grow with the load",
     }
