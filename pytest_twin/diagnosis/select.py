@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Linear, bins, linearized, simulated
+from pytest_twin.diagnosis.responses import Linear, Response, bins, linearized, simulated
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates, price
 from pytest_twin.effects.base import FloatArray
 
@@ -32,7 +32,7 @@ _WIDTH, _AT_ONCE, _OFFERED, _RIVALS = 10, 4, 2, 6
 # Evidence to first order beyond which no simulation would change the verdict.
 _CLEAR = 30.0
 _FAR = 100.0
-_POLISH, _MOST_CLOSE = 3, 2
+_POLISH, _MOST_CLOSE, _ATTEMPTS = 3, 2, 3
 _QUICK, _LONG = 2, 8
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many.
 _IN_FRONT, _FRONT = 150.0, 4
@@ -205,14 +205,43 @@ class Selection:
         return Look(linear, view, Answers(answers))
 
     def _forward(self, best: Rival) -> Rival | None:
+        """A better fit with more terms, if there is one.
+
+        A law that reads the measured motion back (a softer drive, a gear that gives) may explain
+        along it what it does not when it is simulated: such terms leave, and the search goes on.
+        """
         look = self._look(best)
+        answers = look.answers.responses
+        for _ in range(_ATTEMPTS):
+            rivals = self._tried(best, look, answers)
+            if not rivals:
+                break
+            before, unseen = self._unseen(best), self._unseen(self.nominal)
+            for r in rivals:
+                self.say(f"  {_text(r.hypothesis)} evidence {r.evidence:.1f}")
+            for r in rivals:
+                if r.evidence < _EARNS or (self.has_held and r.held_gain <= 0.0):
+                    continue
+                if self._worth_a_name(before, self._unseen(r), unseen):
+                    self.say(f"+ {_text(r.hypothesis)} evidence {r.evidence:.1f}")
+                    return self._settled(r)
+            failed = {t for r in rivals for t in r.hypothesis.terms}
+            answers = [a for a in answers if a.term not in failed]
+            look = Look(look.linear, look.view, Answers(answers))
+        self.problem.refine_at(best.hypothesis)
+        return None
+
+    def _tried(self, best: Rival, look: Look, answers: Sequence[Response]) -> list[Rival]:
+        """The structures in front, simulated and fitted; by evidence over ``best``."""
+        if not answers:
+            return []
         whole = np.mean(self.nominal.fitted.residual**2, axis=0)
         levels = Search(
             _WIDTH, _AT_ONCE, _EARNS,
             lambda before, after: self._worth_a_name(before, after, whole),
         ).levels(Lens(look.view, look.answers))  # fmt: skip
         if not levels:
-            return None
+            return []
         chosen = [structure for level in reversed(levels) for structure in level[:_OFFERED]]
         starts = []
         for structure in chosen:
@@ -223,18 +252,7 @@ class Selection:
         starts, left = self._front(look, starts, chosen[0].residual)
         # What the step costs differs between the model as it came and what explains the rest.
         self.problem.refine_at(starts[0])
-        rivals = self._heats(starts, 1.0 / np.sqrt(left + look.view.floor**2), best)
-        before, unseen = self._unseen(best), self._unseen(self.nominal)
-        for r in rivals:
-            self.say(f"  {_text(r.hypothesis)} evidence {r.evidence:.1f} held {r.held_gain:.1f}")
-        for r in rivals:
-            if r.evidence < _EARNS or (self.has_held and r.held_gain <= 0.0):
-                continue
-            if self._worth_a_name(before, self._unseen(r), unseen):
-                self.say(f"+ {_text(r.hypothesis)} evidence {r.evidence:.1f}")
-                return self._settled(r)
-        self.problem.refine_at(best.hypothesis)
-        return None
+        return self._heats(starts, 1.0 / np.sqrt(left + look.view.floor**2), best)
 
     def _front(
         self, look: Look, starts: list[Hypothesis], residual: FloatArray
