@@ -63,7 +63,6 @@ FINDINGS = {
     ("coulomb_friction", "coulomb"): "coulomb",
     ("asymmetric_friction", "coulomb"): "coulomb",
     ("asymmetric_friction", "offset"): "offset",
-    ("asymmetric_viscous_friction", "coefficient"): "viscous_difference",
     ("quadratic_drag", "coefficient"): "drag",
 }
 

@@ -30,6 +30,8 @@ _STANDS_OUT = 2.0
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.7, 0.5
+# A name that rivals could replace has to take this share of the mismatch.
+_UNSURE, _SLIGHT = 0.7, 0.01
 # A name whose parameter stands at its physical bound is no surer than this.
 _BOUNDED = 0.5
 # A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
@@ -224,6 +226,19 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
                 "it is not claimed"
             )
             fitted = refitted[least]
+            continue
+        whole = float(np.sum(before**2))
+        slight = [
+            k for k, t in enumerate(terms)
+            if selected.confidence.get(t, 1.0) < _UNSURE
+            and float(np.sum(levels[k] ** 2 - base**2)) < _SLIGHT * whole
+        ]  # fmt: skip
+        if slight:
+            notes.append(
+                f"{_label(problem, terms[slight[0]])} would take less than {100 * _SLIGHT:g} % of "
+                "the squared mismatch, and others could in its place; it is not claimed"
+            )
+            fitted = refitted[slight[0]]
             continue
         if judged:
             return _Pruned(fitted, rests, notes)

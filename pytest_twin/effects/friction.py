@@ -28,34 +28,10 @@ class ViscousFriction(Effect):
         "quadratic_drag": "speeds a factor of four apart",
         "coulomb_friction": "constant speeds a factor of four apart",
         "command_delay": "an outside push: a delay does not damp it",
-        "asymmetric_viscous_friction": "the same speed both ways",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
         fields.damping += values["coefficient"]
-
-
-class AsymmetricViscousFriction(Effect):
-    """Viscous friction that differs between the two directions, by half the difference.
-
-    The mean of both is :class:`ViscousFriction`.
-    """
-
-    id = "asymmetric_viscous_friction"
-    family = "friction"
-    law = "effort = -coefficient |v|: half the difference of viscous friction for v > 0 and v < 0"
-    source = "Janot, Gautier, Brunot, Mech. Syst. Signal Process. (2019): EMPS benchmark"
-    parameters = (Parameter("coefficient", "damping", 0.0, -5.0, 5.0, (0.1,), "damping"),)
-    confused_with: ClassVar = {
-        "asymmetric_friction": "two speeds each way: its difference grows with speed",
-        "viscous_friction": "the same speed both ways",
-        "quadratic_drag": "the same speed both ways",
-        "base_tilt": "at rest: a tilt pulls there too",
-        "external_force": "at rest: a push stays",
-    }
-
-    def force(self, world: World, values: Values) -> None:
-        world.applied -= values["coefficient"] * np.abs(world.velocity)
 
 
 class CoulombFriction(Effect):
@@ -92,7 +68,6 @@ class AsymmetricFriction(Effect):
         "coulomb_friction": "the same speed both ways",
         "joint_spring": "poses far apart: a spring grows with the angle",
         "base_tilt": "another joint's pose: a tilt acts on every joint by its load",
-        "asymmetric_viscous_friction": "two speeds each way",
         "encoder_bias": "hold with the drive off",
     }
 

@@ -77,7 +77,6 @@ ALONE: list[tuple[str, Term, dict[str, float]]] = [
     ),
     ("effort", Term("viscous_friction", CRANK_JOINT), {"coefficient": 0.08}),
     ("effort", Term("coulomb_friction", CRANK_JOINT), {"coulomb": 0.15}),
-    ("effort", Term("asymmetric_viscous_friction", CRANK_JOINT), {"coefficient": 0.05}),
     ("effort", Term("torque_constant", CRANK_JOINT), {"relative_error": 0.12}),
     ("effort", Term("inertial_parameters", CRANK_JOINT), {"relative_error": 0.2}),
 ]

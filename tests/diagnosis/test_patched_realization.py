@@ -28,7 +28,6 @@ EFFECTS = [
     ("viscous_friction", 0, {"coefficient": -0.2}, False),
     ("coulomb_friction", 1, {"coulomb": 0.1}, True),
     ("asymmetric_friction", 0, {"coulomb": 0.1, "offset": 0.05}, False),
-    ("asymmetric_viscous_friction", 0, {"coefficient": -0.06}, False),
     ("quadratic_drag", 0, {"coefficient": 0.05}, True),
     ("armature", 1, {"inertia": 0.004}, True),
     ("joint_spring", 0, {"stiffness": 2.0, "preload": 0.3}, True),
