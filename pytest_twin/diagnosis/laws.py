@@ -2,7 +2,7 @@
 
 The hooks of :class:`~pytest_twin.effects.base.Effect` are called on samples of the motion as rows:
 all samples at once where no law remembers, else step by step. Dry friction follows the sign of the
-velocity, smoothed where the joint stands.
+velocity; where the joint stands it is what the motion asks for, up to its level.
 """
 
 from __future__ import annotations
@@ -70,6 +70,7 @@ class Laws:
         self.along = along
         samples = along.position.shape[1]
         self.load = upsampled(rigid.bias, rigid.at, samples)
+        self.required = upsampled(rigid.effort, rigid.at, samples)
         self._commands: FloatArray | None = None
 
     def forces(self, effects: ActiveEffects, copies: int) -> Forces:
@@ -187,7 +188,12 @@ class Laws:
         world.position, world.velocity = tiled(along.position), tiled(along.velocity)
         world.load = tiled(self.load)
         out = self._law(
-            _hooks(each), world, wide, held.reshape(-1, joints), tiled(along.acceleration)
+            _hooks(each),
+            world,
+            wide,
+            held.reshape(-1, joints),
+            tiled(along.acceleration),
+            tiled(self.required),
         )
         return tuple(x.reshape(rows, samples, joints) for x in out)
 
@@ -201,7 +207,9 @@ class Laws:
         parts = along.steps if any(_has(effect, "transmit") for effect, _ in effects) else 1
         world.timestep = along.interval / parts
         held = commands.reshape(rows, (samples - 1) * parts, -1, joints).mean(axis=2)
-        motion = np.stack([along.position, along.velocity, self.load, along.acceleration], axis=0)
+        motion = np.stack(
+            [along.position, along.velocity, self.load, along.acceleration, self.required], axis=0
+        )
         motion = np.ascontiguousarray(np.tile(motion, (1, copies, 1, 1)).swapaxes(0, 2))
         start = np.tile(along.time[:, 0], copies)
         hooks = _hooks(effects)
@@ -214,7 +222,7 @@ class Laws:
                 now = now + (part / parts) * (motion[t + 1] - now)
             world.time = start + k * world.timestep
             world.position, world.velocity, world.load = now[:, 0], now[:, 1], now[:, 2]
-            found[:, k] = self._law(hooks, world, joint, held[:, k], now[:, 3])
+            found[:, k] = self._law(hooks, world, joint, held[:, k], now[:, 3], now[:, 4])
             world.lower, world.upper, world.friction_level = bounds
         out = np.empty((4, rows, samples, joints))
         mean = found.reshape(4, samples - 1, parts, rows, joints).mean(axis=2).swapaxes(1, 2)
@@ -230,6 +238,7 @@ class Laws:
         joint: _Joint,
         command: FloatArray,
         acceleration: FloatArray,
+        required: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Total, drive, dry friction and its level."""
         world.setpoint = command.copy()
@@ -253,14 +262,15 @@ class Laws:
             effect.force(world, v)
         drive = world.delivered
         level = np.maximum(world.friction_level, 0.0)
-        dry = -level * np.tanh(world.velocity / self.along.slip_velocity)
-        rigid = (
-            drive
-            + world.applied
-            + dry
-            - joint.damping * world.velocity
-            - joint.armature * acceleration
+        others = (
+            drive + world.applied - joint.damping * world.velocity - joint.armature * acceleration
         )
+        slip = world.velocity / self.along.slip_velocity
+        # At rest dry friction is what holds the joint, as far as its level goes.
+        standing = np.exp(-0.25 * slip * slip)
+        holding = np.minimum(np.maximum(required - others, -level), level)
+        dry = standing * holding - (1.0 - standing) * level * np.tanh(slip)
+        rigid = others + dry
         for effect, v in hooks["transmit"]:
             effect.transmit(world, v)
         total = rigid
