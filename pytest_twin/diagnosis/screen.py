@@ -94,6 +94,13 @@ def price(effective: FloatArray) -> float:
     return float(0.5 * np.log(max(float(effective.mean()), 2.0)))
 
 
+def name_price(candidates: int) -> float:
+    """Log-likelihood that one more name has to earn, for it is one of many (extended BIC: Chen,
+    Chen, Biometrika 95, 2008).
+    """
+    return float(np.log(max(candidates, 1)))
+
+
 @dataclass(slots=True)
 class _Group:
     """Responses with the same number of switches, for batched algebra.
@@ -126,6 +133,7 @@ class Answers:
         joined = np.concatenate(parts, axis=1) if parts else np.zeros((1, 0, 1))
         self.columns = np.ascontiguousarray(joined, dtype=np.float32)
         self._products: dict[int, FloatArray] = {}
+        self.name_price = name_price(len({r.term for r in self.responses}))
         self.groups = [self._group(m) for m in sorted({len(r.switches) for r in self.responses})]
 
     def _group(self, switches: int) -> _Group:
@@ -309,10 +317,15 @@ class Lens:
         best = min(children, key=misfit)
         effective = effective_samples(best.residual, view.lengths)
         cost = price(effective)
-        base = log_likelihood(parent.residual, view.floor, effective) - cost * parent.parameters
+        name = self.answers.name_price
+
+        def worth(s: Structure) -> float:
+            own = log_likelihood(s.residual, view.floor, effective)
+            return own - cost * s.parameters - name * len(s.starts)
+
+        base = worth(parent)
         for c in children:
-            own = log_likelihood(c.residual, view.floor, effective)
-            c.evidence = own - cost * c.parameters - base
+            c.evidence = worth(c) - base
         return sorted(children, key=lambda c: -c.evidence)
 
 

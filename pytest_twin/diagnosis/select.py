@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Linear, Response, bins, linearized, simulated
-from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates, price
+from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates, name_price, price
 from pytest_twin.effects.base import FloatArray
 
 _MAX_TERMS = 10
@@ -39,6 +39,8 @@ _IN_FRONT, _FRONT = 150.0, 4
 _ROUGH_ROUNDS = 2
 # Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many.
 _EARNS = 5.0
+# Structures this share of the evidence behind the first are as good.
+_AS_GOOD = 0.01
 # A name must take away this share of what still stands above the floor at some joint, and this
 # share of what the nominal model left there: less is the simulator's own imperfection.
 _SHARE_OF_REST = 0.1
@@ -109,13 +111,16 @@ class Selection:
         self.problem = problem
         self.say = say
         self.has_held = bool(len(problem.held_out))
+        self.name_price = 0.0
 
     def run(self) -> Selected:
         """Search forward, backward and sideways."""
         problem = self.problem
         nominal = self._rivals([EMPTY], np.ones(len(problem.signal_floor)), 0)[0]
         self.nominal = nominal
-        selected = Selected(nominal, nominal, tried=len(candidates(problem)))
+        tried = len(candidates(problem))
+        self.name_price = name_price(tried)
+        selected = Selected(nominal, nominal, tried=tried)
         for _ in range(_ROUNDS):
             best = selected.best
             better = None
@@ -162,7 +167,9 @@ class Selection:
             held_base = log_likelihood(against.held_residual, floor, held_n)
         for r in rivals:
             more = r.hypothesis.theta.size - against.hypothesis.theta.size
-            r.evidence = log_likelihood(r.fitted.residual, floor, fit_n) - base - cost * more
+            names = len(r.hypothesis.terms) - len(against.hypothesis.terms)
+            r.evidence = log_likelihood(r.fitted.residual, floor, fit_n) - base
+            r.evidence -= cost * more + self.name_price * names
             if self.has_held:
                 r.held_gain = log_likelihood(r.held_residual, floor, held_n) - held_base
                 r.evidence += r.held_gain
@@ -219,12 +226,21 @@ class Selection:
             before, unseen = self._unseen(best), self._unseen(self.nominal)
             for r in rivals:
                 self.say(f"  {_text(r.hypothesis)} evidence {r.evidence:.1f}")
-            for r in rivals:
-                if r.evidence < _EARNS or (self.has_held and r.held_gain <= 0.0):
-                    continue
-                if self._worth_a_name(before, self._unseen(r), unseen):
-                    self.say(f"+ {_text(r.hypothesis)} evidence {r.evidence:.1f}")
-                    return self._settled(r)
+            earning = [
+                r for r in rivals
+                if r.evidence >= _EARNS
+                and (r.held_gain > 0.0 or not self.has_held)
+                and self._worth_a_name(before, self._unseen(r), unseen)
+            ]  # fmt: skip
+            if earning:
+                enough = (1.0 - _AS_GOOD) * earning[0].evidence
+                # What is left is never white: of those that are nearly as good, the simplest.
+                top = min(
+                    (r for r in earning if r.evidence >= enough),
+                    key=lambda r: (len(r.hypothesis.terms), r.hypothesis.theta.size, -r.evidence),
+                )
+                self.say(f"+ {_text(top.hypothesis)} evidence {top.evidence:.1f}")
+                return self._settled(top)
             failed = {t for r in rivals for t in r.hypothesis.terms}
             answers = [a for a in answers if a.term not in failed]
             look = Look(look.linear, look.view, Answers(answers))
@@ -292,7 +308,9 @@ class Selection:
         cost = price(effective)
         return np.array(
             [
-                log_likelihood(p.residual, view.floor, effective) - cost * p.hypothesis.theta.size
+                log_likelihood(p.residual, view.floor, effective)
+                - cost * p.hypothesis.theta.size
+                - self.name_price * len(p.hypothesis.terms)
                 for p in polished
             ]
         )
