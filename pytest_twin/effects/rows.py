@@ -8,6 +8,7 @@ steps on arrays of all rows.
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,7 @@ EffectValues = Mapping[str, Values]
 """Effect id -> parameter name -> (rows, joints) values."""
 
 _MAX_ROWS = 384
+_WORTH_THREADS = 64
 _UNBOUNDED = 1e9
 BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "transmit")
 
@@ -83,7 +85,7 @@ class RowSimulator:
     Args:
         segments: all of one layout of model and of the same joints.
         joints: hinges and slides, in the order of the segments' columns.
-        threads: of the batch, 0 for all cores.
+        threads: of the batch, 0 for all cores that the process may use.
         refine: substeps per model step, to measure the discretization.
     """
 
@@ -97,7 +99,7 @@ class RowSimulator:
     ) -> None:
         self.segments = list(segments)
         self.joints = tuple(joints)
-        self.threads = threads
+        self.threads = threads or len(os.sched_getaffinity(0))
         model = self.segments[0].model
         ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in joints]
         self.joint_ids = np.array(ids)
@@ -254,7 +256,9 @@ class RowSimulator:
     ) -> tuple[Batch, World]:
         """Rows with their model fields written, and the state and drives that they start from."""
         models = [self._bounded(int(r)) for r in rows]
-        batch = Batch(models[0], len(rows), nthread=self.threads)
+        # Threads meet at every step that laws act between: few rows are sooner done alone.
+        few = _between_any(effects) and len(rows) * models[0].nv < _WORTH_THREADS
+        batch = Batch(models[0], len(rows), nthread=1 if few else self.threads)
         world = self.world(rows)
         for effect, parameters in reversed(effects):
             world.position, world.velocity = effect.unsense(
@@ -653,6 +657,10 @@ def _between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
                 if p.neutral is not None:
                     found |= (v[p.name] != p.neutral).any(axis=1)
     return found
+
+
+def _between_any(effects: Sequence[tuple[Effect, Values]]) -> bool:
+    return any(_hooks(effect, hook) for effect, _ in effects for hook in BETWEEN_STEPS)
 
 
 def _any_hook(effects: list[tuple[Effect, Values]], name: str) -> bool:
