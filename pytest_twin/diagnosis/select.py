@@ -331,7 +331,11 @@ class Selection:
         # Where impacts fall between steps depends on the parameters themselves.
         for _ in range(_ROUGH_ROUNDS if rival.hypothesis.rough else 1):
             self.problem.refine_at(rival.hypothesis)
-            rival = self._rivals([rival.hypothesis], self._weights(rival), _LONG, slopes=True)[0]
+            settled = self._rivals([rival.hypothesis], self._weights(rival), _LONG, slopes=True)[0]
+            if not np.isfinite(settled.held_residual).all():
+                # A fit that diverges on what it has not seen is none: stay where it did not.
+                return self._rivals([rival.hypothesis], self._weights(rival), 0, slopes=True)[0]
+            rival = settled
         return rival
 
     def _lenses(self, best: Rival, look: Look) -> list[Lens]:
