@@ -35,9 +35,12 @@ class Spread:
 def spread(problem: Problem, fitted: Fitted) -> Spread:
     """Intervals from the curvature at the optimum.
 
-    Residuals are correlated in time. Two estimates of what that costs stand side by side, and the
-    wider one counts: the sandwich with a Bartlett kernel (Newey, West, Econometrica 55, 1987) over
-    the scores, and the white-noise covariance enlarged to the effective samples (Geyer 1992). What
+    Residuals are correlated in time, and no model is quite right. Three estimates of what that
+    costs stand side by side, and the widest counts: the sandwich with a Bartlett kernel (Newey,
+    West, Econometrica 55, 1987) over the scores, the white-noise covariance enlarged to the
+    effective samples (Geyer 1992), and, where there are several recordings, how far these disagree
+    (scores clustered by recording, Liang, Zeger, Biometrika 73, 1986, with Student's quantile of
+    as many degrees as there are recordings less one). What
     the correction of the simulator's step leaves is added: it is no chance, but the parameters are
     off by it. Where a parameter moves the simulation in leaps it is known no finer than these.
     """
@@ -67,12 +70,28 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
         if p.step > SMOOTH_STEP:
             shift[i] = max(shift[i], p.step)
+    half = np.maximum(quantile * deviation, _between_recordings(problem, scores, lengths, inverse))
     return Spread(
-        quantile * deviation + shift,
+        half + shift,
         correlation,
         correlation * np.outer(deviation, deviation),
         quantile,
     )
+
+
+def _between_recordings(
+    problem: Problem, scores: FloatArray, lengths: list[int], inverse: FloatArray
+) -> FloatArray:
+    """Half widths (parameters,) by how far whole recordings pull apart; zero with one alone."""
+    owner = np.repeat([problem.simulator.segments[s].trial for s in problem.fit], lengths)
+    trials = np.unique(owner)
+    if len(trials) < 2:
+        return np.zeros(scores.shape[1])
+    pulls = np.array([scores[owner == t].sum(axis=0) for t in trials])
+    meat = len(trials) / (len(trials) - 1.0) * pulls.T @ pulls
+    variance = np.diag(inverse @ meat @ inverse).clip(0.0)
+    half: FloatArray = stats.t.ppf(_LEVEL, len(trials) - 1) * np.sqrt(variance)
+    return half
 
 
 def _inverse(curvature: FloatArray) -> FloatArray:
