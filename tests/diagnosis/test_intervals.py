@@ -17,12 +17,15 @@ SAMPLES, SEGMENTS = 600, 3
 TRUTH = np.array([1.0, -0.5])
 
 
-def problem(defect: np.ndarray | None = None) -> Problem:
+def problem(defect: np.ndarray | None = None, recordings: int = 1) -> Problem:
     """As much of a problem as intervals read: stamps, floors, and what the time step costs."""
-    segment = SimpleNamespace(time=np.arange(SAMPLES) * 0.01, effort=None)
+    segments = [
+        SimpleNamespace(time=np.arange(SAMPLES) * 0.01, effort=None, trial=i % recordings)
+        for i in range(SEGMENTS)
+    ]
     none = np.zeros((SAMPLES, 1))
     return Problem(
-        simulator=SimpleNamespace(segments=[segment] * SEGMENTS),  # type: ignore[arg-type]
+        simulator=SimpleNamespace(segments=segments),  # type: ignore[arg-type]
         fit=np.arange(SEGMENTS),
         held_out=np.empty(0, int),
         floor=np.array([1e-6]),
@@ -69,6 +72,22 @@ def test_intervals_widen_with_correlation_and_are_no_wider_than_needed() -> None
     assert (red > 2.0 * white).all()
     # White noise of deviation 0.1 on a sine: 0.1 sqrt(2 / n) and Student's 1.96.
     assert np.allclose(white, 1.96 * 0.1 * np.sqrt(2.0 / (SAMPLES * SEGMENTS)), rtol=0.5)
+
+
+def test_recordings_that_disagree_widen_the_interval() -> None:
+    inside = []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        found = fitted(rng, 0.0)
+        # Every recording has parameters of its own around the truth: a law that is not quite right.
+        design = found.jacobian[:, 0]
+        own = np.repeat(0.05 * rng.standard_normal((SEGMENTS, 2)), SAMPLES, axis=0)
+        y = design @ found.hypothesis.theta + found.residual[:, 0] + (design * own).sum(axis=1)
+        theta = np.linalg.lstsq(design, y, rcond=None)[0]
+        again = Fitted(Hypothesis((), theta), (y - design @ theta)[:, None], found.jacobian, 0.0)
+        width = spread(problem(recordings=SEGMENTS), again).half_width
+        inside.append(np.abs(theta - TRUTH) <= width)
+    assert 0.9 <= float(np.mean(inside)) <= 0.99
 
 
 def test_parameters_that_trade_off_are_known_in_combination() -> None:
