@@ -38,7 +38,7 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     Residuals are correlated in time, and no model is quite right. Three estimates of what that
     costs stand side by side, and the widest counts: the sandwich with a Bartlett kernel (Newey,
     West, Econometrica 55, 1987) over the scores, the white-noise covariance enlarged to the
-    effective samples (Geyer 1992), and, where there are several recordings, how far these disagree
+    effective samples (Geyer 1992), and, from three recordings on, how far these disagree
     (scores clustered by recording, Liang, Zeger, Biometrika 73, 1986, with Student's quantile of
     as many degrees as there are recordings less one). What
     the correction of the simulator's step leaves is added: it is no chance, but the parameters are
@@ -82,10 +82,13 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
 def _between_recordings(
     problem: Problem, scores: FloatArray, lengths: list[int], inverse: FloatArray
 ) -> FloatArray:
-    """Half widths (parameters,) by how far whole recordings pull apart; zero with one alone."""
+    """Half widths (parameters,) by how far whole recordings pull apart.
+
+    Zero with fewer than three: of two, one degree of freedom is left, which says next to nothing.
+    """
     owner = np.repeat([problem.simulator.segments[s].trial for s in problem.fit], lengths)
     trials = np.unique(owner)
-    if len(trials) < 2:
+    if len(trials) < 3:
         return np.zeros(scores.shape[1])
     pulls = np.array([scores[owner == t].sum(axis=0) for t in trials])
     meat = len(trials) / (len(trials) - 1.0) * pulls.T @ pulls

@@ -152,7 +152,7 @@ def test_a_leader_is_drawn_where_its_follower_keeps_its_limits(tmp_path: Path) -
     (tmp_path / "gripper.xml").write_text(GRIPPER)
     seen: list[float] = []
 
-    @settings(FEW, max_examples=60)
+    @settings(FEW, max_examples=300)
     @given(configurations(tmp_path / "gripper.xml"))
     def draw(q: dict[str, float]) -> None:
         seen.append(q["left"])
