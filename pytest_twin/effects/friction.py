@@ -158,7 +158,7 @@ class ThermalFriction(Effect):
 
     id = "thermal_friction"
     family = "friction"
-    law = "viscous and dry friction times 1 + excess exp(-t / warm_up_time)"
+    law = "level = dry friction + excess exp(-t / warm_up_time)"
     source = "Bittencourt, Axelsson, J. Dyn. Syst. Meas. Control 136 (2014)"
     parameters = (
         Parameter("excess", "effort", 0.0, -5.0, 5.0, (0.2,), "effort"),
