@@ -55,7 +55,7 @@ def fit(
     """
     current = list(starts)
     residual = problem.residuals(current, segments)
-    cost = [_cost(r, weights) for r in residual]
+    cost = [weighted_cost(r, weights) for r in residual]
     jacobians: list[FloatArray | None] = [None] * len(current)
     fresh = [False] * len(current)
     active = [i for i, h in enumerate(current) if h.theta.size]
@@ -76,8 +76,8 @@ def fit(
         still = []
         for k, i in enumerate(active):
             options = range(k * len(_DAMPINGS), (k + 1) * len(_DAMPINGS))
-            best = min(options, key=lambda o: _cost(tried[o], weights))
-            gained = _cost(tried[best], weights)
+            best = min(options, key=lambda o: weighted_cost(tried[o], weights))
+            gained = weighted_cost(tried[best], weights)
             # The slopes of the last step serve on while they bring the cost down fast.
             fast = gained < _FAST * cost[i]
             if gained < cost[i]:
@@ -104,7 +104,8 @@ def fit(
     return out
 
 
-def _cost(residual: FloatArray, weights: FloatArray) -> float:
+def weighted_cost(residual: FloatArray, weights: FloatArray) -> float:
+    """Weighted mean square; infinite where a simulation diverged."""
     value = float(np.mean((residual * weights) ** 2))
     return value if np.isfinite(value) else np.inf
 
@@ -120,16 +121,9 @@ def _fill_jacobians(
     moved: list[Hypothesis] = []
     steps: list[float] = []
     for i in which:
-        h = current[i]
-        _, upper = h.bounds
-        parameters = [p for t in h.terms for p in t.parameters]
-        for k in range(h.theta.size):
-            step = parameters[k].step * max(1.0, abs(h.theta[k]))
-            step = -step if h.theta[k] + step > upper[k] else step
-            theta = h.theta.copy()
-            theta[k] += step
-            moved.append(h.with_theta(theta))
-            steps.append(step)
+        rows, by = nudged(current[i])
+        moved += rows
+        steps += by
     found = problem.residuals(moved, segments)
     at = 0
     for i in which:
@@ -138,6 +132,21 @@ def _fill_jacobians(
             columns.append((residual[i] - found[at]) / steps[at])
             at += 1
         into[i] = np.nan_to_num(np.stack(columns, axis=-1))
+
+
+def nudged(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
+    """A hypothesis with each parameter moved by its finite difference, inside its bounds."""
+    _, upper = h.bounds
+    parameters = [p for t in h.terms for p in t.parameters]
+    rows, steps = [], []
+    for k, p in enumerate(parameters):
+        step = p.step * max(1.0, abs(h.theta[k]))
+        step = -step if h.theta[k] + step > upper[k] else step
+        theta = h.theta.copy()
+        theta[k] += step
+        rows.append(h.with_theta(theta))
+        steps.append(step)
+    return rows, steps
 
 
 def propose(

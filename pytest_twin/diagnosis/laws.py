@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.along import Along
 from pytest_twin.diagnosis.rigid_terms import Rigid, upsampled
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
-from pytest_twin.effects.rows import BETWEEN_STEPS, RowSimulator
+from pytest_twin.effects.rows import RowSimulator, hooks_between_steps
 
 _MOST_NUMBERS = 2_000_000
 _PER_ROW = (
@@ -124,17 +124,9 @@ class Laws:
         models = [simulator.segments[r].model for r in rows]
         dof = simulator.dof_index
         count = world.gain.shape
-        changed = ModelFields(
-            damping=np.array([m.dof_damping[dof] for m in models]),
-            armature=np.zeros(count),
-            friction=world.friction_level,
-            constant_force=np.zeros(count),
-            stiffness=np.zeros(count),
-            gravity=np.array([m.opt.gravity for m in models]),
-            added_mass=np.zeros(count),
-            added_distance=np.zeros(count),
-            inertia_scale=np.ones(count),
-        )
+        changed = ModelFields.neutral(np.array([m.opt.gravity for m in models]), count[1])
+        changed.damping = np.array([m.dof_damping[dof] for m in models])
+        changed.friction = world.friction_level
         soft = np.zeros(count, dtype=bool)
         for effect, v in effects:
             if effect.family != "contact":
@@ -188,7 +180,7 @@ class Laws:
         world.position, world.velocity = tiled(along.position), tiled(along.velocity)
         world.load = tiled(self.load)
         out = self._law(
-            _hooks(each),
+            hooks_between_steps(each),
             world,
             wide,
             held.reshape(-1, joints),
@@ -204,7 +196,7 @@ class Laws:
         segments, samples, joints = along.position.shape
         rows = copies * segments
         # Gears are stiff: they need the model's own step. A sample will do for the rest.
-        parts = along.steps if any(_has(effect, "transmit") for effect, _ in effects) else 1
+        parts = along.steps if any(effect.overrides("transmit") for effect, _ in effects) else 1
         world.timestep = along.interval / parts
         held = commands.reshape(rows, (samples - 1) * parts, -1, joints).mean(axis=2)
         motion = np.stack(
@@ -212,7 +204,7 @@ class Laws:
         )
         motion = np.ascontiguousarray(np.tile(motion, (1, copies, 1, 1)).swapaxes(0, 2))
         start = np.tile(along.time[:, 0], copies)
-        hooks = _hooks(effects)
+        hooks = hooks_between_steps(effects)
         found = np.empty((4, (samples - 1) * parts, rows, joints))
         bounds = world.lower, world.upper, world.friction_level
         for k in range((samples - 1) * parts):
@@ -278,11 +270,3 @@ class Laws:
             # A link that the gear lets go has no armature: the mass matrix has it all the same.
             total = np.where(joint.soft, world.applied + joint.own_armature * acceleration, rigid)
         return total, drive, dry, level
-
-
-def _has(effect: Effect, hook: str) -> bool:
-    return getattr(type(effect), hook) is not getattr(Effect, hook)
-
-
-def _hooks(effects: ActiveEffects) -> dict[str, ActiveEffects]:
-    return {h: [(e, v) for e, v in effects if _has(e, h)] for h in BETWEEN_STEPS}

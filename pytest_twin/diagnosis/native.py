@@ -258,8 +258,7 @@ def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
 
 def _tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
-    one = np.zeros((1, 1))
-    fields = ModelFields(one, one, one, one, one, np.array([w.model.opt.gravity]), one, one, one)
+    fields = ModelFields.neutral(np.array([w.model.opt.gravity]), 1)
     catalogue()["base_tilt"].fields(fields, {k: np.full((1, 1), v) for k, v in values.items()})
     w.spec.option.gravity = fields.gravity[0]
     return "option gravity", {}

@@ -34,8 +34,7 @@ def write_contact(
         What of the MJCF says it, or None where the spec does not take it.
     """
     model = compiled(spec)[0]
-    one = np.zeros((1, 1))
-    fields = ModelFields(one, one, one, one, one, np.zeros((1, 3)), one, one, one)
+    fields = ModelFields.neutral(np.zeros((1, 3)), 1)
     catalogue()[effect].fields(fields, {k: np.full((1, 1), v) for k, v in values.items()})
     wanted: dict[str, FloatArray] = {}
 

@@ -150,7 +150,7 @@ def _shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[s
 def segments_of(
     realization: Realization, trial: Trial, index: int, joints: Sequence[str]
 ) -> list[Segment]:
-    """A trial in the model's terms: one segment, or, under effort commands, one for each second.
+    """A trial in the model's terms: one segment, or, under effort commands, short windows.
 
     Args:
         realization: what it is stepped on, under the trial's own controller and payload.

@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.rigid_terms import Rigid, rigid_terms, upsampled
 from pytest_twin.diagnosis.start import FreeStart, free_start
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
-from pytest_twin.effects.rows import EffectValues, with_fixed
+from pytest_twin.effects.rows import BETWEEN_STEPS, EffectValues, with_fixed
 
 _BIN, _COARSEST = 0.02, 0.05
 """s that residuals are averaged over."""
@@ -160,7 +160,17 @@ def responses(
     """
     if residual is None:
         residual = problem.residuals([hypothesis], segments)[0]
-    linear = linearized(problem, segments, hypothesis)
+    return answered(linearized(problem, segments, hypothesis), problem, terms, segments, residual)
+
+
+def answered(
+    linear: Linear | None,
+    problem: Problem,
+    terms: Sequence[Term],
+    segments: NDArray[np.int64],
+    residual: FloatArray,
+) -> tuple[list[Response], FloatArray]:
+    """As :func:`responses`, around a hypothesis that is linearized already."""
     if linear is None:
         return simulated(problem, terms, segments), bins(problem, segments).mean(residual)
     return linear.responses(terms), linear.residual(residual)
@@ -187,7 +197,6 @@ class Linear:
         self.problem = problem
         self.simulator = problem.simulator
         self.segments = segments
-        self.hypothesis = hypothesis
         joints = len(problem.joints)
         self.own = with_fixed(
             effect_values([hypothesis], joints, problem.scales), self.simulator.fixed, 1
@@ -284,8 +293,7 @@ class Linear:
         active = self._active(everything)
         joints = len(self.problem.joints)
         forces = None
-        if _any(effect, ("gains", "command", "servo", "drive", "friction", "force", "transmit",
-                         "command_delay", "fields", "separates")):  # fmt: skip
+        if effect.overrides("gains", "command_delay", "fields", "separates", *BETWEEN_STEPS):
             forces = self.laws.forces(active, len(rows))
         heavy = _is_rigid(effect, values, joints)
         masses: dict[int, list[FloatArray]] = {}
@@ -320,12 +328,8 @@ class Linear:
             own = self.own.get(effect.id)
             array[:] = (p.neutral or 0.0) if own is None else own[p.name]
             for term in terms:
-                column = slice(None) if term.joint < 0 else term.joint
-                array[:, column] = (
-                    np.reshape([r[i] * scales.value(p, term.joint) for r in rows], (-1, 1))
-                    if term.joint < 0
-                    else [r[i] * scales.value(p, term.joint) for r in rows]
-                )
+                column = slice(None) if term.joint < 0 else slice(term.joint, term.joint + 1)
+                array[:, column] = [[r[i] * scales.value(p, term.joint)] for r in rows]
             out[p.name] = array
         return out
 
@@ -351,8 +355,7 @@ class Linear:
 
     def _sensed(self, effect: Effect, values: Values, row: int, joint: int) -> _Column:
         """What sensors and clocks change by themselves."""
-        kinds = ("sense", "sense_effort", "sample_time", "unsense")
-        if not _any(effect, kinds):
+        if not effect.overrides("sense", "sense_effort", "sample_time", "unsense"):
             return _Column()
         mine = {n: x[row : row + 1] for n, x in values.items()}
         direct = []
@@ -404,7 +407,8 @@ class Linear:
         )
         for effect, own in self.own.items():
             if effect not in values:
-                # Absent from all of them, as a hypothesis without it has it.
+                # Absent from all of them, and stepped like the one at hand all the same: a law that
+                # remembers must not change how the others are sampled.
                 neutral = {p.name: p.neutral for p in catalogue()[effect].parameters}
                 values = {
                     **values,
@@ -521,30 +525,14 @@ def _only(values: FloatArray, joint: int) -> FloatArray:
     return out
 
 
-def _any(effect: Effect, hooks: Sequence[str]) -> bool:
-    return any(getattr(type(effect), h) is not getattr(Effect, h) for h in hooks)
-
-
-def _fields(active: ActiveEffects, rows: int, joints: int) -> ModelFields:
-    none = (rows, joints)
-    out = ModelFields(
-        damping=np.zeros(none), armature=np.zeros(none), friction=np.zeros(none),
-        constant_force=np.zeros(none), stiffness=np.zeros(none),
-        gravity=np.tile([0.0, 0.0, -9.81], (rows, 1)), added_mass=np.zeros(none),
-        added_distance=np.zeros(none), inertia_scale=np.ones(none),
-    )  # fmt: skip
-    for effect, values in active:
-        effect.fields(out, values)
-    return out
-
-
 def _is_rigid(effect: Effect, values: Values, joints: int) -> bool:
     """Whether an effect changes masses or gravity."""
     rows = len(next(iter(values.values())))
-    changed = _fields([(effect, values)], rows, joints)
-    same = _fields([], rows, joints)
+    down = np.tile([0.0, 0.0, -9.81], (rows, 1))
+    changed = ModelFields.neutral(down.copy(), joints)
+    effect.fields(changed, values)
     return bool(
         changed.added_mass.any()
         or (changed.inertia_scale != 1.0).any()
-        or (changed.gravity != same.gravity).any()
+        or (changed.gravity != down).any()
     )

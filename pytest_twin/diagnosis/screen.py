@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.hypothesis import Term
@@ -66,6 +67,19 @@ class View:
     floor: FloatArray
     lengths: Sequence[int]
 
+    def effective_of_best(self, residuals: Sequence[FloatArray]) -> FloatArray:
+        """(signals,) independent samples of the (bins, signals) residual that fits best."""
+
+        def misfit(residual: FloatArray) -> float:
+            mean_square = np.nan_to_num(np.mean(residual**2, axis=0), nan=np.inf)
+            return float(np.log(np.maximum(mean_square, self.floor**2)).sum())
+
+        return effective_samples(np.nan_to_num(min(residuals, key=misfit)), self.lengths)
+
+    def worth(self, residual: FloatArray, effective: FloatArray, parameters: int) -> float:
+        """Log-likelihood of a (bins, signals) residual less the price of its parameters."""
+        return log_likelihood(residual, self.floor, effective) - price(effective) * parameters
+
 
 @dataclass(slots=True)
 class Structure:
@@ -109,27 +123,33 @@ class _Group:
         which: their numbers.
         columns: (responses, switches) their columns.
         own: (signals, responses, switches, switches) inner products with themselves.
-        lower, upper: (responses, switches) bounds of their amplitudes.
     """
 
     which: list[int]
-    columns: FloatArray
+    columns: NDArray[np.int64]
     own: FloatArray
-    lower: FloatArray
-    upper: FloatArray
 
 
 class Answers:
-    """Responses of all candidates as columns, and their inner products."""
+    """Responses of all candidates as columns, and their inner products.
+
+    Attributes:
+        at: the columns of each response.
+        lower, upper: (columns,) bounds of their amplitudes.
+    """
 
     def __init__(self, responses: Sequence[Response]) -> None:
         self.responses = list(responses)
         self.at: list[slice] = []
-        parts, count = [], 0
+        parts, ends, count = [], [], 0
         for r in self.responses:
             self.at.append(slice(count, count + len(r.switches)))
             count += len(r.switches)
             parts.append(np.moveaxis(r.change, 0, -1))  # (signals, switches, bins)
+            for s in r.switches:
+                parameter = r.term.parameters[s]
+                ends.append(sorted([parameter.lower / r.start[s], parameter.upper / r.start[s]]))
+        self.lower, self.upper = np.reshape(ends, (-1, 2)).T
         joined = np.concatenate(parts, axis=1) if parts else np.zeros((1, 0, 1))
         self.columns = np.ascontiguousarray(joined, dtype=np.float32)
         self._products: dict[int, FloatArray] = {}
@@ -140,17 +160,11 @@ class Answers:
         which = [i for i, r in enumerate(self.responses) if len(r.switches) == switches]
         columns = np.array([np.arange(self.at[i].start, self.at[i].stop) for i in which])
         block = self.columns[:, columns].astype(np.float64)
-        own = np.matmul(block, block.swapaxes(-1, -2))
-        ends = []
-        for i in which:
-            r = self.responses[i]
-            sizes = r.start[list(r.switches)]
-            both = np.array(
-                [[r.term.parameters[s].lower, r.term.parameters[s].upper] for s in r.switches]
-            ) / sizes[:, None]  # fmt: skip
-            ends.append((both.min(axis=1), both.max(axis=1)))
-        lower, upper = (np.array(e) for e in zip(*ends, strict=True))
-        return _Group(which, columns, own, lower, upper)
+        return _Group(which, columns, np.matmul(block, block.swapaxes(-1, -2)))
+
+    def columns_of(self, chosen: Sequence[int]) -> list[int]:
+        """Columns of several responses, in their order."""
+        return [c for i in chosen for c in range(self.at[i].start, self.at[i].stop)]
 
     def with_columns(self, other: FloatArray) -> FloatArray:
         """(signals, columns, k) inner products with (bins, signals, k) other columns."""
@@ -187,7 +201,7 @@ class Lens:
     def _normal(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Of own parameters and chosen responses: (signals, p, p) and (signals, p)."""
         answers = self.answers
-        columns = [c for i in chosen for c in range(answers.at[i].start, answers.at[i].stop)]
+        columns = answers.columns_of(chosen)
         p = self.own.shape[1]
         total = p + len(columns)
         normal = np.empty((len(self.squared), total, total))
@@ -208,16 +222,9 @@ class Lens:
         normal, right = self._normal(chosen)
         p = self.own.shape[1]
         answers = self.answers
-        lower = np.full(right.shape[1], -np.inf)
-        upper = np.full(right.shape[1], np.inf)
-        at = p
-        for i in chosen:
-            for group in answers.groups:
-                if i in group.which:
-                    k = group.which.index(i)
-                    m = group.lower.shape[1]
-                    lower[at : at + m], upper[at : at + m] = group.lower[k], group.upper[k]
-                    at += m
+        columns = answers.columns_of(chosen)
+        lower = np.concatenate([np.full(p, -np.inf), answers.lower[columns]])
+        upper = np.concatenate([np.full(p, np.inf), answers.upper[columns]])
         x = self._solved(normal[:, None], right[:, None], lower[None], upper[None])[0][0]
         residual = self.view.residual - self.view.jacobian @ x[:p]
         starts: dict[Term, FloatArray] = {}
@@ -293,8 +300,8 @@ class Lens:
                 [np.repeat(base_right[:, None], k, axis=1), self.with_residual[:, group.columns]],
                 axis=2,
             )
-            lower = np.concatenate([np.full((k, p), -np.inf), group.lower], axis=1)
-            upper = np.concatenate([np.full((k, p), np.inf), group.upper], axis=1)
+            lower = np.concatenate([np.full((k, p), -np.inf), answers.lower[group.columns]], axis=1)
+            upper = np.concatenate([np.full((k, p), np.inf), answers.upper[group.columns]], axis=1)
             _, mean_square = self._solved(normal, right, lower, upper)
             likelihood = -0.5 * np.log(np.maximum(mean_square, view.floor**2)) @ effective
             for i, value in zip(group.which, likelihood, strict=True):
@@ -309,19 +316,11 @@ class Lens:
 
     def compared(self, parent: Structure, children: list[Structure]) -> list[Structure]:
         """Children by their evidence over a parent, under the best child's effective samples."""
-        view = self.view
-
-        def misfit(s: Structure) -> float:
-            return float(np.log(np.maximum(np.mean(s.residual**2, axis=0), view.floor**2)).sum())
-
-        best = min(children, key=misfit)
-        effective = effective_samples(best.residual, view.lengths)
-        cost = price(effective)
-        name = self.answers.name_price
+        effective = self.view.effective_of_best([c.residual for c in children])
 
         def worth(s: Structure) -> float:
-            own = log_likelihood(s.residual, view.floor, effective)
-            return own - cost * s.parameters - name * len(s.starts)
+            names = self.answers.name_price * len(s.starts)
+            return self.view.worth(s.residual, effective, s.parameters) - names
 
         base = worth(parent)
         for c in children:
@@ -368,8 +367,8 @@ class Search:
             found.append(level)
         if not found:
             return []
-        for size in list(found):
-            self._swapped(lens, size[0])
+        for size in found:
+            self._swap(lens, size[0])
         sizes: dict[int, list[Structure]] = {}
         for structure in self._seen.values():
             sizes.setdefault(len(structure.chosen), []).append(structure)
@@ -389,11 +388,9 @@ class Search:
             out.append(self._seen[key])
         return out
 
-    def _swapped(self, lens: Lens, best: Structure) -> Structure:
-        """The structure with terms exchanged for one or two others, while that pays."""
+    def _swap(self, lens: Lens, best: Structure) -> None:
+        """Look at the structure with terms exchanged for one or two others, while that pays."""
         for _ in range(_SWAPS):
-            if len(best.chosen) < 1:
-                break
             pool: list[Structure] = []
             for i in best.chosen:
                 rest = lens.structure(tuple(c for c in best.chosen if c != i))
@@ -404,11 +401,7 @@ class Search:
             pool = [s for s in pool if set(s.chosen) != set(best.chosen)]
             if not pool:
                 break
-            evidence = best.evidence
             top = lens.compared(best, pool)[0]
             if top.evidence < self.earns:
-                best.evidence = evidence
                 break
-            top.evidence += evidence
             best = top
-        return best

@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Linear, Response, bins, linearized, simulated
+from pytest_twin.diagnosis.responses import Linear, answered, bins, linearized
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates, name_price, price
 from pytest_twin.effects.base import FloatArray
 
@@ -200,16 +200,15 @@ class Selection:
         problem = self.problem
         named = set(best.hypothesis.terms)
         terms = [t for t in candidates(problem) if t not in named]
-        residual = best.fitted.residual
-        binned = bins(problem, problem.fit)
         linear = linearized(problem, problem.fit, best.hypothesis)
-        if linear is None:
-            answers, left = simulated(problem, terms, problem.fit), binned.mean(residual)
-        else:
-            answers, left = linear.responses(terms), linear.residual(residual)
+        answers, left = answered(linear, problem, terms, problem.fit, best.fitted.residual)
+        return Look(linear, self._view(best, left), Answers(answers))
+
+    def _view(self, best: Rival, left: FloatArray) -> View:
+        """A fit whose (bins, signals) residual is ``left``."""
+        binned = bins(self.problem, self.problem.fit)
         slope = binned.mean(best.fitted.jacobian)
-        view = View(left, slope, problem.signal_floor, binned.lengths)
-        return Look(linear, view, Answers(answers))
+        return View(left, slope, self.problem.signal_floor, binned.lengths)
 
     def _forward(self, best: Rival) -> Rival | None:
         """A better fit with more terms, if there is one.
@@ -218,9 +217,8 @@ class Selection:
         along it what it does not when it is simulated: such terms leave, and the search goes on.
         """
         look = self._look(best)
-        answers = look.answers.responses
         for _ in range(_ATTEMPTS):
-            rivals = self._tried(best, look, answers)
+            rivals = self._tried(best, look)
             if not rivals:
                 break
             before, unseen = self._unseen(best), self._unseen(self.nominal)
@@ -242,14 +240,14 @@ class Selection:
                 self.say(f"+ {_text(top.hypothesis)} evidence {top.evidence:.1f}")
                 return self._settled(top)
             failed = {t for r in rivals for t in r.hypothesis.terms}
-            answers = [a for a in answers if a.term not in failed]
+            answers = [a for a in look.answers.responses if a.term not in failed]
             look = Look(look.linear, look.view, Answers(answers))
         self.problem.refine_at(best.hypothesis)
         return None
 
-    def _tried(self, best: Rival, look: Look, answers: Sequence[Response]) -> list[Rival]:
+    def _tried(self, best: Rival, look: Look) -> list[Rival]:
         """The structures in front, simulated and fitted; by evidence over ``best``."""
-        if not answers:
+        if not look.answers.responses:
             return []
         whole = np.mean(self.nominal.fitted.residual**2, axis=0)
         levels = Search(
@@ -298,18 +296,10 @@ class Selection:
 
     def _surrogate_evidence(self, view: View, polished: Sequence[Polished]) -> FloatArray:
         """Log-likelihood less price of hypotheses along the measured motion, comparable."""
-
-        def misfit(p: Polished) -> float:
-            mean_square = np.nan_to_num(np.mean(p.residual**2, axis=0), nan=np.inf)
-            return float(np.log(np.maximum(mean_square, view.floor**2)).sum())
-
-        best = min(polished, key=misfit)
-        effective = effective_samples(np.nan_to_num(best.residual), view.lengths)
-        cost = price(effective)
+        effective = view.effective_of_best([p.residual for p in polished])
         return np.array(
             [
-                log_likelihood(p.residual, view.floor, effective)
-                - cost * p.hypothesis.theta.size
+                view.worth(p.residual, effective, p.hypothesis.theta.size)
                 - self.name_price * len(p.hypothesis.terms)
                 for p in polished
             ]
@@ -352,11 +342,15 @@ class Selection:
             out.append(Lens(View(left, slope, look.view.floor, look.view.lengths), look.answers))
         return out
 
-    def _against(self, look: Look, best: Rival, others: Sequence[Hypothesis]) -> list[Polished]:
-        """Hypotheses fitted along the measured motion of ``best``, itself first."""
-        assert look.linear is not None
-        mine = Polished(best.hypothesis, look.view.residual)
-        return [mine, *polish(look.linear, look.view, others, _POLISH)]
+    def _against(
+        self, linear: Linear, view: View, best: Rival, others: Sequence[Hypothesis]
+    ) -> tuple[list[Hypothesis], FloatArray]:
+        """Hypotheses fitted along the measured motion of ``best``, and their evidence over it."""
+        polished = polish(linear, view, others, _POLISH)
+        values = self._surrogate_evidence(
+            view, [Polished(best.hypothesis, view.residual), *polished]
+        )
+        return [p.hypothesis for p in polished], values[1:] - values[0]
 
     def _backward(self, best: Rival) -> Rival:
         """Drop terms that do not pay; what clearly pays along the motion is not simulated."""
@@ -364,19 +358,9 @@ class Selection:
             doubtful = [best.hypothesis.without(t) for t in best.hypothesis.terms]
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
             if linear is not None:
-                binned = bins(self.problem, self.problem.fit)
-                view = View(
-                    linear.residual(best.fitted.residual), binned.mean(best.fitted.jacobian),
-                    self.problem.signal_floor, binned.lengths,
-                )  # fmt: skip
-                look = Look(linear, view, Answers([]))
-                polished = self._against(look, best, doubtful)
-                evidence = self._surrogate_evidence(view, polished)
-                doubtful = [
-                    p.hypothesis
-                    for p, e in zip(polished[1:], evidence[1:], strict=True)
-                    if e > evidence[0] - _CLEAR
-                ]
+                view = self._view(best, linear.residual(best.fitted.residual))
+                fitted, evidence = self._against(linear, view, best, doubtful)
+                doubtful = [h for h, e in zip(fitted, evidence, strict=True) if e > -_CLEAR]
             if not doubtful:
                 break
             rivals = self._rivals(doubtful, self._weights(best), _QUICK)
@@ -425,11 +409,10 @@ class Selection:
         found = np.nan_to_num(np.array(linear), nan=-np.inf)
         if look.linear is not None:
             near = [i for i in range(len(others)) if found[i] > -_FAR]
-            polished = self._against(look, best, [others[i] for i in near])
-            values = self._surrogate_evidence(look.view, polished)
-            for i, p, value in zip(near, polished[1:], values[1:], strict=True):
-                found[i] = float(np.nan_to_num(value - values[0], nan=-np.inf))
-                others[i] = p.hypothesis
+            fitted, values = self._against(look.linear, look.view, best, [others[i] for i in near])
+            found[near] = np.nan_to_num(values, nan=-np.inf)
+            for i, h in zip(near, fitted, strict=True):
+                others[i] = h
         order = np.argsort(-found)
         close = [i for i in order if found[i] > -_CLEAR and places[i][1] is not None]
         close = close[: _MOST_CLOSE * len(terms)]

@@ -181,6 +181,10 @@ class Effect:
     modes: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
     remembers: ClassVar[bool] = False
 
+    def overrides(self, *hooks: str) -> bool:
+        """Whether any of these hooks does anything."""
+        return any(getattr(type(self), h) is not getattr(Effect, h) for h in hooks)
+
     def command_delay(self, values: Values) -> FloatArray | None:
         """Latency of the command, (rows, joints) s."""
         return None
@@ -267,3 +271,19 @@ class ModelFields:
     contact_stiffness: FloatArray = field(default_factory=lambda: np.zeros(1))
     contact_damping: FloatArray = field(default_factory=lambda: np.zeros(1))
     contact_friction: FloatArray = field(default_factory=lambda: np.zeros(1))
+
+    @classmethod
+    def neutral(cls, gravity: FloatArray, joints: int) -> ModelFields:
+        """Fields that change nothing, under (rows, 3) gravity."""
+        none = (len(gravity), joints)
+        return cls(
+            damping=np.zeros(none),
+            armature=np.zeros(none),
+            friction=np.zeros(none),
+            constant_force=np.zeros(none),
+            stiffness=np.zeros(none),
+            gravity=gravity,
+            added_mass=np.zeros(none),
+            added_distance=np.zeros(none),
+            inertia_scale=np.ones(none),
+        )

@@ -30,6 +30,10 @@ EffectValues = Mapping[str, Values]
 
 _MAX_ROWS = 384
 _WORTH_THREADS = 64
+_OF_ROWS = (
+    "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
+    "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
+)  # fmt: skip
 _UNBOUNDED = 1e9
 BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "transmit")
 
@@ -99,7 +103,7 @@ class RowSimulator:
     ) -> None:
         self.segments = list(segments)
         self.joints = tuple(joints)
-        self.threads = threads or len(os.sched_getaffinity(0))
+        self.threads = threads or _cores()
         model = self.segments[0].model
         ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in joints]
         self.joint_ids = np.array(ids)
@@ -226,7 +230,7 @@ class RowSimulator:
         return [p for p in found if p is not None]
 
     def _batch(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
-        effects = [(catalogue()[e], v) for e, v in values.items() if _acts(catalogue()[e], v)]
+        effects = _acting(values)
         return self._sample(rows, effects, *self._moved(rows, effects))
 
     def trajectories(
@@ -236,9 +240,7 @@ class RowSimulator:
 
         A row that is shorter than the longest goes on under its last command.
         """
-        values = with_fixed(values, self.fixed, len(rows))
-        effects = [(catalogue()[e], v) for e, v in values.items() if _acts(catalogue()[e], v)]
-        q, v, _ = self._moved(rows, effects)
+        q, v, _ = self._moved(rows, _acting(with_fixed(values, self.fixed, len(rows))))
         return q, v
 
     def _moved(
@@ -257,7 +259,7 @@ class RowSimulator:
         """Rows with their model fields written, and the state and drives that they start from."""
         models = [self._bounded(int(r)) for r in rows]
         # Threads meet at every step that laws act between: few rows are sooner done alone.
-        few = _between_any(effects) and len(rows) * models[0].nv < _WORTH_THREADS
+        few = _any_hook(effects, *BETWEEN_STEPS) and len(rows) * models[0].nv < _WORTH_THREADS
         batch = Batch(models[0], len(rows), nthread=1 if few else self.threads)
         world = self.world(rows)
         for effect, parameters in reversed(effects):
@@ -284,15 +286,16 @@ class RowSimulator:
 
     def world(self, rows: NDArray[np.int64]) -> World:
         """The rows' segments at their start, the drives as the model has them."""
-        models = [self._bounded(int(r)) for r in rows]
-        count = (len(rows), len(self.joints))
+        segments, of = np.unique(rows, return_inverse=True)
+        models = [self._bounded(int(s)) for s in segments]
+        count = (len(segments), len(self.joints))
         driven = self.actuator >= 0
         act, gear = self.actuator[driven], self.gear[driven]
         world = World(
-            time=np.array([self.segments[r].start for r in rows]),
+            time=np.array([self.segments[r].start for r in segments]),
             timestep=self.timestep,
-            position=np.array([self.segments[r].initial_position for r in rows]),
-            velocity=np.array([self.segments[r].initial_velocity for r in rows]),
+            position=np.array([self.segments[r].initial_position for r in segments]),
+            velocity=np.array([self.segments[r].initial_velocity for r in segments]),
             setpoint=np.zeros(count),
             gain=np.zeros(count),
             stiffness=np.zeros(count),
@@ -318,6 +321,8 @@ class RowSimulator:
                 world.damping[i, driven] = -m.actuator_biasprm[act, 2] * gear**2
             limits = m.actuator_forcerange[act] * gear[:, None]
             world.lower[i, driven], world.upper[i, driven] = limits.min(axis=1), limits.max(axis=1)
+        for name in _OF_ROWS:
+            setattr(world, name, getattr(world, name)[of])
         return world
 
     def _write_fields(
@@ -330,17 +335,7 @@ class RowSimulator:
     ) -> None:
         count = (len(rows), len(self.joints))
         several = len({id(m) for m in models}) > 1
-        fields = ModelFields(
-            damping=np.zeros(count),
-            armature=np.zeros(count),
-            friction=np.zeros(count),
-            constant_force=np.zeros(count),
-            stiffness=np.zeros(count),
-            gravity=np.array([m.opt.gravity for m in models]),
-            added_mass=np.zeros(count),
-            added_distance=np.zeros(count),
-            inertia_scale=np.ones(count),
-        )
+        fields = ModelFields.neutral(np.array([m.opt.gravity for m in models]), count[1])
         for effect, v in effects:
             effect.fields(fields, v)
         before = (world.gain.copy(), world.stiffness.copy(), world.damping.copy())
@@ -410,7 +405,7 @@ class RowSimulator:
             bias[:, act, 0] = there * world.offset[:, driven] / gear
             bias[:, act, 1] = there * -world.stiffness[:, driven] / gear**2
             bias[:, act, 2] = there * -world.damping[:, driven] / gear**2
-        moving = any(_hooks(e, "servo") for e, _ in effects)
+        moving = _any_hook(effects, "servo")
         bounds_changed = (bounds[0] != world.lower).any() or (bounds[1] != world.upper).any()
         self._range = None
         if (several or moving or bounds_changed) and driven.any():
@@ -489,7 +484,7 @@ class RowSimulator:
         v = np.empty((count, steps + 1, joints))
         effort = np.zeros((count, steps + 1, joints))
         q[:, 0], v[:, 0] = world.position, world.velocity
-        hooks = {h: [(e, p) for e, p in effects if _hooks(e, h)] for h in BETWEEN_STEPS}
+        hooks = hooks_between_steps(effects)
         if not any(hooks.values()) and not bare.any():
             inputs = np.zeros((count, steps, batch.bind("ctrl").shape[1]))
             inputs[:] = ctrl[:, None]
@@ -622,6 +617,12 @@ class RowSimulator:
         ]
 
 
+def _cores() -> int:
+    """Cores that the process may use; 0, all of them, where the system cannot tell."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    return 0 if allowed is None else len(allowed(0))
+
+
 def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
     """Rows' effects on top of fixed ones: switches add, a shape that is fixed stays."""
     if not fixed:
@@ -643,8 +644,11 @@ def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectVa
     return out
 
 
-def _hooks(effect: Effect, name: str) -> bool:
-    return getattr(type(effect), name) is not getattr(Effect, name)
+def hooks_between_steps(
+    effects: Sequence[tuple[Effect, Values]],
+) -> dict[str, list[tuple[Effect, Values]]]:
+    """Hook -> the effects that have it, in their order."""
+    return {h: [(e, v) for e, v in effects if e.overrides(h)] for h in BETWEEN_STEPS}
 
 
 def _between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
@@ -652,19 +656,20 @@ def _between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
     found = np.zeros(count, dtype=bool)
     for name, v in values.items():
         effect = catalogue()[name]
-        if any(_hooks(effect, hook) for hook in BETWEEN_STEPS):
+        if effect.overrides(*BETWEEN_STEPS):
             for p in effect.parameters:
                 if p.neutral is not None:
                     found |= (v[p.name] != p.neutral).any(axis=1)
     return found
 
 
-def _between_any(effects: Sequence[tuple[Effect, Values]]) -> bool:
-    return any(_hooks(effect, hook) for effect, _ in effects for hook in BETWEEN_STEPS)
+def _any_hook(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:
+    return any(effect.overrides(*hooks) for effect, _ in effects)
 
 
-def _any_hook(effects: list[tuple[Effect, Values]], name: str) -> bool:
-    return any(_hooks(effect, name) for effect, _ in effects)
+def _acting(values: EffectValues) -> list[tuple[Effect, Values]]:
+    """The effects that some row has."""
+    return [(catalogue()[e], v) for e, v in values.items() if _acts(catalogue()[e], v)]
 
 
 def _acts(effect: Effect, values: Values) -> bool:
