@@ -43,7 +43,7 @@ def cost(problem: Problem, since: float) -> Cost:
     """Cost of a diagnosis that began at ``since`` (``time.perf_counter``)."""
     wall = time.perf_counter() - since
     simulator = problem.simulator
-    stepped = simulator.stepped + (0 if problem.refined is None else problem.refined.stepped)
+    stepped = problem.stepped
     rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
     before = simulator.stepped

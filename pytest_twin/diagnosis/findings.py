@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.locate import Where, blame_windows, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.select import Selected
+from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.effects.base import FloatArray, Parameter
 from pytest_twin.trial import Trial
 
@@ -26,7 +27,7 @@ _UNTESTED = 0.8
 _CORRELATED = 0.9
 # A finding takes some signal down by this factor at least, from at least this many floors.
 _WORSE = 1.05
-_STANDS_OUT = 2.0
+_STANDS_OUT = 1.5
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.7, 0.5
@@ -242,6 +243,18 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
             continue
         if judged:
             return _Pruned(fitted, rests, notes)
+        stretched = _stretched(problem, fitted, before, base)
+        if stretched:
+            rest = fitted.hypothesis
+            for t in stretched:
+                rest = rest.without(t)
+                notes.append(
+                    f"near in the catalogue is {_label(problem, t)}, but it would have to stand at "
+                    "a physical bound, or could be absent, and does not explain all; it is not "
+                    "claimed"
+                )
+            fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
+            continue
         judged = True
         gone = []
         for t in terms:
@@ -263,6 +276,33 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
             rest = rest.without(t)
         fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
     return _Pruned(fitted, [], notes)
+
+
+def _stretched(
+    problem: Problem, fitted: Fitted, before: FloatArray, after: FloatArray
+) -> list[Term]:
+    """Terms at a physical bound, or perhaps absent, at joints that stay unexplained with them."""
+    hypothesis, joints = fitted.hypothesis, len(problem.joints)
+    explained = np.array([
+        JointError(float(b), float(a), 1.0, "").explained
+        for b, a in zip(before[:joints], after[:joints], strict=True)
+    ])  # fmt: skip
+    if explained.all():
+        return []
+    half = spread(problem, fitted).half_width
+    found = []
+    for t in hypothesis.terms:
+        place = hypothesis.slice_of(t)
+        absent = all(
+            p.neutral is None or abs(value - p.neutral) <= width
+            for p, value, width in zip(
+                t.parameters, hypothesis.theta[place], half[place], strict=True
+            )
+        )
+        here = explained.all() if t.joint < 0 else explained[t.joint]
+        if not here and (absent or at_bound(hypothesis, t)):
+            found.append(t)
+    return found
 
 
 def _too_little(

@@ -99,7 +99,9 @@ def _between_recordings(
 
 def _inverse(curvature: FloatArray) -> FloatArray:
     """Inverse under a unit diagonal, so that parameters of any size count alike."""
-    size = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    size = np.sqrt(np.diag(curvature))
+    # A parameter without any influence is open, not infinite.
+    size = np.maximum(size, max(1e-9 * float(size.max()), 1e-300))
     values, vectors = np.linalg.eigh(curvature / np.outer(size, size))
     values = np.maximum(values, 1e-10)
     inverse: FloatArray = (vectors / values) @ vectors.T / np.outer(size, size)

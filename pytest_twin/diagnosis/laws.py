@@ -149,7 +149,7 @@ class Laws:
         """(rows, steps, joints) held commands of every step of the model."""
         simulator, along = self.simulator, self.along
         steps = (along.position.shape[1] - 1) * along.steps
-        late = [(e, v) for e, v in effects if type(e).command_delay is not Effect.command_delay]
+        late = [(e, v) for e, v in effects if e.overrides("command_delay", "sample_time")]
         if late:
             return simulator.commands(rows, late, steps)
         if self._commands is None:

@@ -15,10 +15,13 @@ from pytest_twin.diagnosis.fit import nudged, propose, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.responses import Linear
 from pytest_twin.diagnosis.screen import View
+from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import FloatArray
 
 _DAMPINGS = (1e-4, 1e-2, 1.0)
 _ENOUGH = 3e-3
+_AT_ONCE = 48
+"""Rows of one batch: more take memory and save no more time."""
 
 
 @dataclass(slots=True)
@@ -37,27 +40,51 @@ class Polished:
 def polish(
     linear: Linear, view: View, starts: Sequence[Hypothesis], iterations: int
 ) -> list[Polished]:
-    """Fit every start; each under the weights of what it leaves."""
-    out = []
-    for start in starts:
-        current = start
-        residual = view.residual - linear.differences([current])[0]
-        for _ in range(iterations):
-            weight = 1.0 / np.sqrt(np.nanmean(residual**2, axis=0) + view.floor**2)
-            rows, steps = nudged(current)
-            if not rows:
-                break
-            here, moved = view.residual - residual, linear.differences(rows)
-            slope = np.stack([(m - here) / s for m, s in zip(moved, steps, strict=True)], axis=-1)
-            tried = [propose(current, residual, slope, weight, d) for d in _DAMPINGS]
-            left = [view.residual - change for change in linear.differences(tried)]
-            cost = [weighted_cost(r, weight) for r in left]
-            before = weighted_cost(residual, weight)
-            best = int(np.argmin(cost))
-            if not cost[best] < before:
-                break
-            current, residual = tried[best], left[best]
-            if cost[best] > (1.0 - _ENOUGH) * before:
-                break
-        out.append(Polished(current, residual))
-    return out
+    """Fit every start, side by side; each under the weights of what it leaves."""
+    residuals = [view.residual - d for d in _differences(linear, starts)]
+    fits = [Polished(h, r) for h, r in zip(starts, residuals, strict=True)]
+    active = [f for f in fits if f.hypothesis.theta.size]
+    for _ in range(iterations):
+        if not active:
+            break
+        nudges = [nudged(f.hypothesis) for f in active]
+        moved = iter(_differences(linear, [row for rows, _ in nudges for row in rows]))
+        weights: list[FloatArray] = []
+        tried: list[Hypothesis] = []
+        for f, (_, steps) in zip(active, nudges, strict=True):
+            weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
+            here = view.residual - f.residual
+            slope = np.stack([(next(moved) - here) / s for s in steps], axis=-1)
+            weights.append(weight)
+            tried += [propose(f.hypothesis, f.residual, slope, weight, d) for d in _DAMPINGS]
+        left = [view.residual - d for d in _differences(linear, tried)]
+        still = []
+        for k, (f, weight) in enumerate(zip(active, weights, strict=True)):
+            mine = range(k * len(_DAMPINGS), (k + 1) * len(_DAMPINGS))
+            best = min(mine, key=lambda i: weighted_cost(left[i], weight))
+            before, after = weighted_cost(f.residual, weight), weighted_cost(left[best], weight)
+            if after < before:
+                f.hypothesis, f.residual = tried[best], left[best]
+                if after <= (1.0 - _ENOUGH) * before:
+                    still.append(f)
+        active = still
+    return fits
+
+
+def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+    """As :meth:`Linear.differences`, in batches that need the same steps."""
+    groups: dict[tuple[bool, bool], list[int]] = {}
+    for i, h in enumerate(hypotheses):
+        effects = [catalogue()[t.effect] for t in h.terms]
+        key = (
+            any(e.remembers for e in effects),
+            any(e.overrides("transmit") for e in effects),
+        )
+        groups.setdefault(key, []).append(i)
+    out: dict[int, FloatArray] = {}
+    for which in groups.values():
+        for first in range(0, len(which), _AT_ONCE):
+            some = which[first : first + _AT_ONCE]
+            found = linear.differences([hypotheses[i] for i in some])
+            out.update(zip(some, found, strict=True))
+    return [out[i] for i in range(len(hypotheses))]

@@ -84,6 +84,11 @@ class Problem:
         """Names, in the order of columns."""
         return self.simulator.joints
 
+    @property
+    def stepped(self) -> int:
+        """Steps that were simulated so far."""
+        return self.simulator.stepped + (0 if self.refined is None else self.refined.stepped)
+
     def predict(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
     ) -> list[list[Predicted]]:
@@ -211,13 +216,17 @@ def smooth_state(
     return coefficients[0], coefficients[1] / (width / 2)
 
 
-def joint_scales(simulator: RowSimulator, segments: Sequence[Segment]) -> Scales:
-    """Typical sizes of a joint's parameters, from the model and the nominal replay."""
-    joints = len(simulator.joints)
+def nominal_replay(simulator: RowSimulator) -> list[Predicted]:
+    """Every segment under the model as it came."""
+    count = len(simulator.segments)
+    values = effect_values([EMPTY] * count, len(simulator.joints), Scales({}))
+    return simulator.simulate(np.arange(count), values)
+
+
+def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scales:
+    """Typical sizes of a joint's parameters, from the model and its nominal replay."""
+    joints, segments = len(simulator.joints), simulator.segments
     model = segments[0].model
-    nominal = simulator.simulate(
-        np.arange(len(segments)), effect_values([EMPTY] * len(segments), joints, Scales({}))
-    )
 
     def rms(values: list[FloatArray]) -> FloatArray:
         stacked = np.concatenate(values)

@@ -20,13 +20,14 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_val
 from pytest_twin.diagnosis.laws import ActiveEffects, Forces, Laws
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rigid_terms import Rigid, rigid_terms, upsampled
-from pytest_twin.diagnosis.start import FreeStart, free_start
+from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
 from pytest_twin.effects.rows import BETWEEN_STEPS, EffectValues, with_fixed
 
 _BIN, _COARSEST = 0.02, 0.05
 """s that residuals are averaged over."""
+_IN_FORCES = ("gains", "command_delay", "sample_time", "fields", "separates", *BETWEEN_STEPS)
 _MOST_BINNED = 12_000
 _AT_ONCE = 192
 
@@ -236,8 +237,9 @@ class Linear:
         out = {}
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
-            if segment.mode == "effort":
-                response = self._read(i, state[i, :, :joints]).reshape(-1, 2 * joints)
+            free = free_shifts(segment.mode, joints)
+            if free:
+                response = self._read(i, state[i, :, :joints, :free]).reshape(-1, free)
                 out[i] = free_start(
                     response, segment, self.problem.start_noise, self.problem.start_width
                 )
@@ -293,7 +295,7 @@ class Linear:
         active = self._active(everything)
         joints = len(self.problem.joints)
         forces = None
-        if effect.overrides("gains", "command_delay", "fields", "separates", *BETWEEN_STEPS):
+        if effect.overrides(*_IN_FORCES):
             forces = self.laws.forces(active, len(rows))
         heavy = _is_rigid(effect, values, joints)
         masses: dict[int, list[FloatArray]] = {}
@@ -367,8 +369,8 @@ class Linear:
             velocity = self._at(self.along.velocity[i], i, stamps[0])[None]
             moved, _ = effect.sense(stamps, position, velocity, mine)
             change = moved - position
-            late = effect.sample_time(stamps, mine)
-            if late is not stamps:
+            if effect.overrides("sample_time"):
+                late = self.simulator.taken(self.segments[i : i + 1], stamps, [(effect, mine)])
                 grid_q = self.along.position[i]
                 change = (
                     change + (self._at(grid_q, i, late[0]) - self._at(grid_q, i, stamps[0]))[None]
@@ -452,8 +454,7 @@ class Linear:
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
-            for effect, v in mine:
-                stamps = effect.sample_time(stamps, v)
+            stamps = self.simulator.taken(self.segments[i : i + 1], stamps, mine)
             position = self._at(self.along.position[i], i, stamps[0])[None]
             velocity = self._at(self.along.velocity[i], i, stamps[0])[None]
             measured = segment.effort is not None and self.problem.effort_floor is not None

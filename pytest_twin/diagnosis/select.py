@@ -16,24 +16,29 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
-from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.fit import Fitted, fit, weighted_cost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Linear, answered, bins, linearized
+from pytest_twin.diagnosis.responses import Linear, answered, bins, grid, linearized
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates, name_price, price
 from pytest_twin.effects.base import FloatArray
 
 _MAX_TERMS = 10
 _ROUNDS = 6
-# Structures kept at each size, terms added at once, structures of each size that are fitted along
-# the motion, rivals looked at in a term's place.
-_WIDTH, _AT_ONCE, _OFFERED, _RIVALS = 10, 4, 2, 6
+# Structures kept at each size, terms added at once, structures of each size and of one term that
+# are fitted along the motion, rivals looked at in a term's place.
+_WIDTH, _AT_ONCE, _OFFERED, _SINGLE, _RIVALS = 10, 4, 2, 8, 6
 # Evidence to first order beyond which no simulation would change the verdict.
 _CLEAR = 30.0
 _FAR = 100.0
 _POLISH, _MOST_CLOSE, _ATTEMPTS = 3, 2, 3
 _QUICK, _LONG = 2, 8
+# Floors that the best leaves along the motion beyond which single terms are scanned by simulation,
+# and how many of them are kept.
+_FIRST_ORDER, _SCANNED = 10.0, 2
+# Replays of all recordings that a search may take: what needs more has no law in the catalogue.
+_MOST_REPLAYS = 600
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many.
 _IN_FRONT, _FRONT = 150.0, 4
 _ROUGH_ROUNDS = 2
@@ -124,13 +129,23 @@ class Selection:
         for _ in range(_ROUNDS):
             best = selected.best
             better = None
-            if len(best.hypothesis.terms) < _MAX_TERMS and not self._at_floor(best):
+            if (
+                len(best.hypothesis.terms) < _MAX_TERMS
+                and self._worth_a_search(best)
+                and not self._spent
+            ):
                 better = self._forward(best)
             if better is not None:
                 selected.best = self._backward(better)
             elif not self._sideways(selected):
                 break
         return selected
+
+    @property
+    def _spent(self) -> bool:
+        """Whether as much was simulated as any search may take."""
+        once = int(self.problem.simulator.steps.sum())
+        return self.problem.stepped > _MOST_REPLAYS * once
 
     # -- evidence
 
@@ -182,10 +197,16 @@ class Selection:
         mean_square: FloatArray = np.mean(residual**2, axis=0)
         return mean_square
 
-    def _at_floor(self, rival: Rival) -> bool:
+    def _worth_a_search(self, rival: Rival) -> bool:
+        """Whether any joint has left what would be worth a name if all of it went."""
         floor = self.problem.signal_floor**2
         fit = np.mean(rival.fitted.residual**2, axis=0)
-        return bool((np.maximum(self._unseen(rival), fit) <= _AT_FLOOR * floor).all())
+        left = np.maximum(self._unseen(rival), fit)
+        least = np.where(left > _AT_FLOOR * floor, floor, left)
+        whole = np.maximum(
+            self._unseen(self.nominal), np.mean(self.nominal.fitted.residual**2, axis=0)
+        )
+        return self._worth_a_name(left, least, whole)
 
     def _worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:
         """Whether mean squares (signals,) fall by enough; ``whole`` of the model as it came."""
@@ -218,7 +239,7 @@ class Selection:
         """
         look = self._look(best)
         for _ in range(_ATTEMPTS):
-            rivals = self._tried(best, look)
+            rivals = [] if self._spent else self._tried(best, look)
             if not rivals:
                 break
             before, unseen = self._unseen(best), self._unseen(self.nominal)
@@ -256,17 +277,42 @@ class Selection:
         ).levels(Lens(look.view, look.answers))  # fmt: skip
         if not levels:
             return []
-        chosen = [structure for level in reversed(levels) for structure in level[:_OFFERED]]
+        # Shapes of single terms are known as well as their grids are: more of them get a chance.
+        chosen = [
+            structure
+            for level in reversed(levels)
+            for structure in level[: _OFFERED if level is not levels[0] else _SINGLE]
+        ]
         starts = []
         for structure in chosen:
             h = best.hypothesis
             for term, start in structure.starts.items():
                 h = h.with_term(term, start)
             starts.append(h)
+        singles = [h for h, s in zip(starts, chosen, strict=True) if len(s.chosen) == 1]
         starts, left = self._front(look, starts, chosen[0].residual)
+        if (left > (_FIRST_ORDER * look.view.floor) ** 2).any():
+            starts += self._scanned(best, singles, left)
         # What the step costs differs between the model as it came and what explains the rest.
         self.problem.refine_at(starts[0])
         return self._heats(starts, 1.0 / np.sqrt(left + look.view.floor**2), best)
+
+    def _scanned(
+        self, best: Rival, singles: Sequence[Hypothesis], left: FloatArray
+    ) -> list[Hypothesis]:
+        """The best of what single terms do at all their starting sizes, by simulation.
+
+        Where a deviation is far from small, as of an arm that falls, slopes lead nowhere.
+        """
+        terms = [h.terms[-1] for h in singles]
+        rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
+        weight = 1.0 / np.sqrt(left + self.problem.signal_floor**2)
+        costs = [weighted_cost(r, weight) for r in self.problem.residuals(rows, self.problem.fit)]
+        order = [i for i in np.argsort(costs) if np.isfinite(costs[i])]
+        found: dict[Term, Hypothesis] = {}
+        for i in order:
+            found.setdefault(rows[i].terms[-1], rows[i])
+        return list(found.values())[:_SCANNED]
 
     def _front(
         self, look: Look, starts: list[Hypothesis], residual: FloatArray
@@ -280,6 +326,7 @@ class Selection:
         order = np.argsort(-evidence)
         for i in order:
             self.say(f"  along {_text(polished[i].hypothesis)} evidence {evidence[i]:.1f}")
+        fewest = min((p.hypothesis.terms for p in polished), key=len)
         front: list[int] = []
         for i in order:
             terms = set(polished[i].hypothesis.terms)
@@ -290,7 +337,9 @@ class Selection:
             )
             if np.isfinite(evidence[i]) and not covered:
                 front.append(int(i))
-        front = front[:_FRONT]
+        # What acts strongly is only roughly of first order: the best single term is simulated too.
+        single = [i for i in front if len(polished[i].hypothesis.terms) == len(fewest)]
+        front = [*front[:_FRONT], *(i for i in single[:1] if i not in front[:_FRONT])]
         left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
         return [polished[i].hypothesis for i in front], left
 
@@ -415,7 +464,7 @@ class Selection:
                 others[i] = h
         order = np.argsort(-found)
         close = [i for i in order if found[i] > -_CLEAR and places[i][1] is not None]
-        close = close[: _MOST_CLOSE * len(terms)]
+        close = [] if self._spent else close[: _MOST_CLOSE * len(terms)]
         rivals = self._rivals([others[i] for i in close], self._weights(best), _QUICK)
         self._judge(rivals, best)
         evidence = {place: float(value) for place, value in zip(places, found, strict=True)}

@@ -1,9 +1,10 @@
 """Where a window starts is known as well as its samples say: the rest is taken out of residuals.
 
 Under an effort command an error of the initial velocity grows with time, far above the sensors'
-noise. Every window therefore has its initial state free, held by a Gaussian prior of what a local
-cubic leaves open: residuals are freed of what a shifted start explains (partialled-out nuisance
-parameters; Golub, Pereyra, SIAM J. Numer. Anal. 10, 1973).
+noise; a velocity servo keeps an error of the initial position for ever. Their windows therefore
+have the initial state free, held by a Gaussian prior of what a local cubic leaves open: residuals
+are freed of what a shifted start explains (partialled-out nuisance parameters; Golub, Pereyra, SIAM
+J. Numer. Anal. 10, 1973).
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ class FreeStart:
     """The start of one window.
 
     Attributes:
-        response: (samples * joints, 2 joints) positions per unit of initial position and velocity.
-        solve: (2 joints, samples * joints) the start's most probable shift under a residual.
+        response: (samples * joints, shifts) positions per unit of what is free, as
+            :func:`free_shifts` counts.
+        solve: (shifts, samples * joints) the start's most probable shift under a residual.
     """
 
     response: FloatArray
@@ -45,6 +47,15 @@ class FreeStart:
         return left.reshape(residuals.shape)
 
 
+def free_shifts(mode: str, joints: int) -> int:
+    """How much of (positions, velocities) is free when a segment starts.
+
+    Of a velocity servo the positions alone: it takes an error of the velocity for a moment only,
+    which leaves one of the position.
+    """
+    return {"position": 0, "velocity": joints, "effort": 2 * joints}[mode]
+
+
 def free_starts(
     segments: Sequence[Segment],
     joints: Sequence[str],
@@ -54,7 +65,7 @@ def free_starts(
     hypothesis: Hypothesis = EMPTY,
     scales: Scales | None = None,
 ) -> dict[int, FreeStart]:
-    """A free start for every window of an effort command.
+    """A free start for every segment that would keep an error of it.
 
     Args:
         segments: all of the problem.
@@ -65,25 +76,28 @@ def free_starts(
         hypothesis, scales: around which the shifted starts are simulated: under friction a shift
             of the velocity dies out, without it it grows with time.
     """
-    which = [i for i, s in enumerate(segments) if s.mode == "effort"]
-    if not which:
-        return {}
     count = len(joints)
+    shifts = [free_shifts(s.mode, count) for s in segments]
     shifted: list[Segment] = []
-    for i in which:
-        s = segments[i]
-        shifted.append(s)
-        for k in range(2 * count):
+    for s, free in zip(segments, shifts, strict=True):
+        if free:
+            shifted.append(s)
+        for k in range(free):
             q, v = s.initial_position.copy(), s.initial_velocity.copy()
             (q if k < count else v)[k % count] += _STEP
             shifted.append(replace(s, initial_position=q, initial_velocity=v))
+    if not shifted:
+        return {}
     rows = np.arange(len(shifted))
     values = effect_values([hypothesis] * len(rows), count, scales or Scales({}))
     found = RowSimulator(shifted, joints, threads=threads).simulate(rows, values)
     out: dict[int, FreeStart] = {}
-    each = 2 * count + 1
-    for n, i in enumerate(which):
-        base, *moved = found[n * each : (n + 1) * each]
+    at = 0
+    for i, free in enumerate(shifts):
+        if not free:
+            continue
+        base, *moved = found[at : at + free + 1]
+        at += free + 1
         response = np.stack([(m.position - base.position).ravel() / _STEP for m in moved], axis=1)
         if not np.isfinite(response).all():
             continue
@@ -94,9 +108,9 @@ def free_starts(
 def free_start(
     response: FloatArray, segment: Segment, noise: FloatArray, width: float
 ) -> FreeStart:
-    """A free start from its (samples * joints, 2 joints) response; the rest as above."""
+    """A free start from its (samples * joints, shifts) response; the rest as above."""
     weight = np.tile(1.0 / noise**2, len(response) // len(noise))
-    prior = 1.0 / _start_variance(segment, noise, width)
+    prior = 1.0 / _start_variance(segment, noise, width)[: response.shape[1]]
     normal = response.T @ (weight[:, None] * response) + np.diag(prior)
     solve: FloatArray = np.linalg.solve(normal, response.T * weight).astype(np.float64)
     return FreeStart(response, solve)

@@ -34,6 +34,7 @@ _OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
 )  # fmt: skip
+_LAW = ("gain", "stiffness", "damping", "offset")
 _UNBOUNDED = 1e9
 BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "transmit")
 
@@ -266,6 +267,7 @@ class RowSimulator:
             world.position, world.velocity = effect.unsense(
                 world.position, world.velocity, parameters
             )
+        world.time = world.time - self.behind(rows, effects)[:, 0]
         self._write_fields(batch, rows, models, effects, world)
         return batch, world
 
@@ -278,11 +280,40 @@ class RowSimulator:
             added = effect.command_delay(v)
             if added is not None:
                 delay = delay + added
+        delay = delay + self.behind(rows, effects)
         late = np.any(delay, axis=1)
         commands = np.empty((len(rows), steps, len(self.joints)))
         for i, r in enumerate(rows):
             commands[i] = self._mean_commands(int(r), delay[i] if late[i] else None, steps)
         return np.nan_to_num(commands)
+
+    def behind(
+        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]
+    ) -> FloatArray:
+        """How long before its stamp the state was that a window starts from, (rows, joints) s.
+
+        A window begins with what was read amid a motion: where readings are late, so is its start,
+        and commands reach it that much later. A whole trial begins at rest, and when it says.
+        """
+        start = np.array([self.segments[r].start for r in rows])[:, None, None]
+        stamp = np.repeat(start, len(self.joints), axis=2)
+        taken = stamp
+        for effect, v in effects:
+            taken = effect.sample_time(taken, v)
+        window = np.array([self.segments[r].mode == "effort" for r in rows])
+        out: FloatArray = np.where(window[:, None], (stamp - taken)[:, 0], 0.0)
+        return out
+
+    def taken(
+        self,
+        rows: NDArray[np.int64],
+        stamps: FloatArray,
+        effects: Sequence[tuple[Effect, Values]],
+    ) -> FloatArray:
+        """When readings with (rows, n, joints) stamps were taken, on the clock of their motion."""
+        for effect, v in effects:
+            stamps = effect.sample_time(stamps, v)
+        return stamps + self.behind(rows, effects)[:, None]
 
     def world(self, rows: NDArray[np.int64]) -> World:
         """The rows' segments at their start, the drives as the model has them."""
@@ -338,8 +369,8 @@ class RowSimulator:
         fields = ModelFields.neutral(np.array([m.opt.gravity for m in models]), count[1])
         for effect, v in effects:
             effect.fields(fields, v)
-        before = (world.gain.copy(), world.stiffness.copy(), world.damping.copy())
-        bounds = (world.lower.copy(), world.upper.copy(), world.offset.copy())
+        before = tuple(getattr(world, name).copy() for name in _LAW)
+        bounds = (world.lower.copy(), world.upper.copy())
         for effect, v in effects:
             effect.gains(world, v)
         soft = np.zeros(count, dtype=bool)
@@ -391,10 +422,7 @@ class RowSimulator:
         gains_changed = (
             several
             or soft.any()
-            or any(
-                (a != b).any()
-                for a, b in zip(before, (world.gain, world.stiffness, world.damping), strict=True)
-            )
+            or any((a != getattr(world, name)).any() for a, name in zip(before, _LAW, strict=True))
         )
         if gains_changed and driven.any():
             gear = self.gear[driven]
@@ -590,8 +618,7 @@ class RowSimulator:
             time = self.segments[r].time
             stamps[i, : len(time)] = time[:, None]
             stamps[i, len(time) :] = time[-1]
-        for effect, p in effects:
-            stamps = effect.sample_time(stamps, p)
+        stamps = self.taken(rows, stamps, effects)
         start = np.array([self.segments[r].start for r in rows])[:, None, None]
         at = np.clip((stamps - start) / dt, 0.0, q.shape[1] - 1 - 1e-9)
         index = at.astype(np.int64)

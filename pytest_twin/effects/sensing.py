@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values
+from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values, World
 
 
 class EncoderBias(Effect):
@@ -14,9 +14,12 @@ class EncoderBias(Effect):
 
     id = "encoder_bias"
     family = "sensing"
-    law = "measured = position + bias; in_loop: the servo regulates the measured position"
+    law = "measured = position + bias; the servo regulates position + in_loop bias, in_loop 0 or 1"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
-    parameters = (Parameter("bias", "position", 0.0, -0.6, 0.6, (0.03,)),)
+    parameters = (
+        Parameter("bias", "position", 0.0, -0.6, 0.6, (0.03,)),
+        Parameter("in_loop", "one", None, 0.0, 1.0, (0.0, 1.0)),
+    )
     confused_with: ClassVar = {
         "joint_spring": "hold at several poses: a bias does not depend on the pose's load",
         "asymmetric_friction": "approach a pose from both sides, then hold with the drive off",
@@ -27,6 +30,9 @@ class EncoderBias(Effect):
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
         return position + values["bias"][:, None], velocity
+
+    def gains(self, world: World, values: Values) -> None:
+        world.offset = world.offset - world.stiffness * values["in_loop"] * values["bias"]
 
     def unsense(
         self, position: FloatArray, velocity: FloatArray, values: Values

@@ -19,7 +19,7 @@ from pytest_twin.diagnosis.along import Along, along
 from pytest_twin.diagnosis.deviation import Deviation, deviation
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.laws import Laws
-from pytest_twin.diagnosis.problem import Problem, joint_scales, smooth_state
+from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay, smooth_state
 from pytest_twin.diagnosis.responses import bins, responses
 from pytest_twin.diagnosis.rigid_terms import rigid_terms, upsampled
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, Structure, View, candidates
@@ -61,7 +61,8 @@ ALONE: list[tuple[str, Term, dict[str, float]]] = [
     ("position", Term("actuator_lag", SHOULDER), {"time_constant": 0.02}),
     ("position", Term("rate_limit", ELBOW), {"inverse_rate": 1 / 1.5}),
     ("position", Term("torque_saturation", SHOULDER), {"inverse_limit": 1 / 4.0}),
-    ("position", Term("encoder_bias", ELBOW), {"bias": 0.03}),
+    ("position", Term("encoder_bias", ELBOW), {"bias": 0.03, "in_loop": 0.0}),
+    ("position", Term("encoder_bias", ELBOW), {"bias": 0.4, "in_loop": 1.0}),
     ("position", Term("payload", ROBOT), {"mass": 0.1, "distance": 0.12}),
     ("position", Term("inertial_parameters", SHOULDER), {"relative_error": 0.15}),
     (
@@ -151,7 +152,7 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
                         initial_position=q, initial_velocity=v)
             )  # fmt: skip
     simulator = RowSimulator(segments, joints, threads=1)
-    scales = joint_scales(simulator, segments)
+    scales = joint_scales(simulator, nominal_replay(simulator))
     noise = np.full(len(joints), NOISE)
     problem = Problem(simulator, np.arange(len(segments)), np.zeros(0, np.int64), noise, scales)
     if not servo:
@@ -277,7 +278,7 @@ def slide(limit: float, push: float) -> tuple[Along, Deviation]:
     hidden = {Term("external_force", 0): force} if push else {}
     segment = replace(segment, position=moved(segment, ("j",), hidden))
     simulator = RowSimulator([segment], ("j",), threads=1)
-    scales = joint_scales(simulator, [segment])
+    scales = joint_scales(simulator, nominal_replay(simulator))
     problem = Problem(simulator, np.array([0]), np.zeros(0, np.int64), np.full(1, 1e-6), scales)
     motion = along(problem, EMPTY, problem.fit)
     rigid = rigid_terms(simulator, motion)[0]

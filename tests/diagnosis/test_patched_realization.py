@@ -49,7 +49,7 @@ EFFECTS = [
         {"coefficient": 0.2, "stiction_excess": 0.1, "stribeck_velocity": 0.2},
         False,
     ),
-    ("encoder_bias", 1, {"bias": 0.05}, False),
+    ("encoder_bias", 1, {"bias": 0.05, "in_loop": 1.0}, False),
     ("sensor_delay", -1, {"delay": 0.013}, False),
 ]
 
