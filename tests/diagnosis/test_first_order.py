@@ -62,7 +62,6 @@ ALONE: list[tuple[str, Term, dict[str, float]]] = [
     ("position", Term("rate_limit", ELBOW), {"inverse_rate": 1 / 1.5}),
     ("position", Term("torque_saturation", SHOULDER), {"inverse_limit": 1 / 4.0}),
     ("position", Term("encoder_bias", ELBOW), {"bias": 0.03, "in_loop": 0.0}),
-    ("position", Term("encoder_bias", ELBOW), {"bias": 0.4, "in_loop": 1.0}),
     ("position", Term("payload", ROBOT), {"mass": 0.1, "distance": 0.12}),
     ("position", Term("inertial_parameters", SHOULDER), {"relative_error": 0.15}),
     (

@@ -1,0 +1,62 @@
+"""Sensors that are off: what a servo makes of its own reading, and where a window really starts."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pytest_twin.effects.rows import RowSimulator, Segment
+
+FloatArray = NDArray[np.float64]
+
+KP, KV, MASS, LENGTH, STEP = 20.0, 1.0, 0.5, 0.2, 0.001
+WEIGHT = MASS * 9.81 * LENGTH
+BIAS = 0.15
+
+
+def pendulum(drive: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{STEP}" integrator="implicitfast"/><worldbody><body>'
+        f'<inertial pos="0 0 -{LENGTH}" mass="{MASS}" diaginertia="1e-9 1e-9 1e-9"/>'
+        f'<joint name="j" axis="0 -1 0" armature="0.01"/></body></worldbody>'
+        f"<actuator>{drive}</actuator></mujoco>"
+    )
+
+
+def segment(mode: str, drive: str, time: FloatArray, command: FloatArray, start: float) -> Segment:
+    """``command`` at every step of the whole trial; the window begins at ``start``."""
+    return Segment(
+        trial=0, model=pendulum(drive), mode=mode, start=start, time=time,
+        position=np.zeros((len(time), 1)), velocity=None, effort=None,
+        command_time=STEP * np.arange(len(command)), command=command[:, None],
+        initial_position=np.zeros(1), initial_velocity=np.zeros(1),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("in_loop", [0.0, 1.0])
+def test_a_servo_regulates_its_own_reading(in_loop: float) -> None:
+    target = 0.8
+    drive = f'<position joint="j" kp="{KP}" kv="{KV}"/>'
+    held = segment("position", drive, STEP * np.arange(5000), np.full(5000, target), 0.0)
+    values = {"encoder_bias": {"bias": np.full((1, 1), BIAS), "in_loop": np.full((1, 1), in_loop)}}
+    reading = RowSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
+    # Statics: kp (target - q - in_loop bias) = weight sin(q), and the encoder reads q + bias.
+    q = target
+    for _ in range(60):
+        q = target - in_loop * BIAS - WEIGHT * np.sin(q) / KP
+    assert reading[0].position[-1, 0] == pytest.approx(q + BIAS, abs=1e-5)
+
+
+def test_a_window_of_late_readings_starts_before_its_stamp() -> None:
+    """Its first reading is of a moment ago; commands reach the motion that much later."""
+    delay, start = 0.05, 0.4
+    time = start + STEP * np.arange(300)
+    command = np.where(np.arange(1000) < 450, 0.0, 2.0)
+    window = segment("effort", '<motor joint="j"/>', time, command, start)
+    late = {"sensor_delay": {"delay": np.full((1, 1), delay)}}
+    found = RowSimulator([window], ("j",), threads=1).simulate(np.array([0]), late)[0].position
+    moved = time[np.flatnonzero(np.abs(found[:, 0]) > 1e-7)[0]]
+    # At rest at its first reading, it is seen to leave a delay after the command of 0.45 s.
+    assert moved == pytest.approx(0.45 + delay, abs=2.5 * STEP)
