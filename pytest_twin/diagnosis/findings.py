@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.locate import Where, blame_windows, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.select import Selected
-from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.diagnosis.verdict import STANDS_OUT, JointError
 from pytest_twin.effects.base import FloatArray, Parameter
 from pytest_twin.trial import Trial
 
@@ -25,12 +25,11 @@ _REFIT = 4
 # Without recordings to predict, no name is surer than this.
 _UNTESTED = 0.8
 _CORRELATED = 0.9
-# A finding takes some signal down by this factor at least, from at least this many floors.
+# A finding takes some signal down by this factor at least.
 _WORSE = 1.05
-_STANDS_OUT = 1.5
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
-_LEFT_SURE, _LEFT_UNSURE = 0.7, 0.5
+_LEFT_SURE, _LEFT_UNSURE = 0.35, 0.25
 # A name that rivals could replace has to take this share of the mismatch.
 _UNSURE, _SLIGHT = 0.7, 0.01
 # A name whose parameter stands at its physical bound is no surer than this.
@@ -221,9 +220,9 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
             continue
         height = [float(v[v > _WORSE * base].max(initial=0.0)) for v in levels]
         least = int(np.argmin(height))
-        if height[least] <= _STANDS_OUT:
+        if height[least] <= STANDS_OUT:
             notes.append(
-                f"{_label(problem, terms[least])} would fit what is within {_STANDS_OUT:g} floors; "
+                f"{_label(problem, terms[least])} would fit what is within {STANDS_OUT:g} floors; "
                 "it is not claimed"
             )
             fitted = refitted[least]
@@ -319,7 +318,7 @@ def _too_little(
     share = left / mismatch if mismatch > 0.0 else 0.0
     top = float(after[columns].max())
     bound = _LEFT_SURE if sure else _LEFT_UNSURE
-    return share if share > bound and top > _STANDS_OUT else 0.0
+    return share if share > bound and top > STANDS_OUT else 0.0
 
 
 def at_bound(hypothesis: Hypothesis, term: Term) -> bool:

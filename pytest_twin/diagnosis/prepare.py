@@ -36,6 +36,8 @@ _START_SAMPLES = 12
 # A drive's effort jumps with its command; a sample beside a jump is right or wrong as a whole. Root
 # mean square of that, in those of what a finer step changes, as measured on 20 arms.
 _LEFT_OF_JUMPS = 0.6
+# Impacts jump by more: as measured on the arm that taps.
+_LEFT_OF_IMPACTS = 1.0
 # Share of the greatest effort below which a model's negative efforts say nothing of the sign.
 _UNSIGNED = 0.05
 NOISE = "sensor noise and quantization"
@@ -113,7 +115,8 @@ def prepare(
     problem.floor = np.sqrt(noise**2 + (problem.step_left * steps) ** 2)
     if effort_floor is not None and problem.defect:
         jumps = np.concatenate([add.effort for add in problem.defect.values()])
-        left = _LEFT_OF_JUMPS * np.sqrt(np.mean(jumps**2, axis=0))
+        share = _LEFT_OF_IMPACTS if simulator.contact.world.size else _LEFT_OF_JUMPS
+        left = share * np.sqrt(np.mean(jumps**2, axis=0))
         problem.effort_floor = np.sqrt(effort_floor**2 + left**2)
     parts = {NOISE: noise, "discretization of the simulator": steps}
     return Prepared(problem, tuple(owner), parts)

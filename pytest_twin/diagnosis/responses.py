@@ -30,6 +30,8 @@ _BIN, _COARSEST = 0.02, 0.05
 _IN_FORCES = ("gains", "command_delay", "sample_time", "fields", "separates", *BETWEEN_STEPS)
 _MOST_BINNED = 12_000
 _AT_ONCE = 192
+_CLOSEST = 16
+"""Candidates that are simulated at every starting size, where none is of first order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,16 +99,50 @@ def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
 
 
 def simulated(
-    problem: Problem, terms: Sequence[Term], segments: NDArray[np.int64]
+    problem: Problem,
+    terms: Sequence[Term],
+    segments: NDArray[np.int64],
+    residual: FloatArray,
 ) -> list[Response]:
-    """Responses by simulation of every candidate at its starting sizes, all in one batch."""
+    """Responses by simulation: every candidate at one size, the closest at all of theirs.
+
+    Args:
+        problem: what to explain.
+        terms: candidates.
+        segments: on which.
+        residual: (bins, signals) that they are to explain.
+    """
+    first = {t: grid(t)[len(grid(t)) // 2] for t in terms}
+    found = _simulated(problem, list(first.items()), segments)
+    weight = 1.0 / (np.mean(residual**2, axis=0) + problem.signal_floor**2)
+    order = sorted(found, key=lambda r: -_explained(r.change, residual, weight))
+    closest = [r.term for r in order[:_CLOSEST]]
+    rest = [(t, g) for t in closest for k, g in enumerate(grid(t)) if k != len(grid(t)) // 2]
+    return found + _simulated(problem, rest, segments)
+
+
+def _explained(change: FloatArray, residual: FloatArray, weight: FloatArray) -> float:
+    """Weighted squares of (bins, signals) that (bins, signals, switches) changes take away."""
+    root = np.sqrt(weight)
+    a = (change * root[:, None]).reshape(-1, change.shape[2]).astype(np.float64)
+    b = (residual * root).ravel()
+    return float(np.linalg.norm(a @ np.linalg.lstsq(a, b, rcond=None)[0]) ** 2)
+
+
+def _simulated(
+    problem: Problem,
+    sizes: Sequence[tuple[Term, tuple[FloatArray, tuple[int, ...]]]],
+    segments: NDArray[np.int64],
+) -> list[Response]:
+    """Responses at given sizes, all in one batch."""
+    if not sizes:
+        return []
     rows: list[Hypothesis] = [EMPTY]
     plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
-    for term in terms:
-        for full, switches in grid(term):
-            plan.append((term, full, switches))
-            for s in switches:
-                rows.append(Hypothesis((term,), _alone(full, switches, s)))
+    for term, (full, switches) in sizes:
+        plan.append((term, full, switches))
+        for s in switches:
+            rows.append(Hypothesis((term,), _alone(full, switches, s)))
     binned = bins(problem, segments)
     found = [binned.mean(r) for r in problem.residuals(rows, segments)]
     at, out = 1, []
@@ -173,7 +209,8 @@ def answered(
 ) -> tuple[list[Response], FloatArray]:
     """As :func:`responses`, around a hypothesis that is linearized already."""
     if linear is None:
-        return simulated(problem, terms, segments), bins(problem, segments).mean(residual)
+        left = bins(problem, segments).mean(residual)
+        return simulated(problem, terms, segments, left), left
     return linear.responses(terms), linear.residual(residual)
 
 
@@ -365,13 +402,14 @@ class Linear:
             segment = self.simulator.segments[s]
             n = len(self.problem.joints)
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
-            position = segment.position[None]
-            velocity = self._at(self.along.velocity[i], i, stamps[0])[None]
+            # What is predicted, for what is measured has the sensors' errors in it already.
+            position = self.along.reading[i][None]
+            velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
             moved, _ = effect.sense(stamps, position, velocity, mine)
             change = moved - position
             if effect.overrides("sample_time"):
                 late = self.simulator.taken(self.segments[i : i + 1], stamps, [(effect, mine)])
-                grid_q = self.along.position[i]
+                grid_q = self.along.predicted_position[i]
                 change = (
                     change + (self._at(grid_q, i, late[0]) - self._at(grid_q, i, stamps[0]))[None]
                 )
@@ -447,7 +485,7 @@ class Linear:
         ]
 
     def _read_off(self, active: ActiveEffects, row: int) -> tuple[list[FloatArray], FloatArray]:
-        """What sensors and clocks make of the measured motion, and the state behind its start."""
+        """What sensors and clocks make of the predicted motion, and the state behind its start."""
         mine = [(e, {n: x[row : row + 1] for n, x in v.items()}) for e, v in active]
         n = len(self.problem.joints)
         out = []
@@ -455,8 +493,8 @@ class Linear:
             segment = self.simulator.segments[s]
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
             stamps = self.simulator.taken(self.segments[i : i + 1], stamps, mine)
-            position = self._at(self.along.position[i], i, stamps[0])[None]
-            velocity = self._at(self.along.velocity[i], i, stamps[0])[None]
+            position = self._at(self.along.predicted_position[i], i, stamps[0])[None]
+            velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
             measured = segment.effort is not None and self.problem.effort_floor is not None
             effort = segment.effort[None] if measured and segment.effort is not None else position
             for effect, v in mine:

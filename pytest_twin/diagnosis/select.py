@@ -22,6 +22,7 @@ from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Linear, answered, bins, grid, linearized
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates, name_price, price
+from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
 
 _MAX_TERMS = 10
@@ -36,9 +37,9 @@ _POLISH, _MOST_CLOSE, _ATTEMPTS = 3, 2, 3
 _QUICK, _LONG = 2, 8
 # Floors that the best leaves along the motion beyond which single terms are scanned by simulation,
 # and how many of them are kept.
-_FIRST_ORDER, _SCANNED = 10.0, 2
+_FIRST_ORDER, _SCANNED = 10.0, 3
 # Replays of all recordings that a search may take: what needs more has no law in the catalogue.
-_MOST_REPLAYS = 600
+_MOST_REPLAYS = 300
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many.
 _IN_FRONT, _FRONT = 150.0, 4
 _ROUGH_ROUNDS = 2
@@ -50,8 +51,6 @@ _AS_GOOD = 0.01
 # share of what the nominal model left there: less is the simulator's own imperfection.
 _SHARE_OF_REST = 0.1
 _SHARE_OF_ALL = 0.003
-# Within this factor of the floor's square, nothing is left to explain.
-_AT_FLOOR = 1.2
 
 
 @dataclass(slots=True)
@@ -202,7 +201,7 @@ class Selection:
         floor = self.problem.signal_floor**2
         fit = np.mean(rival.fitted.residual**2, axis=0)
         left = np.maximum(self._unseen(rival), fit)
-        least = np.where(left > _AT_FLOOR * floor, floor, left)
+        least = np.where(left > STANDS_OUT**2 * floor, floor, left)
         whole = np.maximum(
             self._unseen(self.nominal), np.mean(self.nominal.fitted.residual**2, axis=0)
         )
@@ -289,23 +288,24 @@ class Selection:
             for term, start in structure.starts.items():
                 h = h.with_term(term, start)
             starts.append(h)
-        singles = [h for h, s in zip(starts, chosen, strict=True) if len(s.chosen) == 1]
-        starts, left = self._front(look, starts, chosen[0].residual)
+        starts, left, singles = self._front(look, starts, chosen[0].residual)
         if (left > (_FIRST_ORDER * look.view.floor) ** 2).any():
             starts += self._scanned(best, singles, left)
-        # What the step costs differs between the model as it came and what explains the rest.
-        self.problem.refine_at(starts[0])
+        # What the step costs differs between the model as it came and what explains the rest; of
+        # that, the simplest is the least to be wrong.
+        self.problem.refine_at(min(starts, key=lambda h: len(h.terms)))
         return self._heats(starts, 1.0 / np.sqrt(left + look.view.floor**2), best)
 
     def _scanned(
         self, best: Rival, singles: Sequence[Hypothesis], left: FloatArray
     ) -> list[Hypothesis]:
-        """The best of what single terms do at all their starting sizes, by simulation.
+        """The best of what single terms do as they are and at all starting sizes, by simulation.
 
         Where a deviation is far from small, as of an arm that falls, slopes lead nowhere.
         """
         terms = [h.terms[-1] for h in singles]
         rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
+        rows += singles
         weight = 1.0 / np.sqrt(left + self.problem.signal_floor**2)
         costs = [weighted_cost(r, weight) for r in self.problem.residuals(rows, self.problem.fit)]
         order = [i for i in np.argsort(costs) if np.isfinite(costs[i])]
@@ -316,17 +316,20 @@ class Selection:
 
     def _front(
         self, look: Look, starts: list[Hypothesis], residual: FloatArray
-    ) -> tuple[list[Hypothesis], FloatArray]:
-        """The few that are worth a simulation, and the (signals,) mean square that is left."""
+    ) -> tuple[list[Hypothesis], FloatArray, list[Hypothesis]]:
+        """The few that are worth a simulation, the (signals,) mean square that is left, and all
+        that add least.
+        """
         view = look.view
+        fewest = min(len(h.terms) for h in starts)
         if look.linear is None:
-            return starts, np.mean(residual**2, axis=0)
+            singles = [h for h in starts if len(h.terms) == fewest]
+            return starts, np.mean(residual**2, axis=0), singles
         polished = polish(look.linear, view, starts, _POLISH)
         evidence = self._surrogate_evidence(view, polished)
         order = np.argsort(-evidence)
         for i in order:
             self.say(f"  along {_text(polished[i].hypothesis)} evidence {evidence[i]:.1f}")
-        fewest = min((p.hypothesis.terms for p in polished), key=len)
         front: list[int] = []
         for i in order:
             terms = set(polished[i].hypothesis.terms)
@@ -338,10 +341,12 @@ class Selection:
             if np.isfinite(evidence[i]) and not covered:
                 front.append(int(i))
         # What acts strongly is only roughly of first order: the best single term is simulated too.
-        single = [i for i in front if len(polished[i].hypothesis.terms) == len(fewest)]
+        single = [i for i in front if len(polished[i].hypothesis.terms) == fewest]
         front = [*front[:_FRONT], *(i for i in single[:1] if i not in front[:_FRONT])]
         left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
-        return [polished[i].hypothesis for i in front], left
+        hypotheses = [p.hypothesis for p in polished]
+        singles = [h for h in hypotheses if len(h.terms) == fewest]
+        return [hypotheses[i] for i in front], left, singles
 
     def _surrogate_evidence(self, view: View, polished: Sequence[Polished]) -> FloatArray:
         """Log-likelihood less price of hypotheses along the measured motion, comparable."""

@@ -11,6 +11,8 @@ Verdict = Literal["no_mismatch", "explained", "improved", "unexplained"]
 AT_FLOOR = 3.0
 """Root mean square up to this many floors is at the floor: it is an estimate itself, and a real
 joint's micro-slip and a simulator's contact law leave a few of it."""
+STANDS_OUT = 1.5
+"""A signal up to this many floors holds nothing that could be named."""
 LEFT = 0.02
 """Share of the squared mismatch that may be left and still count as explained, ..."""
 LEFT_FLOORS = 10.0

@@ -248,10 +248,10 @@ class RowSimulator:
         self, rows: NDArray[np.int64], effects: list[tuple[Effect, Values]]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         steps = int(self.steps[rows].max())
-        batch, world = self.batch(rows, effects)
         commands = self.commands(rows, effects, steps)
         self.stepped += len(rows) * steps
         with quiet():
+            batch, world = self.batch(rows, effects)
             return self._step(batch, rows, world, effects, commands, steps)
 
     def batch(
