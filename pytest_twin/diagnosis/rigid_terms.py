@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.along import Along
 from pytest_twin.effects.base import Effect, FloatArray, Values
 from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.realization.quiet import quiet
 
 _EVERY = 0.02
 """s between samples: rigid-body terms vary no faster than the motion."""
@@ -74,14 +75,16 @@ def rigid_terms(
         values: list[tuple[Effect, Values]] = [
             (e, {n: x[owner] for n, x in p.items()}) for e, p in effects
         ]
-        batch, _ = simulator.batch(np.tile(rows, len(part)), values)
+        with quiet():
+            batch, _ = simulator.batch(np.tile(rows, len(part)), values)
         many_q, many_v = np.tile(q, (len(part), 1)), np.tile(v, (len(part), 1))
         if nudges is not None:
             many_q, many_v = many_q + nudges[owner, 0], many_v + nudges[owner, 1]
         batch.bind("qpos")[:, simulator.qpos_index] = many_q
         batch.bind("qvel")[:, simulator.dof_index] = many_v
         mass_out, bias = batch.bind("M"), batch.bind("qfrc_bias")
-        batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        with quiet():
+            batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         mass = _full_mass(simulator, mass_out)
         still = bias[:, simulator.dof_index]
         effort = still + np.einsum("rij,rj->ri", mass, np.tile(a, (len(part), 1)))

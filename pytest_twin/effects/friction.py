@@ -129,7 +129,7 @@ class PreslidingHysteresis(Effect):
     parameters = (
         Parameter("coulomb", "effort", 0.0, 0.0, 5.0, (0.2,), "effort"),
         Parameter(
-            "presliding_distance", "position", None, 0.0005, 0.5, (0.005, 0.015, 0.04, 0.1), "one"
+            "presliding_distance", "position", None, 0.002, 0.5, (0.005, 0.015, 0.04, 0.1), "one"
         ),
     )
     remembers = True
