@@ -1,0 +1,140 @@
+"""What no model can explain: where a motion really began, what an effort sensor means, how loud."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from two_pendulums import START_NS
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.trial import Trial, make_trial
+
+STEP, TICK, SECONDS, NOISE = 0.001, 0.01, 3.0, 3e-4
+
+
+def mjcf(drive: str) -> str:
+    return (
+        f'<mujoco><option timestep="{STEP}" integrator="implicitfast"/><worldbody><body>'
+        '<inertial pos="0 0 -0.2" mass="1" diaginertia="0.002 0.002 0.002"/>'
+        '<joint name="j" axis="0 -1 0" armature="0.01" damping="0.1"/></body></worldbody>'
+        f"<actuator>{drive}</actuator></mujoco>"
+    )
+
+
+VELOCITY = '<velocity name="j" joint="j" kv="4"/>'
+POSITION = '<position name="j" joint="j" kp="200" kv="6"/>'
+
+
+def moved(drive: str, command: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Commands (ticks,) to plain MuJoCo; stamps s, positions rad and efforts N*m every 10 ms."""
+    model = mujoco.MjModel.from_xml_string(mjcf(drive))
+    data = mujoco.MjData(model)
+    each = round(TICK / STEP)
+    time, position, effort = np.empty((3, len(command) * each))
+    for k in range(len(time)):
+        data.ctrl[0] = command[k // each]
+        mujoco.mj_forward(model, data)
+        time[k], position[k], effort[k] = data.time, data.qpos[0], data.qfrc_actuator[0]
+        mujoco.mj_step(model, data)
+    # Sensors that are not in step with commands.
+    return time[4::each], position[4::each], effort[4::each]
+
+
+def trial_of(
+    folder: Path, drive: str, command: FloatArray, *, first: float = 0.0, noise: float = NOISE
+) -> Trial:
+    """A recording of it whose first reading is ``first`` deviations off."""
+    time, position, effort = moved(drive, command)
+    random = np.random.default_rng(3)
+    off = random.standard_normal(len(time))
+    off[0] = first
+    (folder / "model.xml").write_text(mjcf(drive))
+
+    def series(topic: str, at: FloatArray, **fields: FloatArray) -> JointSeries:
+        stamps = START_NS + np.rint(at * 1e9).astype(np.int64)
+        given = {n: fields[n][:, None] if n in fields else None for n in
+                 ("position", "velocity", "effort")}  # fmt: skip
+        return JointSeries(topic, ("j",), stamps, stamps, **given)
+
+    field = "velocity" if "velocity" in drive else "position"
+    sent = TICK * np.arange(len(command))
+    loud = effort + 0.02 * random.standard_normal(len(time))
+    write_recording(
+        folder / "a.mcap",
+        [
+            series("/joint_commands", sent, **{field: command}),
+            series("/joint_states", time, position=position + noise * off, effort=loud),
+        ],
+        {},
+    )
+    return make_trial(read_recording(folder / "a.mcap"))
+
+
+def prepared(folder: Path, trial: Trial) -> Prepared:
+    return prepare(load_model(folder / "model.xml").realization, [trial], [], threads=1)
+
+
+def wave(ticks: int, size: float) -> FloatArray:
+    t: FloatArray = TICK * np.arange(ticks, dtype=np.float64)
+    return np.asarray(size * np.sin(2.0 * np.pi * 0.7 * t) * np.minimum(t / 0.3, 1.0))
+
+
+def test_a_velocity_servo_does_not_know_where_it_began(tmp_path: Path) -> None:
+    """It keeps the first reading's error for ever; nothing is missing in the model."""
+    trial = trial_of(tmp_path, VELOCITY, wave(300, 0.8), first=5.0)
+    problem = prepared(tmp_path, trial).problem
+    residual = problem.residuals([EMPTY], problem.fit)[0][:, 0]
+    assert np.sqrt(np.mean(residual**2)) < 1.2 * problem.floor[0]
+    problem.starts = {}
+    kept = problem.residuals([EMPTY], problem.fit)[0][:, 0]
+    assert np.sqrt(np.mean(kept**2)) > 2.0 * problem.floor[0]
+
+
+def test_a_start_is_only_as_free_as_its_samples_leave_it(tmp_path: Path) -> None:
+    """What the samples around the start say stands against a shift of a hundred deviations."""
+    trial = trial_of(tmp_path, VELOCITY, wave(300, 0.8))
+    shifted = replace(trial, position=trial.position + 100.0 * NOISE)
+    shifted.position[0] = trial.position[0]
+    problem = prepared(tmp_path, shifted).problem
+    residual = problem.residuals([EMPTY], problem.fit)[0][:, 0]
+    assert np.sqrt(np.mean(residual**2)) > 10.0 * problem.floor[0]
+
+
+@pytest.mark.parametrize(("unsigned", "takes_part"), [(False, True), (True, False)])
+def test_a_current_without_a_sign_is_no_effort(
+    tmp_path: Path, unsigned: bool, takes_part: bool
+) -> None:
+    trial = trial_of(tmp_path, POSITION, wave(300, 0.8))
+    assert trial.effort is not None
+    if unsigned:
+        trial = replace(trial, effort=np.abs(trial.effort))
+    assert (prepared(tmp_path, trial).problem.effort_floor is not None) is takes_part
+
+
+def test_an_effort_that_never_changes_its_sign_may_be_one(tmp_path: Path) -> None:
+    """Held up against gravity on one side, the model as well pulls one way only."""
+    trial = trial_of(tmp_path, POSITION, 0.9 + wave(300, 0.02))
+    trial = replace(trial, **{n: getattr(trial, n)[100:] for n in ("time", "position", "effort")})
+    assert trial.effort is not None
+    assert trial.effort.min() > 0.0
+    trial = replace(trial, time=trial.time - trial.time[0], command_time=trial.command_time - 1.0)
+    assert prepared(tmp_path, trial).problem.effort_floor is not None
+
+
+def test_a_stiff_servo_is_not_a_loud_effort_sensor(tmp_path: Path) -> None:
+    """Its effort jumps at every command; the floor is of the sensor's order, not of the jumps'."""
+    steps = np.repeat(np.random.default_rng(1).uniform(-0.2, 0.2, 100), 3)
+    trial = trial_of(tmp_path, POSITION, steps)
+    floor = prepared(tmp_path, trial).problem.effort_floor
+    assert floor is not None
+    assert trial.effort is not None
+    jumps = np.abs(np.diff(trial.effort[:, 0])).max()
+    assert 0.015 < floor[0] < 0.05 * jumps

@@ -1,0 +1,74 @@
+"""A wrong name is worse than none: what is taken back, and when a search ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import mjcf, record
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis import select
+from pytest_twin.diagnosis.findings import explain
+from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.select import Rival, Selected, Selection
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.trial import Trial, make_trial
+
+
+def bench(folder: Path, **hidden: float) -> tuple[Prepared, list[Trial]]:
+    """Two pendulums, one of which hides something; the second recording is held out."""
+    (folder / "model.xml").write_text(mjcf())
+    realization = load_model(folder / "model.xml").realization
+    trials = [
+        make_trial(
+            read_recording(record(folder / f"{seed}.mcap", seed, seconds=1.2, **hidden)),
+            realization.structure,
+        )
+        for seed in (1, 2)
+    ]
+    return prepare(realization, trials[:1], trials[1:], threads=1), trials
+
+
+def chosen(prepared: Prepared, term: Term, start: float, *, fitted: bool = True) -> Selected:
+    """A search that came to one term."""
+    problem = prepared.problem
+    weights = 1.0 / problem.signal_floor
+
+    def rival(hypothesis: Hypothesis, iterations: int) -> Rival:
+        found = fit(problem, [hypothesis], weights, problem.fit, iterations=iterations)[0]
+        return Rival(found, problem.residuals([found.hypothesis], problem.held_out)[0])
+
+    best = rival(EMPTY.with_term(term, np.array([start])), 8 if fitted else 0)
+    return Selected(best, rival(EMPTY, 0), confidence={term: 1.0})
+
+
+def test_a_law_at_its_physical_bound_that_leaves_much_is_no_name(tmp_path: Path) -> None:
+    """Forty milliseconds of delay, and a damping that would have to be all the drive has."""
+    prepared, trials = bench(tmp_path, delay=0.04)
+    term = Term("torque_constant", 0)
+    lowest = term.parameters[0].lower
+    selected = chosen(prepared, term, lowest, fitted=False)
+    found = explain(prepared, selected, trials)
+    assert not found.findings
+    assert any("torque_constant at left" in n and "physical bound" in n for n in found.notes)
+
+
+def test_a_law_that_explains_all_stays(tmp_path: Path) -> None:
+    prepared, trials = bench(tmp_path, viscous=0.3)
+    found = explain(prepared, chosen(prepared, Term("viscous_friction", 0), 0.1), trials)
+    assert [(f.effect, f.joint) for f in found.findings] == [("viscous_friction", "left")]
+
+
+def test_a_search_ends_when_its_replays_are_spent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepared, _ = bench(tmp_path, delay=0.02)
+    monkeypatch.setattr(select, "_MOST_REPLAYS", 0)
+    stepped = prepared.problem.stepped
+    selected = Selection(prepared.problem).run()
+    assert not selected.best.hypothesis.terms
+    assert prepared.problem.stepped - stepped < 10 * prepared.problem.simulator.steps.sum()
