@@ -101,7 +101,7 @@ def _inverse(curvature: FloatArray) -> FloatArray:
     """Inverse under a unit diagonal, so that parameters of any size count alike."""
     size = np.sqrt(np.diag(curvature))
     # A parameter without any influence is open, not infinite.
-    size = np.maximum(size, max(1e-9 * float(size.max()), 1e-300))
+    size = np.maximum(size, 1e-9 * (float(size.max()) or 1.0))
     values, vectors = np.linalg.eigh(curvature / np.outer(size, size))
     values = np.maximum(values, 1e-10)
     inverse: FloatArray = (vectors / values) @ vectors.T / np.outer(size, size)
