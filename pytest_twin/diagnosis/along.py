@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
-from pytest_twin.diagnosis.locate import derivatives
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.effects.base import FloatArray
 
 _GRID = 0.005

@@ -24,9 +24,10 @@ from pytest_twin.diagnosis.patched_replay import (
     without_delays,
 )
 from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
-from pytest_twin.diagnosis.problem import Problem, smooth_state
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import bins, responses
 from pytest_twin.diagnosis.screen import Answers, Lens, View, candidates
+from pytest_twin.diagnosis.smoothing import smooth_state
 from pytest_twin.diagnosis.verdict import AT_FLOOR
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.errors import SimulationError

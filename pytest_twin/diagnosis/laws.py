@@ -205,6 +205,8 @@ class Laws:
         motion = np.ascontiguousarray(np.tile(motion, (1, copies, 1, 1)).swapaxes(0, 2))
         start = np.tile(along.time[:, 0], copies)
         hooks = hooks_between_steps(effects)
+        world.time, world.load = start, motion[0, :, 2]
+        self.simulator.roll_in(world, np.tile(along.segments, copies), effects)
         found = np.empty((4, (samples - 1) * parts, rows, joints))
         bounds = world.lower, world.upper, world.friction_level
         for k in range((samples - 1) * parts):

@@ -17,13 +17,12 @@ from scipy.ndimage import uniform_filter1d
 
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.contact_geoms import far_sighted, touching
 from pytest_twin.effects.rows import Segment
 from pytest_twin.trial import Trial
 
-_SMOOTH = 0.12
-"""s over which motions are differentiated."""
 _WINDOW = 0.1
 _MERGE = 0.25
 _TOUCHING = 0.01
@@ -70,36 +69,6 @@ class Motion:
     load: FloatArray
     command_rate: FloatArray
     touching: NDArray[np.bool_] | None = None
-
-
-def derivatives(
-    time: FloatArray, values: FloatArray, width: float = _SMOOTH
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Smoothed values and their first two derivatives, by local cubics over ``width`` s.
-
-    Args:
-        time: (n,) s, ascending; may be irregular.
-        values: (n, k).
-    """
-    n = len(time)
-    usual = float(np.median(np.diff(time))) if n > 1 else 1.0
-    half = max(round(0.5 * width / max(usual, 1e-6)), 3)
-    out = np.empty((3, *values.shape))
-    grid = time[0] + usual * np.arange(int(np.ceil((time[-1] - time[0]) / usual)) + 1)
-    even = np.stack([np.interp(grid, time, values[:, k]) for k in range(values.shape[1])], axis=1)
-    offsets = np.arange(-half, half + 1) * usual
-    basis = np.vander(offsets / (half * usual), 4, increasing=True)
-    weights = np.linalg.pinv(basis)
-    padded = np.pad(even, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
-    for order, factor in ((0, 1.0), (1, 1.0), (2, 2.0)):
-        kernel = weights[order] * factor / (half * usual) ** order
-        smooth = np.stack(
-            [np.correlate(padded[:, k], kernel, mode="valid") for k in range(values.shape[1])],
-            axis=1,
-        )
-        for k in range(values.shape[1]):
-            out[order, :, k] = np.interp(time, grid, smooth[:, k])
-    return out[0], out[1], out[2]
 
 
 def motions(prepared: Prepared, trials: Sequence[Trial]) -> list[Motion]:
@@ -339,7 +308,7 @@ def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> 
             block = slice(k, min(k + step, n))
             force[block] = r2[block] @ inertia.T + r1[block] * damping + r0[block] * stiffness
         forces.append(force)
-        half = max(round(0.5 * _SMOOTH / usual), 3)
+        half = max(round(0.5 * SMOOTH / usual), 3)
         basis = np.vander(np.arange(-half, half + 1) / half, 4, increasing=True)
         w = np.linalg.pinv(basis)
         gain = [np.linalg.norm(w[o]) * f / (half * usual) ** o for o, f in ((0, 1), (1, 1), (2, 2))]

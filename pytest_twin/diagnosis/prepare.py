@@ -18,8 +18,8 @@ from pytest_twin.diagnosis.problem import (
     joint_scales,
     nominal_replay,
     sensor_noise,
-    smooth_state,
 )
+from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.diagnosis.start import FreeStart, free_starts
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
@@ -237,6 +237,8 @@ def segments_of(
                     initial_position=position[0], initial_velocity=first, **common)
         ]  # fmt: skip
     out = []
+    smooth, speed, _ = derivatives(time, position, _START_SAMPLES * float(np.median(np.diff(time))))
+    history = (time, smooth, speed)
     count = max(1, round(time[-1] / _EFFORT_WINDOW))
     edges = np.linspace(0.0, time[-1], count + 1)
     interval = float(np.median(np.diff(time)))
@@ -249,7 +251,7 @@ def segments_of(
             Segment(start=float(start), time=time[inside], position=position[inside],
                     velocity=None if velocity is None else velocity[inside],
                     effort=None if effort is None else effort[inside],
-                    initial_position=q, initial_velocity=v, **common)
+                    initial_position=q, initial_velocity=v, history=history, **common)
         )  # fmt: skip
     return out
 

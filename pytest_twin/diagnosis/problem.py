@@ -203,19 +203,6 @@ def _quantum(values: FloatArray) -> float:
     return smallest if np.abs(off - np.round(off)).mean() < 0.02 else 0.0
 
 
-def smooth_state(
-    time: FloatArray, position: FloatArray, at: float, width: float
-) -> tuple[FloatArray, FloatArray]:
-    """Position and velocity (joints,) at a time, by a local cubic over ``width`` s."""
-    near = np.flatnonzero(np.abs(time - at) <= width / 2)
-    if len(near) < 6:
-        near = np.argsort(np.abs(time - at))[:6]
-    t = (time[near] - at) / (width / 2)
-    basis = np.vander(t, 4, increasing=True)
-    coefficients, *_ = np.linalg.lstsq(basis, position[near], rcond=None)
-    return coefficients[0], coefficients[1] / (width / 2)
-
-
 def nominal_replay(simulator: RowSimulator) -> list[Predicted]:
     """Every segment under the model as it came."""
     count = len(simulator.segments)
@@ -250,6 +237,9 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
                 for s in segments])  # fmt: skip
     peak = np.max([np.nanmax(np.abs(p.effort), axis=0) for p in nominal], axis=0)
     command = rms([_tracking_error(s) if s.mode == "position" else s.command for s in segments])
+    # A speed that is asked for, where commands say one.
+    mode = segments[0].mode
+    wanted = {"position": rate, "velocity": command, "effort": velocity}[mode]
     ones = np.ones(joints)
     subtree = float(model.body_mass[simulator.body_index[-1]])
     return Scales(
@@ -265,6 +255,7 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
             "inertia": inertia,
             "compliance": position / effort,
             "slowness": 1.0 / np.maximum(np.nan_to_num(rate), velocity),
+            "inverse_velocity": 1.0 / np.maximum(np.nan_to_num(wanted), velocity),
             "inverse_effort": 1.0 / np.maximum(peak, 1e-4),
             "command": np.maximum(np.nan_to_num(command), 1e-4),
             "mass": ones * max(subtree, 0.05),

@@ -22,6 +22,7 @@ from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Linear, answered, bins, grid, linearized
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates, name_price, price
+from pytest_twin.diagnosis.sharpen import sharpened
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
 
@@ -221,8 +222,12 @@ class Selection:
         named = set(best.hypothesis.terms)
         terms = [t for t in candidates(problem) if t not in named]
         linear = linearized(problem, problem.fit, best.hypothesis)
-        answers, left = answered(linear, problem, terms, problem.fit, best.fitted.residual)
-        return Look(linear, self._view(best, left), Answers(answers))
+        found, left = answered(linear, problem, terms, problem.fit, best.fitted.residual)
+        view, answers = self._view(best, left), Answers(found)
+        if linear is not None and found:
+            sharp = sharpened(linear, view, answers, best.hypothesis)
+            answers = Answers([*found, *sharp]) if sharp else answers
+        return Look(linear, view, answers)
 
     def _view(self, best: Rival, left: FloatArray) -> View:
         """A fit whose (bins, signals) residual is ``left``."""

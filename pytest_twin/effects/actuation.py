@@ -144,10 +144,12 @@ class TorqueSpeedLimit(Effect):
             0.0,
             5.0,
             tuple(0.15 * 1.5**k for k in range(6)),
-            "slowness",
+            "inverse_velocity",
             ("no_load_speed", "velocity"),
         ),
-        Parameter("stall", "effort", None, 0.2, 20.0, (0.6, 1.0, 1.5, 2.5, 4.0, 7.0), "effort"),
+        Parameter(
+            "stall", "effort", None, 0.05, 20.0, (0.2, 0.35, 0.6, 1.0, 1.5, 2.5, 4.0, 7.0), "effort"
+        ),
     )
     confused_with: ClassVar = {
         "torque_saturation": "a stall against a stop",

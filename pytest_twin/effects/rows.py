@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
+from pytest_twin.effects.roll_in import LEAD, roll_in
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
@@ -54,6 +55,8 @@ class Segment:
         command_time: (m,) s on the trial's clock.
         command: (m, joints); NaN columns for joints that are not commanded.
         initial_position, initial_velocity: (joints,).
+        history: where the start lies amid a motion, (m,) s on the trial's clock and (m, joints)
+            positions and velocities of the whole trial, smoothed.
         temperature: K above the first trial's, or 0.
     """
 
@@ -69,6 +72,7 @@ class Segment:
     command: FloatArray
     initial_position: FloatArray
     initial_velocity: FloatArray
+    history: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,12 +169,15 @@ class RowSimulator:
 
     # -- commands
 
-    def _mean_commands(self, segment: int, delay: FloatArray | None, steps: int) -> FloatArray:
+    def _mean_commands(
+        self, segment: int, delay: FloatArray | None, steps: int, timestep: float | None = None
+    ) -> FloatArray:
         """Mean over each step of the held command, (steps, joints); ``delay`` (joints,) s."""
         s = self.segments[segment]
+        step = timestep or self.timestep
         if delay is None and segment in self._commands and len(self._commands[segment]) >= steps:
             return self._commands[segment][:steps]
-        edges = s.start + self.timestep * np.arange(steps + 1)
+        edges = s.start + step * np.arange(steps + 1)
         far = np.append(s.command_time, s.command_time[-1] + 1e6)
         area = np.zeros((len(far), s.command.shape[1]))
         np.cumsum(np.diff(far)[:, None] * s.command, axis=0, out=area[1:])
@@ -179,7 +186,7 @@ class RowSimulator:
             at = edges if delay is None else edges - delay[j]
             # Before the first stamp the first command holds.
             summed = np.interp(at, far, area[:, j]) + np.minimum(at - far[0], 0.0) * s.command[0, j]
-            out[:, j] = np.diff(summed) / self.timestep
+            out[:, j] = np.diff(summed) / step
         if delay is None:
             self._commands[segment] = out
         return out
@@ -286,6 +293,37 @@ class RowSimulator:
         for i, r in enumerate(rows):
             commands[i] = self._mean_commands(int(r), delay[i] if late[i] else None, steps)
         return np.nan_to_num(commands)
+
+    def roll_in(
+        self,
+        world: World,
+        rows: NDArray[np.int64],
+        effects: Sequence[tuple[Effect, Values]],
+    ) -> None:
+        """Let laws that remember live through what came before windows, as far as it is known."""
+        histories = [self.segments[r].history for r in rows]
+        if not any(e.remembers for e, _ in effects) or any(h is None for h in histories):
+            return
+        steps = round(LEAD / world.timestep)
+        before = -world.timestep * np.arange(steps, 0, -1)
+        motion = np.empty((2, steps, len(rows), len(self.joints)))
+        command = np.empty(motion.shape[1:])
+        late = self.behind(rows, effects) + LEAD
+        for effect, v in effects:
+            added = effect.command_delay(v)
+            late = late if added is None else late + added
+        for i, (r, history) in enumerate(zip(rows, histories, strict=True)):
+            assert history is not None
+            stamps = self.segments[r].start + before
+            for j in range(len(self.joints)):
+                motion[0, :, i, j] = np.interp(stamps, history[0], history[1][:, j])
+                motion[1, :, i, j] = np.interp(stamps, history[0], history[2][:, j])
+            command[:, i] = self._mean_commands(int(r), late[i], steps, world.timestep)
+        for effect, v in reversed(effects):
+            if effect.overrides("unsense"):
+                for k in range(steps):
+                    motion[0, k], motion[1, k] = effect.unsense(motion[0, k], motion[1, k], v)
+        roll_in(world, hooks_between_steps(effects), motion[0], motion[1], np.nan_to_num(command))
 
     def behind(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]
@@ -534,6 +572,9 @@ class RowSimulator:
         batch.forward()
         level = world.friction_level
         start = world.time
+        if hooks["friction"] or hooks["transmit"]:
+            world.load = bias[:, self.dof_index]
+        self.roll_in(world, rows, effects)
 
         def before(k: int) -> None:
             world.time = start + k * self.timestep

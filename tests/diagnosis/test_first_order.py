@@ -19,10 +19,11 @@ from pytest_twin.diagnosis.along import Along, along
 from pytest_twin.diagnosis.deviation import Deviation, deviation
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.laws import Laws
-from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay, smooth_state
+from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
 from pytest_twin.diagnosis.responses import bins, responses
 from pytest_twin.diagnosis.rigid_terms import rigid_terms, upsampled
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, Structure, View, candidates
+from pytest_twin.diagnosis.smoothing import smooth_state
 from pytest_twin.diagnosis.start import free_starts
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator, Segment

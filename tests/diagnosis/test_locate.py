@@ -12,11 +12,11 @@ from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import (
     Motion,
     blame_windows,
-    derivatives,
     missing_force,
     place_of,
 )
 from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.realization import load
 from pytest_twin.trial import make_trial

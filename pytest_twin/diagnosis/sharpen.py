@@ -1,0 +1,66 @@
+"""Laws that bend sharply, at sizes of their own: between two of a grid they answer like neither.
+
+What a limit changes is no multiple of what another limit changes. Where a joint is far off, the
+best size of each such law is sought along the motion before structures are searched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.polish import polish
+from pytest_twin.diagnosis.responses import Linear, Response
+from pytest_twin.diagnosis.screen import Answers, Lens, View
+
+_SIZES = 6
+"""Starting sizes of its switch that mark a law as one that bends."""
+_FAR = 10.0
+"""Floors beyond which a joint is far off."""
+_ROUNDS = 3
+
+
+def sharpened(linear: Linear, view: View, answers: Answers, best: Hypothesis) -> list[Response]:
+    """Responses of laws that bend, each at the size that fits alone, at joints that are far off.
+
+    Args:
+        linear: around ``best``.
+        view: what is left of it.
+        answers: responses on the grid.
+        best: the hypothesis at hand.
+    """
+    joints = len(linear.problem.joints)
+    far = np.sqrt(np.mean(view.residual**2, axis=0))[:joints] > _FAR * view.floor[:joints]
+    if not far.any():
+        return []
+    lens = Lens(view, answers)
+    starts: list[Hypothesis] = []
+    for chosen in lens.children(lens.bare, len(answers.responses)):
+        ((term, start),) = lens.structure(chosen).starts.items()
+        if _bends(answers.responses[chosen[0]]) and far[max(term.joint, 0)]:
+            starts.append(best.with_term(term, start))
+    alone = [
+        best.with_term(h.terms[-1], h.theta[h.slice_of(h.terms[-1])])
+        for h in (p.hypothesis for p in polish(linear, view, starts, _ROUNDS))
+    ]
+    return _responses(linear, alone)
+
+
+def _bends(response: Response) -> bool:
+    """Whether one switch at many sizes is what the law has."""
+    (first, *more) = response.switches
+    return not more and len(response.term.parameters[first].starts) >= _SIZES
+
+
+def _responses(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Response]:
+    out = []
+    for h, change in zip(hypotheses, linear.differences(hypotheses) if hypotheses else [],
+                         strict=True):  # fmt: skip
+        term = h.terms[-1]
+        start = h.theta[h.slice_of(term)].copy()
+        switch = next(i for i, p in enumerate(term.parameters) if p.neutral is not None)
+        if start[switch] and np.isfinite(change).all() and change.any():
+            out.append(Response(term, start, (switch,), change[..., None].astype(np.float32)))
+    return out
