@@ -135,11 +135,18 @@ def _fill_jacobians(
 
 
 def nudged(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
-    """A hypothesis with each parameter moved by its finite difference, inside its bounds."""
+    """A hypothesis with each parameter moved by its finite difference, inside its bounds.
+
+    A choice stays, as if moved infinitely far to no effect: its slope is zero.
+    """
     _, upper = h.bounds
     parameters = [p for t in h.terms for p in t.parameters]
     rows, steps = [], []
     for k, p in enumerate(parameters):
+        if p.choice:
+            rows.append(h)
+            steps.append(np.inf)
+            continue
         step = p.step * max(1.0, abs(h.theta[k]))
         step = -step if h.theta[k] + step > upper[k] else step
         theta = h.theta.copy()

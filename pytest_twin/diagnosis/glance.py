@@ -282,7 +282,7 @@ def _weighed(
     base = log_likelihood(nominal, floor, effective)
     evidence = np.array(
         [
-            log_likelihood(f.residual, floor, effective) - base - price * f.hypothesis.theta.size
+            log_likelihood(f.residual, floor, effective) - base - price * f.hypothesis.free
             for f in fitted
         ]
     )

@@ -29,6 +29,11 @@ class Term:
         """Of its law."""
         return self.law.parameters
 
+    @property
+    def free(self) -> int:
+        """How many of them a fit moves."""
+        return sum(not p.choice for p in self.parameters)
+
 
 @dataclass(frozen=True, slots=True)
 class Scales:
@@ -68,6 +73,11 @@ class Hypothesis:
         """Lower and upper, in multiples of the scales."""
         parameters = [p for t in self.terms for p in t.parameters]
         return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+
+    @property
+    def free(self) -> int:
+        """How many parameters a fit moves."""
+        return sum(t.free for t in self.terms)
 
     @property
     def rough(self) -> bool:

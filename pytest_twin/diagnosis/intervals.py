@@ -67,10 +67,12 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     freedom = max(float(effective.max()) * 1.0 - count, 2.0)
     quantile = float(stats.t.ppf(_LEVEL, freedom))
     shift = np.abs(inverse @ _discretization_pull(problem, jac, weight))
+    half = np.maximum(quantile * deviation, _between_recordings(problem, scores, lengths, inverse))
     for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
         if p.step > SMOOTH_STEP:
             shift[i] = max(shift[i], p.step)
-    half = np.maximum(quantile * deviation, _between_recordings(problem, scores, lengths, inverse))
+        if p.choice:
+            half[i] = shift[i] = 0.0
     return Spread(
         half + shift,
         correlation,

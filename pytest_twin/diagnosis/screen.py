@@ -99,8 +99,8 @@ class Structure:
 
     @property
     def parameters(self) -> int:
-        """How many numbers it takes."""
-        return sum(len(s) for s in self.starts.values())
+        """How many numbers a fit of it moves."""
+        return sum(t.free for t in self.starts)
 
 
 def price(effective: FloatArray) -> float:
@@ -308,7 +308,7 @@ class Lens:
                 response = answers.responses[i]
                 if response.term in parent.starts or not np.isfinite(value):
                     continue
-                gain = float(value) - cost * len(response.start)
+                gain = float(value) - cost * response.term.free
                 if response.term not in best or gain > best[response.term][0]:
                     best[response.term] = gain, i
         ranked = sorted(best.values(), key=lambda x: -x[0])[:count]

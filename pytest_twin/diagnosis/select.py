@@ -35,7 +35,7 @@ _WIDTH, _AT_ONCE, _OFFERED, _SINGLE, _RIVALS = 10, 4, 2, 8, 6
 _CLEAR = 30.0
 _FAR = 100.0
 _POLISH, _MOST_CLOSE, _ATTEMPTS = 3, 2, 3
-_QUICK, _LONG = 2, 8
+_QUICK, _FAIR, _LONG = 2, 4, 8
 # Floors that the best leaves along the motion beyond which single terms are scanned by simulation,
 # and how many of them are kept.
 _FIRST_ORDER, _SCANNED = 10.0, 3
@@ -181,7 +181,7 @@ class Selection:
             held_n = effective_samples(under.held_residual, problem.lengths(problem.held_out))
             held_base = log_likelihood(against.held_residual, floor, held_n)
         for r in rivals:
-            more = r.hypothesis.theta.size - against.hypothesis.theta.size
+            more = r.hypothesis.free - against.hypothesis.free
             names = len(r.hypothesis.terms) - len(against.hypothesis.terms)
             r.evidence = log_likelihood(r.fitted.residual, floor, fit_n) - base
             r.evidence -= cost * more + self.name_price * names
@@ -260,7 +260,7 @@ class Selection:
                 # What is left is never white: of those that are nearly as good, the simplest.
                 top = min(
                     (r for r in earning if r.evidence >= enough),
-                    key=lambda r: (len(r.hypothesis.terms), r.hypothesis.theta.size, -r.evidence),
+                    key=lambda r: (len(r.hypothesis.terms), r.hypothesis.free, -r.evidence),
                 )
                 self.say(f"+ {_text(top.hypothesis)} evidence {top.evidence:.1f}")
                 return self._settled(top)
@@ -309,6 +309,7 @@ class Selection:
         Where a deviation is far from small, as of an arm that falls, slopes lead nowhere.
         """
         terms = [h.terms[-1] for h in singles]
+        terms += [t for t in self._gears(left) if t not in {*terms, *best.hypothesis.terms}]
         rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
         rows += singles
         weight = 1.0 / np.sqrt(left + self.problem.signal_floor**2)
@@ -318,6 +319,17 @@ class Selection:
         for i in order:
             found.setdefault(rows[i].terms[-1], rows[i])
         return list(found.values())[:_SCANNED]
+
+    def _gears(self, left: FloatArray) -> list[Term]:
+        """Transmissions that may give where much is left: they read the measured motion back, and
+        say along it little of what they do.
+        """
+        joints = len(self.problem.joints)
+        far = left[:joints] > (_FIRST_ORDER * self.problem.floor) ** 2
+        return [
+            t for t in candidates(self.problem)
+            if t.law.overrides("separates") and far[t.joint]
+        ]  # fmt: skip
 
     def _front(
         self, look: Look, starts: list[Hypothesis], residual: FloatArray
@@ -358,7 +370,7 @@ class Selection:
         effective = view.effective_of_best([p.residual for p in polished])
         return np.array(
             [
-                view.worth(p.residual, effective, p.hypothesis.theta.size)
+                view.worth(p.residual, effective, p.hypothesis.free)
                 - self.name_price * len(p.hypothesis.terms)
                 for p in polished
             ]
@@ -412,14 +424,19 @@ class Selection:
         return [p.hypothesis for p in polished], values[1:] - values[0]
 
     def _backward(self, best: Rival) -> Rival:
-        """Drop terms that do not pay; what clearly pays along the motion is not simulated."""
-        while len(best.hypothesis.terms) > 1:
-            doubtful = [best.hypothesis.without(t) for t in best.hypothesis.terms]
+        """Drop terms that do not pay, and laws that a simpler one equals.
+
+        What clearly pays along the motion is not simulated.
+        """
+        while best.hypothesis.terms:
+            terms = best.hypothesis.terms
+            doubtful = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
-            if linear is not None:
+            if linear is not None and doubtful:
                 view = self._view(best, linear.residual(best.fitted.residual))
                 fitted, evidence = self._against(linear, view, best, doubtful)
                 doubtful = [h for h, e in zip(fitted, evidence, strict=True) if e > -_CLEAR]
+            doubtful += self._simpler(best.hypothesis)
             if not doubtful:
                 break
             rivals = self._rivals(doubtful, self._weights(best), _QUICK)
@@ -431,6 +448,25 @@ class Selection:
             self.say(f"- {gone} evidence {top.evidence:.1f}")
             best = self._settled(top)
         return best
+
+    def _simpler(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """The hypothesis with one of its laws as the special case that it comes to."""
+        scales, out = self.problem.scales, []
+        for term in hypothesis.terms:
+            theta = hypothesis.theta[hypothesis.slice_of(term)]
+            values = {
+                p.name: float(t) * scales.value(p, term.joint)
+                for p, t in zip(term.parameters, theta, strict=True)
+            }
+            for effect, special in term.law.special_cases(values).items():
+                new = Term(effect, term.joint)
+                start = [
+                    np.clip(special[p.name] / scales.value(p, term.joint), p.lower, p.upper)
+                    for p in new.parameters
+                ]
+                if new not in hypothesis.terms:
+                    out.append(hypothesis.without(term).with_term(new, np.array(start)))
+        return out
 
     def _sideways(self, selected: Selected) -> bool:
         """Hold every term against the rivals in its place; True if one was better.
@@ -475,7 +511,7 @@ class Selection:
         order = np.argsort(-found)
         close = [i for i in order if found[i] > -_CLEAR and places[i][1] is not None]
         close = [] if self._spent else close[: _MOST_CLOSE * len(terms)]
-        rivals = self._rivals([others[i] for i in close], self._weights(best), _QUICK)
+        rivals = self._rivals([others[i] for i in close], self._weights(best), _FAIR)
         self._judge(rivals, best)
         evidence = {place: float(value) for place, value in zip(places, found, strict=True)}
         for i, r in zip(close, rivals, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -156,6 +157,9 @@ class TorqueSpeedLimit(Effect):
         "viscous_friction": "a slow move under load: the limit acts at high effort and speed only",
     }
 
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {"torque_saturation": {"inverse_limit": 1.0 / max(values["stall"], 1e-12)}}
+
     def servo(self, world: World, values: Values) -> None:
         inverse = values["inverse_no_load_speed"]
         stall = np.where(inverse > 0.0, values["stall"], np.inf)
@@ -230,6 +234,9 @@ class ControllerGain(Effect):
         "viscous_friction": "the drive off: only friction remains",
         "joint_spring": "the drive off: only a spring pulls",
     }
+
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {"torque_constant": {"relative_error": values["stiffness_error"]}}
 
     def gains(self, world: World, values: Values) -> None:
         stiffness, damping = 1.0 + values["stiffness_error"], 1.0 + values["damping_error"]

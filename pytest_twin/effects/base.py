@@ -69,6 +69,7 @@ class Parameter:
             infinity is fitted by its reciprocal.
         step: finite difference of a fit's Jacobian, in multiples of ``reference``; wide where the
             motion follows the parameter in small leaps, as impacts between steps make it.
+        choice: whether it is one of its starts, never between: no fit moves it.
     """
 
     name: str
@@ -80,6 +81,7 @@ class Parameter:
     reference: str = "one"
     reciprocal_of: tuple[str, Quantity] | None = None
     step: float = SMOOTH_STEP
+    choice: bool = False
 
     @property
     def reported_name(self) -> str:
@@ -184,6 +186,10 @@ class Effect:
     def overrides(self, *hooks: str) -> bool:
         """Whether any of these hooks does anything."""
         return any(getattr(type(self), h) is not getattr(Effect, h) for h in hooks)
+
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        """Laws with fewer parameters that this one comes to: effect id -> its parameters, SI."""
+        return {}
 
     def command_delay(self, values: Values) -> FloatArray | None:
         """Latency of the command, (rows, joints) s."""

@@ -6,6 +6,7 @@ to the model's own friction.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -71,6 +72,9 @@ class AsymmetricFriction(Effect):
         "encoder_bias": "hold with the drive off",
     }
 
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {"coulomb_friction": {"coulomb": values["coulomb"]}}
+
     def fields(self, fields: ModelFields, values: Values) -> None:
         fields.friction += values["coulomb"]
         fields.constant_force -= values["offset"]
@@ -94,6 +98,9 @@ class StribeckFriction(Effect):
         "coulomb_friction": "slow reversals",
         "presliding_hysteresis": "symmetric slow reversals smaller than the break-away",
     }
+
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {"coulomb_friction": {"coulomb": values["coulomb"]}}
 
     def friction(self, world: World, values: Values) -> None:
         fall = np.exp(-((world.velocity / np.maximum(values["stribeck_velocity"], 1e-9)) ** 2))
@@ -139,6 +146,9 @@ class PreslidingHysteresis(Effect):
         "joint_elasticity": "fast and slow: elasticity rings",
     }
 
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {"coulomb_friction": {"coulomb": values["coulomb"]}}
+
     def force(self, world: World, values: Values) -> None:
         level = values["coulomb"]
         distance = np.maximum(values["presliding_distance"], 1e-9)
@@ -169,6 +179,9 @@ class ThermalFriction(Effect):
         "external_force": "the same motion twice, with a pause",
     }
 
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {"coulomb_friction": {"coulomb": values["excess"]}}
+
     def friction(self, world: World, values: Values) -> None:
         warm = np.maximum(values["warm_up_time"], 1e-6)
         cold = np.exp(-world.time[:, None] / warm)
@@ -192,6 +205,9 @@ class PositionDependentFriction(Effect):
         "cogging": "both directions: cogging keeps its sign",
         "load_dependent_friction": "the same pose under two loads",
     }
+
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {"coulomb_friction": {"coulomb": values["mean"]}}
 
     def friction(self, world: World, values: Values) -> None:
         world.friction_level = (

@@ -18,7 +18,7 @@ class EncoderBias(Effect):
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
         Parameter("bias", "position", 0.0, -0.6, 0.6, (0.03,)),
-        Parameter("in_loop", "one", None, 0.0, 1.0, (0.0, 1.0)),
+        Parameter("in_loop", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
     )
     confused_with: ClassVar = {
         "joint_spring": "hold at several poses: a bias does not depend on the pose's load",
