@@ -41,6 +41,8 @@ _QUICK, _FAIR, _LONG = 2, 4, 8
 _FIRST_ORDER, _SCANNED = 10.0, 3
 # Replays of all recordings that a search may take: what needs more has no law in the catalogue.
 _MOST_REPLAYS = 300
+# Floors that taking a term away leaves, beyond which the nearest rivals are simulated anyhow.
+_FAR_APART = 30.0
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many.
 _IN_FRONT, _FRONT = 150.0, 4
 _ROUGH_ROUNDS = 2
@@ -471,8 +473,8 @@ class Selection:
     def _sideways(self, selected: Selected) -> bool:
         """Hold every term against the rivals in its place; True if one was better.
 
-        Rivals that are far behind along the measured motion keep that evidence; the others are
-        simulated.
+        Rivals that are far behind along the measured motion keep that evidence, where it can be
+        trusted; the others are simulated.
         """
         best = selected.best
         selected.confidence.clear()
@@ -484,7 +486,12 @@ class Selection:
         places: list[tuple[Term, Term | None]] = []
         others: list[Hypothesis] = []
         linear: list[float] = []
+        far: list[Term] = []
         for term, lens in zip(terms, self._lenses(best, look), strict=True):
+            apart = np.sqrt(np.mean(lens.view.residual**2, axis=0))
+            if (apart > _FAR_APART * look.view.floor).any():
+                # What first order leaves of so much is more than rivals differ by.
+                far.append(term)
             rest = best.hypothesis.without(term)
             places.append((term, None))
             others.append(rest)
@@ -510,7 +517,11 @@ class Selection:
                 others[i] = h
         order = np.argsort(-found)
         close = [i for i in order if found[i] > -_CLEAR and places[i][1] is not None]
-        close = [] if self._spent else close[: _MOST_CLOSE * len(terms)]
+        close = close[: _MOST_CLOSE * len(terms)]
+        for term in far:
+            nearest = [i for i in order if places[i][0] == term and places[i][1] is not None]
+            close += [i for i in nearest[:_MOST_CLOSE] if i not in close]
+        close = [] if self._spent else close
         rivals = self._rivals([others[i] for i in close], self._weights(best), _FAIR)
         self._judge(rivals, best)
         evidence = {place: float(value) for place, value in zip(places, found, strict=True)}
