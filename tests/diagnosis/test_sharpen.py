@@ -1,0 +1,88 @@
+"""Laws that bend, at sizes of their own, and laws that come to simpler ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_first_order import ELBOW, SHOULDER, problem_of
+
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.responses import bins, linearized
+from pytest_twin.diagnosis.screen import Answers, Lens, View, candidates
+from pytest_twin.diagnosis.select import Selection
+from pytest_twin.diagnosis.sharpen import sharpened
+from pytest_twin.effects import catalogue
+
+
+def test_a_limit_between_two_of_its_grid_answers_at_its_own_size() -> None:
+    """A rate that no starting size has, on a joint that is far off because of it."""
+    hidden = 1.0 / 0.75
+    problem = problem_of("position", {Term("rate_limit", ELBOW): {"inverse_rate": hidden}})
+    linear = linearized(problem, problem.fit, EMPTY)
+    assert linear is not None
+    residual = problem.residuals([EMPTY], problem.fit)[0]
+    binned = bins(problem, problem.fit)
+    left = linear.residual(residual)
+    view = View(left, np.zeros((*left.shape, 0)), problem.signal_floor, binned.lengths)
+    found = linear.responses(candidates(problem))
+    sharp = sharpened(linear, view, Answers(found), EMPTY)
+    (mine,) = [r for r in sharp if r.term == Term("rate_limit", ELBOW)]
+    scale = problem.scales.value(mine.term.parameters[0], ELBOW)
+    assert mine.start[0] * scale == pytest.approx(hidden, rel=0.02)
+    grid = Answers([r for r in found if r.term == mine.term])
+    best = min(
+        float(np.mean(Lens(view, grid).structure((i,)).residual[:, ELBOW] ** 2))
+        for i in range(len(grid.responses))
+    )
+    own = float(np.mean((left - mine.change[..., 0])[:, ELBOW] ** 2))
+    assert own < 0.2 * best
+
+
+def test_nothing_is_sharpened_where_nothing_is_far_off() -> None:
+    problem = problem_of("position", {Term("viscous_friction", SHOULDER): {"coefficient": 1e-4}})
+    linear = linearized(problem, problem.fit, EMPTY)
+    assert linear is not None
+    left = linear.residual(problem.residuals([EMPTY], problem.fit)[0])
+    lengths = bins(problem, problem.fit).lengths
+    view = View(left, np.zeros((*left.shape, 0)), problem.signal_floor, lengths)
+    assert not sharpened(linear, view, Answers(linear.responses(candidates(problem))), EMPTY)
+
+
+def test_special_cases_are_laws_of_the_catalogue_with_fewer_parameters() -> None:
+    some = 0
+    for effect in catalogue().values():
+        values = {p.name: 0.3 for p in effect.parameters}
+        for simpler, special in effect.special_cases(values).items():
+            law = catalogue()[simpler]
+            assert set(special) == {p.name for p in law.parameters}
+            assert len(law.parameters) < len(effect.parameters)
+            some += 1
+    assert some >= 6
+
+
+def test_a_curve_without_a_slope_is_a_saturation() -> None:
+    """A torque-speed limit far beyond every speed takes one parameter more to say the same."""
+    problem = problem_of("position", {Term("torque_saturation", SHOULDER): {"inverse_limit": 0.25}})
+    curve, flat = Term("torque_speed_limit", SHOULDER), Term("torque_saturation", SHOULDER)
+    stall = 4.0 / problem.scales.value(curve.parameters[1], SHOULDER)
+    selection = Selection(problem)
+    selection.nominal = selection._rivals([EMPTY], np.ones(2), 0)[0]
+    selection.name_price = 4.0
+    general = Hypothesis((curve,), np.array([1e-4, stall]))
+    rival = selection._rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
+    found = selection._backward(rival).hypothesis
+    assert found.terms == (flat,)
+    limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))
+    assert limit == pytest.approx(4.0, rel=0.02)
+
+
+def test_a_choice_is_no_parameter_of_a_fit() -> None:
+    term = Term("encoder_bias", SHOULDER)
+    assert term.free == 1
+    problem = problem_of("position", {term: {"bias": 0.05, "in_loop": 1.0}})
+    selection = Selection(problem)
+    start = EMPTY.with_term(term, np.array([0.01, 1.0]))
+    fitted = selection._rivals([start], np.ones(2) / problem.floor, 6, slopes=True)[0]
+    assert fitted.hypothesis.theta[1] == 1.0
+    bias = fitted.hypothesis.theta[0] * problem.scales.value(term.parameters[0], SHOULDER)
+    assert bias == pytest.approx(0.05, rel=0.1)

@@ -1,0 +1,64 @@
+"""A window amid a motion goes on as the motion did, whatever its laws remember."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pytest_twin.effects.rows import RowSimulator, Segment
+
+FloatArray = NDArray[np.float64]
+
+STEP, START = 0.001, 0.6
+MODEL = (
+    f'<mujoco><option timestep="{STEP}" integrator="implicitfast"/><worldbody><body>'
+    '<inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.002 0.002 0.002"/>'
+    '<joint name="j" axis="0 -1 0" armature="0.01" damping="0.05"/></body></worldbody>'
+    '<actuator><motor joint="j"/></actuator></mujoco>'
+)
+LAWS = {
+    "actuator_lag": {"time_constant": 0.03},
+    "joint_elasticity": {"compliance": 1 / 40.0, "damping_time": 0.01},
+    "presliding_hysteresis": {"coulomb": 0.3, "presliding_distance": 0.05},
+}
+
+
+def values(effect: str) -> dict[str, dict[str, FloatArray]]:
+    return {effect: {n: np.full((1, 1), v) for n, v in LAWS[effect].items()}}
+
+
+def whole() -> Segment:
+    """A second of effort that never settles."""
+    time: FloatArray = STEP * np.arange(1000, dtype=np.float64)
+    command = 1.2 * np.sin(2.0 * np.pi * 1.3 * time) + 0.5 * np.sign(np.sin(2.0 * np.pi * 4 * time))
+    return Segment(
+        trial=0, model=mujoco.MjModel.from_xml_string(MODEL), mode="effort", start=0.0, time=time,
+        position=np.zeros((1000, 1)), velocity=None, effort=None,
+        command_time=time, command=command[:, None],
+        initial_position=np.zeros(1), initial_velocity=np.zeros(1),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", LAWS)
+def test_a_window_goes_on_where_the_motion_was(effect: str) -> None:
+    trial = whole()
+    simulator = RowSimulator([trial], ("j",), threads=1)
+    motion = simulator.simulate(np.array([0]), values(effect))[0]
+    at = round(START / STEP)
+    window = replace(
+        trial, start=START, time=trial.time[at : at + 200], position=motion.position[at : at + 200],
+        initial_position=motion.position[at], initial_velocity=motion.velocity[at],
+        history=(trial.time, motion.position, motion.velocity),
+    )  # fmt: skip
+
+    def error(segment: Segment) -> float:
+        found = RowSimulator([segment], ("j",), threads=1).simulate(np.array([0]), values(effect))
+        return float(np.abs(found[0].position - segment.position).max())
+
+    moved = float(np.ptp(window.position))
+    assert error(window) < 0.01 * moved
+    assert error(replace(window, history=None)) > 5.0 * error(window)
