@@ -43,8 +43,10 @@ _FIRST_ORDER, _SCANNED = 10.0, 3
 _MOST_REPLAYS = 300
 # Floors that taking a term away leaves, beyond which the nearest rivals are simulated anyhow.
 _FAR_APART = 30.0
-# Rivals that stay in the race after one iteration: evidence behind the first, and how many.
+# Rivals that stay in the race after one iteration: evidence behind the first, and how many; share
+# of the first one's evidence within which they are judged once more.
 _IN_FRONT, _FRONT = 150.0, 4
+_NECK = 0.05
 _ROUGH_ROUNDS = 2
 # Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many.
 _EARNS = 5.0
@@ -387,6 +389,14 @@ class Selection:
         again = self._rivals([r.hypothesis for r in front], weights, _QUICK)
         rivals[: len(front)] = again
         self._judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
+        rivals.sort(key=lambda r: -r.evidence)
+        contenders = [r for r in rivals if r.evidence > (1.0 - _NECK) * rivals[0].evidence > 0.0]
+        if len(contenders) > 1:
+            # Neck and neck they are judged where the simulator's step is corrected for them.
+            self.problem.refine_at(rivals[0].hypothesis)
+            again = self._rivals([r.hypothesis for r in contenders], weights, _QUICK)
+            rivals[: len(contenders)] = again
+            self._judge(again, best, min(again, key=lambda r: r.fitted.cost))
         return sorted(rivals, key=lambda r: -r.evidence)
 
     def _settled(self, rival: Rival) -> Rival:
