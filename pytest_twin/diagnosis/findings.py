@@ -222,8 +222,8 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
         least = int(np.argmin(height))
         if height[least] <= STANDS_OUT:
             notes.append(
-                f"{_label(problem, terms[least])} would fit what is within {STANDS_OUT:g} floors; "
-                "it is not claimed"
+                f"{_label(problem, terms[least])} takes nothing off that stands more than "
+                f"{STANDS_OUT:g} floors high; it is not claimed"
             )
             fitted = refitted[least]
             continue
