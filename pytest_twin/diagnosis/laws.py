@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.along import Along
 from pytest_twin.diagnosis.rigid_terms import Rigid, upsampled
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
+from pytest_twin.effects.roll_in import act
 from pytest_twin.effects.rows import RowSimulator, hooks_between_steps
 
 _MOST_NUMBERS = 2_000_000
@@ -237,23 +238,7 @@ class Laws:
         """Total, drive, dry friction and its level."""
         world.setpoint = command.copy()
         world.applied = joint.constant - joint.spring * (world.position - joint.rest)
-        for effect, v in hooks["command"]:
-            effect.command(world, v)
-        for effect, v in hooks["servo"]:
-            effect.servo(world, v)
-        law = (
-            world.gain * world.setpoint
-            - world.stiffness * world.position
-            - world.damping * world.velocity
-            + world.offset
-        )
-        world.delivered = np.clip(law, world.lower, world.upper)
-        for effect, v in hooks["drive"]:
-            effect.drive(world, v)
-        for effect, v in hooks["friction"]:
-            effect.friction(world, v)
-        for effect, v in hooks["force"]:
-            effect.force(world, v)
+        act(world, hooks)
         drive = world.delivered
         level = np.maximum(world.friction_level, 0.0)
         others = (

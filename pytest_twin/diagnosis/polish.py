@@ -15,7 +15,6 @@ from pytest_twin.diagnosis.fit import nudged, propose, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.responses import Linear
 from pytest_twin.diagnosis.screen import View
-from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import FloatArray
 
 _DAMPINGS = (1e-4, 1e-2, 1.0)
@@ -75,7 +74,7 @@ def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Float
     """As :meth:`Linear.differences`, in batches that need the same steps."""
     groups: dict[tuple[bool, bool], list[int]] = {}
     for i, h in enumerate(hypotheses):
-        effects = [catalogue()[t.effect] for t in h.terms]
+        effects = [t.law for t in h.terms]
         key = (
             any(e.remembers for e in effects),
             any(e.overrides("transmit") for e in effects),

@@ -237,16 +237,16 @@ def segments_of(
                     initial_position=position[0], initial_velocity=first, **common)
         ]  # fmt: skip
     out = []
-    smooth, speed, _ = derivatives(time, position, _START_SAMPLES * float(np.median(np.diff(time))))
+    width = _START_SAMPLES * float(np.median(np.diff(time)))
+    smooth, speed, _ = derivatives(time, position, width)
     history = (time, smooth, speed)
     count = max(1, round(time[-1] / _EFFORT_WINDOW))
     edges = np.linspace(0.0, time[-1], count + 1)
-    interval = float(np.median(np.diff(time)))
     for start, end in itertools.pairwise(edges):
         inside = (time >= start) & (time <= end)
         if inside.sum() < 8:
             continue
-        q, v = smooth_state(time, position, float(start), _START_SAMPLES * interval)
+        q, v = smooth_state(time, position, float(start), width)
         out.append(
             Segment(start=float(start), time=time[inside], position=position[inside],
                     velocity=None if velocity is None else velocity[inside],

@@ -112,12 +112,13 @@ def simulated(
         segments: on which.
         residual: (bins, signals) that they are to explain.
     """
-    first = {t: grid(t)[len(grid(t)) // 2] for t in terms}
-    found = _simulated(problem, list(first.items()), segments)
+    sizes = {t: grid(t) for t in terms}
+    middle = {t: len(s) // 2 for t, s in sizes.items()}
+    found = _simulated(problem, [(t, sizes[t][middle[t]]) for t in terms], segments)
     weight = 1.0 / (np.mean(residual**2, axis=0) + problem.signal_floor**2)
     order = sorted(found, key=lambda r: -_explained(r.change, residual, weight))
     closest = [r.term for r in order[:_CLOSEST]]
-    rest = [(t, g) for t in closest for k, g in enumerate(grid(t)) if k != len(grid(t)) // 2]
+    rest = [(t, s) for t in closest for k, s in enumerate(sizes[t]) if k != middle[t]]
     return found + _simulated(problem, rest, segments)
 
 

@@ -151,6 +151,15 @@ class World:
     motor_damping: FloatArray
     state: dict[str, Any] = field(default_factory=dict)
 
+    def asked(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        """What the drive's law asks for at a state of its motor, (rows, joints), without bounds."""
+        return (
+            self.gain * self.setpoint
+            - self.stiffness * position
+            - self.damping * velocity
+            + self.offset
+        )
+
 
 class Effect:
     """One effect. Subclasses state the class attributes and override the hooks that they need.

@@ -16,6 +16,19 @@ from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, Wor
 _SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
 
 
+class _DryFriction(Effect):
+    """A level that may vary: without that it is Coulomb friction.
+
+    Attributes:
+        level: the parameter that is the level then.
+    """
+
+    level: ClassVar[str]
+
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {"coulomb_friction": {"coulomb": values[self.level]}}
+
+
 class ViscousFriction(Effect):
     """Effort in proportion to velocity."""
 
@@ -54,11 +67,12 @@ class CoulombFriction(Effect):
         fields.friction += values["coulomb"]
 
 
-class AsymmetricFriction(Effect):
+class AsymmetricFriction(_DryFriction):
     """A level that differs between the two directions."""
 
     id = "asymmetric_friction"
     family = "friction"
+    level = "coulomb"
     law = "|effort| <= coulomb + offset for v > 0, coulomb - offset for v < 0"
     source = "Janot, Gautier, Brunot, Mech. Syst. Signal Process. (2019): EMPS benchmark"
     parameters = (
@@ -72,19 +86,17 @@ class AsymmetricFriction(Effect):
         "encoder_bias": "hold with the drive off",
     }
 
-    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        return {"coulomb_friction": {"coulomb": values["coulomb"]}}
-
     def fields(self, fields: ModelFields, values: Values) -> None:
         fields.friction += values["coulomb"]
         fields.constant_force -= values["offset"]
 
 
-class StribeckFriction(Effect):
+class StribeckFriction(_DryFriction):
     """A level that falls from stiction to Coulomb as lubrication builds up with speed."""
 
     id = "stribeck_friction"
     family = "friction"
+    level = "coulomb"
     law = "level = coulomb + (stiction - coulomb) exp(-(v / stribeck_velocity)^2)"
     source = "Bo, Pavelescu, Wear 82 (1982); " + _SURVEY
     parameters = (
@@ -98,9 +110,6 @@ class StribeckFriction(Effect):
         "coulomb_friction": "slow reversals",
         "presliding_hysteresis": "symmetric slow reversals smaller than the break-away",
     }
-
-    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        return {"coulomb_friction": {"coulomb": values["coulomb"]}}
 
     def friction(self, world: World, values: Values) -> None:
         fall = np.exp(-((world.velocity / np.maximum(values["stribeck_velocity"], 1e-9)) ** 2))
@@ -126,11 +135,12 @@ class LoadDependentFriction(Effect):
         world.friction_level = world.friction_level + values["coefficient"] * np.abs(world.load)
 
 
-class PreslidingHysteresis(Effect):
+class PreslidingHysteresis(_DryFriction):
     """Before it slides, a contact yields like a spring that forgets: loops without sliding."""
 
     id = "presliding_hysteresis"
     family = "friction"
+    level = "coulomb"
     law = "dz/dt = v - |v| z / (coulomb / stiffness); effort = -stiffness z"
     source = "Dahl (1968); Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995): LuGre"
     parameters = (
@@ -146,9 +156,6 @@ class PreslidingHysteresis(Effect):
         "joint_elasticity": "fast and slow: elasticity rings",
     }
 
-    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        return {"coulomb_friction": {"coulomb": values["coulomb"]}}
-
     def force(self, world: World, values: Values) -> None:
         level = values["coulomb"]
         distance = np.maximum(values["presliding_distance"], 1e-9)
@@ -163,11 +170,12 @@ class PreslidingHysteresis(Effect):
         world.applied -= level * bristle / distance
 
 
-class ThermalFriction(Effect):
+class ThermalFriction(_DryFriction):
     """Friction that falls as the gear warms up in use."""
 
     id = "thermal_friction"
     family = "friction"
+    level = "excess"
     law = "level = dry friction + excess exp(-t / warm_up_time)"
     source = "Bittencourt, Axelsson, J. Dyn. Syst. Meas. Control 136 (2014)"
     parameters = (
@@ -179,20 +187,18 @@ class ThermalFriction(Effect):
         "external_force": "the same motion twice, with a pause",
     }
 
-    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        return {"coulomb_friction": {"coulomb": values["excess"]}}
-
     def friction(self, world: World, values: Values) -> None:
         warm = np.maximum(values["warm_up_time"], 1e-6)
         cold = np.exp(-world.time[:, None] / warm)
         world.friction_level = world.friction_level + values["excess"] * cold
 
 
-class PositionDependentFriction(Effect):
+class PositionDependentFriction(_DryFriction):
     """A level that varies over the turn: a bent shaft, an eccentric gear."""
 
     id = "position_dependent_friction"
     family = "friction"
+    level = "mean"
     law = "level = mean + sine sin(q) + cosine cos(q), not below zero"
     source = _SURVEY + ", sec. 2.2"
     parameters = (
@@ -205,9 +211,6 @@ class PositionDependentFriction(Effect):
         "cogging": "both directions: cogging keeps its sign",
         "load_dependent_friction": "the same pose under two loads",
     }
-
-    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        return {"coulomb_friction": {"coulomb": values["mean"]}}
 
     def friction(self, world: World, values: Values) -> None:
         world.friction_level = (

@@ -19,6 +19,22 @@ LEAD = 0.2
 Hooks = Mapping[str, Sequence[tuple[Effect, Values]]]
 
 
+def act(world: World, hooks: Hooks) -> None:
+    """Every law of one step up to the transmission, at the setpoint and the motion at hand."""
+    for effect, v in hooks["command"]:
+        effect.command(world, v)
+    for effect, v in hooks["servo"]:
+        effect.servo(world, v)
+    law = world.asked(world.position, world.velocity)
+    world.delivered = np.clip(law, world.lower, world.upper)
+    for effect, v in hooks["drive"]:
+        effect.drive(world, v)
+    for effect, v in hooks["friction"]:
+        effect.friction(world, v)
+    for effect, v in hooks["force"]:
+        effect.force(world, v)
+
+
 def roll_in(
     world: World, hooks: Hooks, position: FloatArray, velocity: FloatArray, command: FloatArray
 ) -> None:
@@ -38,19 +54,9 @@ def roll_in(
         world.setpoint = command[k].copy()
         world.applied = np.zeros_like(world.applied)
         world.friction_level = kept["friction_level"]
-        for name in ("command", "servo"):
-            for effect, v in hooks[name]:
-                getattr(effect, name)(world, v)
-        law = (
-            world.gain * world.setpoint
-            - world.stiffness * world.position
-            - world.damping * world.velocity
-            + world.offset
-        )
-        world.delivered = np.clip(law, world.lower, world.upper)
-        for name in ("drive", "friction", "force", "transmit"):
-            for effect, v in hooks[name]:
-                getattr(effect, name)(world, v)
+        act(world, hooks)
+        for effect, v in hooks["transmit"]:
+            effect.transmit(world, v)
         world.lower, world.upper = kept["lower"], kept["upper"]
     for name, value in kept.items():
         setattr(world, name, value)

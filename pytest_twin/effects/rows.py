@@ -594,12 +594,7 @@ class RowSimulator:
                 if self._range is not None:
                     self._write_bounds(world)
             if hooks["drive"]:
-                law = (
-                    world.gain * world.setpoint
-                    - world.stiffness * world.position
-                    - world.damping * world.velocity
-                    + world.offset
-                )
+                law = world.asked(world.position, world.velocity)
                 native = np.clip(law, world.lower, world.upper)
                 world.delivered = native
                 for effect, p in hooks["drive"]:

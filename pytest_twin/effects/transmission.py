@@ -79,12 +79,7 @@ class _Compliance(Effect):
         stretch = angle - world.position
         deflection = stretch - np.clip(stretch, -gap / 2.0, gap / 2.0)
         touching = (deflection != 0.0) | (gap == 0.0)
-        law = (
-            world.gain * world.setpoint
-            - world.stiffness * angle
-            - world.damping * speed
-            + world.offset
-        )
+        law = world.asked(angle, speed)
         drive = np.clip(law, world.lower, world.upper)
         servo = np.where(drive == law, world.damping + world.stiffness * dt, 0.0)
         gear = np.where(touching, stiffness * dt + damping, 0.0)
