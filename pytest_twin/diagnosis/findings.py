@@ -32,6 +32,8 @@ _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.35, 0.25
 # A name that rivals could replace has to take this share of the mismatch.
 _UNSURE, _SLIGHT = 0.7, 0.01
+# What could be absent, by its own interval, has to take off this many times as much as others.
+_ABSENT_BAR = 2.0
 # A name whose parameter stands at its physical bound is no surer than this.
 _BOUNDED = 0.5
 # A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
@@ -68,7 +70,9 @@ class Finding:
         where: when and in which regime it shows.
         held_out_gain: fraction of the squared held-out error, in units of each signal's floor,
             that goes when this finding joins the others, those refitted without it.
-        share: of the whole mismatch, by the same measure; findings are ordered by it.
+        stands: floors by which some joint's predicted position (or effort, where no position
+            feels it) moves when the finding is taken away from the others as they are; findings
+            are ordered by it.
         alternatives: rivals, best first.
         next_test: the recording that would separate it from the best rival.
         correlated: parameters of which only a combination is known, one line each.
@@ -81,7 +85,7 @@ class Finding:
     parameters: Mapping[str, Estimate]
     where: Where
     held_out_gain: float
-    share: float
+    stands: float
     alternatives: tuple[Alternative, ...]
     next_test: str
     correlated: tuple[str, ...]
@@ -93,7 +97,7 @@ class Explained:
     """Findings and the predictions behind them.
 
     Attributes:
-        findings: ordered by share.
+        findings: ordered by how much of the mismatch each explains.
         hypothesis: of all of them.
         spread: of its parameters.
     """
@@ -123,22 +127,20 @@ def explain(
         return Explained((), hypothesis, notes=pruned.notes)
     width = spread(problem, pruned.fitted)
     everywhere = np.arange(len(problem.simulator.segments))
-    problem.refine_at(EMPTY)
-    nominal = problem.residuals([EMPTY], everywhere)[0]
     problem.refine_at(hypothesis)
+    gone = [hypothesis.without(t) for t in hypothesis.terms]
     residuals = problem.residuals([hypothesis, *pruned.rests], everywhere)
+    stands = _heights(problem, [hypothesis, *gone])
     in_test = _tested(problem)
 
     def error(residual: FloatArray) -> float:
         return float((_in_floors(residual[in_test], problem.signal_floor) ** 2).sum())
 
-    with_all, with_none = error(residuals[0]), error(nominal)
+    with_all = error(residuals[0])
     paths = motions(prepared, trials)
     found = []
-    for term, without in zip(hypothesis.terms, residuals[1:], strict=True):
-        alone = error(without)
-        gain = _gain(alone, with_all)
-        share = (alone - with_all) / with_none if with_none > 0.0 else 0.0
+    for term, without, height in zip(hypothesis.terms, residuals[1:], stands, strict=True):
+        gain = _gain(error(without), with_all)
         blame = _blame(problem, term, residuals[0], without)
         at = max(term.joint, 0)
         where = place_of(paths, blame, at, joint_unit(problem, at))
@@ -163,7 +165,7 @@ def explain(
                 parameters=_estimates(problem, hypothesis, term, width),
                 where=where,
                 held_out_gain=gain,
-                share=float(share),
+                stands=height,
                 alternatives=tuple(
                     Alternative(t.effect, _joint(problem, t), c) for t, c in others if c > 1e-4
                 )[:4],
@@ -172,8 +174,27 @@ def explain(
                 term=term,
             )
         )
-    found.sort(key=lambda f: -f.share)
+    found.sort(key=lambda f: -f.stands)
     return Explained(tuple(found), hypothesis, width, pruned.notes)
+
+
+def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
+    """Floors by which the predictions of all but the first differ from it, at the joint where most.
+
+    Of positions; of efforts where no position differs.
+    """
+    tested = problem.held_out if len(problem.held_out) else problem.fit
+    first, *others = problem.predict(hypotheses, tested)
+    out = []
+    for other in others:
+        pairs = list(zip(first, other, strict=True))
+        position = np.concatenate([a.position - b.position for a, b in pairs])
+        height = float(_in_floors(position, problem.floor).max())
+        if height == 0.0 and problem.effort_floor is not None:
+            effort = np.concatenate([a.effort - b.effort for a, b in pairs])
+            height = float(_in_floors(effort, problem.effort_floor).max())
+        out.append(height)
+    return out
 
 
 @dataclass(slots=True)
@@ -218,12 +239,20 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
             )
             fitted = refitted[least]
             continue
-        height = [float(v[v > _WORSE * base].max(initial=0.0)) for v in levels]
+        half = spread(problem, fitted).half_width
+        bars = [
+            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted.hypothesis, t, half) else 1.0)
+            for t in terms
+        ]
+        height = [
+            float(v[v > _WORSE * base].max(initial=0.0)) / bar
+            for v, bar in zip(levels, bars, strict=True)
+        ]
         least = int(np.argmin(height))
-        if height[least] <= STANDS_OUT:
+        if height[least] <= 1.0:
             notes.append(
                 f"{_label(problem, terms[least])} takes nothing off that stands more than "
-                f"{STANDS_OUT:g} floors high; it is not claimed"
+                f"{bars[least]:g} floors high; it is not claimed"
             )
             fitted = refitted[least]
             continue
@@ -242,7 +271,7 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
             continue
         if judged:
             return _Pruned(fitted, rests, notes)
-        stretched = _stretched(problem, fitted, before, base)
+        stretched = _stretched(problem, fitted, half, before, base)
         if stretched:
             rest = fitted.hypothesis
             for t in stretched:
@@ -278,7 +307,7 @@ def _prune(problem: Problem, selected: Selected) -> _Pruned:
 
 
 def _stretched(
-    problem: Problem, fitted: Fitted, before: FloatArray, after: FloatArray
+    problem: Problem, fitted: Fitted, half: FloatArray, before: FloatArray, after: FloatArray
 ) -> list[Term]:
     """Terms at a physical bound, or perhaps absent, at joints that stay unexplained with them."""
     hypothesis, joints = fitted.hypothesis, len(problem.joints)
@@ -286,22 +315,22 @@ def _stretched(
         JointError(float(b), float(a), 1.0, "").explained
         for b, a in zip(before[:joints], after[:joints], strict=True)
     ])  # fmt: skip
-    if explained.all():
-        return []
-    half = spread(problem, fitted).half_width
-    found = []
-    for t in hypothesis.terms:
-        place = hypothesis.slice_of(t)
-        absent = all(
-            p.neutral is None or abs(value - p.neutral) <= width
-            for p, value, width in zip(
-                t.parameters, hypothesis.theta[place], half[place], strict=True
-            )
+    return [
+        t for t in hypothesis.terms
+        if not (explained.all() if t.joint < 0 else explained[t.joint])
+        and (_perhaps_absent(hypothesis, t, half) or at_bound(hypothesis, t))
+    ]  # fmt: skip
+
+
+def _perhaps_absent(hypothesis: Hypothesis, term: Term, half: FloatArray) -> bool:
+    """Whether the 95 % intervals (parameters,) of all that switches a term on hold its absence."""
+    place = hypothesis.slice_of(term)
+    return all(
+        p.neutral is None or abs(value - p.neutral) <= width
+        for p, value, width in zip(
+            term.parameters, hypothesis.theta[place], half[place], strict=True
         )
-        here = explained.all() if t.joint < 0 else explained[t.joint]
-        if not here and (absent or at_bound(hypothesis, t)):
-            found.append(t)
-    return found
+    )
 
 
 def _too_little(

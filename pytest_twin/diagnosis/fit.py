@@ -14,6 +14,7 @@ from pytest_twin.effects.base import FloatArray
 
 _DAMPINGS = (1e-4, 1e-1)
 _FAST, _ENOUGH = 0.5, 1e-4
+_TINY = 1e-6
 
 
 @dataclass(slots=True)
@@ -159,9 +160,12 @@ def nudged(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
 def propose(
     h: Hypothesis, residual: FloatArray, jacobian: FloatArray, weights: FloatArray, damping: float
 ) -> Hypothesis:
-    """A damped Gauss-Newton step inside the bounds; parameters at a bound that pull out stay."""
+    """A damped Gauss-Newton step inside the bounds; parameters at a bound that pull out stay.
+
+    It is taken in the coordinates of each law.
+    """
     lower, upper = h.bounds
-    a = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
+    a = (jacobian * weights[:, None]).reshape(-1, h.theta.size) @ _chart(h)
     b = np.nan_to_num(residual * weights).ravel()
     normal, gradient = a.T @ a, a.T @ b
     free = np.ones(h.theta.size, dtype=bool)
@@ -171,7 +175,7 @@ def propose(
         ridge = damping * np.diag(np.maximum(np.diag(n), 1e-12 * max(n.max(initial=0.0), 1e-30)))
         step = np.zeros_like(theta)
         step[free] = np.linalg.lstsq(n + ridge, gradient[free], rcond=None)[0]
-        proposal = h.theta + step
+        proposal = h.from_coordinates(h.coordinates + step)
         outside = free & ((proposal < lower) | (proposal > upper))
         if not outside.any():
             return h.with_theta(proposal)
@@ -183,3 +187,10 @@ def propose(
         if not free.any():
             break
     return h.with_theta(np.clip(theta, lower, upper))
+
+
+def _chart(h: Hypothesis) -> FloatArray:
+    """(parameters, parameters) change of the parameters per change of their coordinates."""
+    here = h.coordinates
+    moved = [h.from_coordinates(here + _TINY * e) for e in np.eye(h.theta.size)]
+    return np.array(moved).T / _TINY - h.theta[:, None] / _TINY

@@ -68,6 +68,17 @@ class Hypothesis:
         )
         return Hypothesis(tuple(t for t in self.terms if t != term), self.theta[kept])
 
+    def absorbed(self, gone: Term, into: Term) -> Hypothesis | None:
+        """Without ``gone``, its parameters added to those of ``into`` that are the same physics."""
+        same = into.law.holds(gone.effect)
+        if not same:
+            return None
+        theta, mine, other = self.theta.copy(), self.slice_of(into), self.slice_of(gone)
+        names = [p.name for p in into.parameters]
+        for k, p in enumerate(gone.parameters):
+            theta[mine.start + names.index(same[p.name])] += theta[other.start + k]
+        return self.with_theta(theta).without(gone)
+
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper, in multiples of the scales."""
@@ -83,6 +94,17 @@ class Hypothesis:
     def rough(self) -> bool:
         """Whether the motion follows some parameter in leaps."""
         return any(p.step > SMOOTH_STEP for t in self.terms for p in t.parameters)
+
+    @property
+    def coordinates(self) -> FloatArray:
+        """The parameters, as their laws would have a fit step in them."""
+        parts = [t.law.coordinates(self.theta[self.slice_of(t)]) for t in self.terms]
+        return np.concatenate([np.empty(0), *parts])
+
+    def from_coordinates(self, coordinates: FloatArray) -> FloatArray:
+        """The inverse of :attr:`coordinates`, for the same terms."""
+        parts = [t.law.from_coordinates(coordinates[self.slice_of(t)]) for t in self.terms]
+        return np.concatenate([np.empty(0), *parts])
 
     def slice_of(self, term: Term) -> slice:
         """Where a term's parameters stand in ``theta``."""

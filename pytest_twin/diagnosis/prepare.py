@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -33,16 +33,19 @@ from pytest_twin.trial import Trial
 # long, then starts anew from the measured state.
 _EFFORT_WINDOW = 0.5
 _START_SAMPLES = 12
-# A drive's effort jumps with its command; a sample beside a jump is right or wrong as a whole. Root
-# mean square of that, in those of what a finer step changes, as measured on 20 arms.
-_LEFT_OF_JUMPS = 0.6
-# Impacts jump by more: as measured on the arm that taps.
-_LEFT_OF_IMPACTS = 1.0
 # Share of the greatest effort below which a model's negative efforts say nothing of the sign.
 _UNSIGNED = 0.05
+# Times the noise by which a finer step may change a window of usual length.
+_WILD = 30.0
+# Mean square, of its usual size, by which samples are off a smooth motion where a command jumps;
+# the median of the squares of a unit normal distribution.
+_ROUGH, _MEDIAN_SQUARE = 4.0, 0.455
+# Share of the samples, those that the model's step changes least, that tell an effort's noise.
+_QUIET = 0.3
 NOISE = "sensor noise and quantization"
-# As measured on an arm whose tip taps on a table: impacts fall between steps.
-_LEFT_IN_CONTACT = 0.35
+# As measured on an arm whose tip taps on a table, and on arms whose drives are sent efforts:
+# impacts and the jumps of a command fall between steps.
+_LEFT_OF_IMPACTS, _LEFT_OF_JUMPS = 0.35, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +69,15 @@ def prepare(
     held_out: Sequence[Trial],
     *,
     threads: int = 0,
+    window: float = _EFFORT_WINDOW,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
+
+    Args:
+        realization: the model as it came.
+        fit, held_out: recordings.
+        threads: of the simulation; 0 for all.
+        window: s, of motions under effort commands; halved where they are too wild for it.
 
     Raises:
         RecordingError: no joint that the model and every recording share.
@@ -78,12 +88,12 @@ def prepare(
     segments: list[Segment] = []
     owner: list[int] = []
     for i, trial in enumerate(trials):
-        made = segments_of(realization, trial, i, joints)
+        made = segments_of(realization, trial, i, joints, window)
         segments += made
         owner += [i] * len(made)
     simulator = RowSimulator(segments, joints, threads=threads)
     is_fit = np.array(owner) < len(fit)
-    noise = _greatest_noise([s.position for s in segments], owner)
+    noise = _greatest_noise(segments, [s.position for s in segments], owner)
     refined = RowSimulator(segments, joints, threads=threads, refine=REFINE)
     nominal = nominal_replay(simulator)
     effort_floor: FloatArray | None = None
@@ -97,7 +107,7 @@ def prepare(
         noise,
         scales,
         effort_floor,
-        refined,
+        refined=refined,
     )
     problem.start_noise, problem.start_width = noise, _start_width(segments[0])
     if any(s.mode != "position" for s in segments):
@@ -110,14 +120,21 @@ def prepare(
         problem.free = free
     problem.refine_at(EMPTY)
     steps = discretization(problem)
-    if simulator.contact.world.size:
-        problem.step_left = _LEFT_IN_CONTACT
+    if window == _EFFORT_WINDOW and segments[0].mode == "effort" and (steps > _WILD * noise).any():
+        return prepare(realization, fit, held_out, threads=threads, window=0.5 * window)
+    if segments[0].mode == "effort":
+        problem.step_left = _LEFT_OF_JUMPS
+    elif simulator.contact.world.size:
+        problem.step_left = _LEFT_OF_IMPACTS
     problem.floor = np.sqrt(noise**2 + (problem.step_left * steps) ** 2)
     if effort_floor is not None and problem.defect:
-        jumps = np.concatenate([add.effort for add in problem.defect.values()])
-        share = _LEFT_OF_IMPACTS if simulator.contact.world.size else _LEFT_OF_JUMPS
-        left = share * np.sqrt(np.mean(jumps**2, axis=0))
-        problem.effort_floor = np.sqrt(effort_floor**2 + left**2)
+        if segments[0].mode == "effort":
+            # An effort drive gives what it is sent: only when is open, by a sample.
+            jumps = {i: _steepest(p.effort) for i, p in enumerate(nominal)}
+        else:
+            effort_floor = np.minimum(effort_floor, _quiet_noise(problem, nominal, owner))
+            jumps = {i: add.effort for i, add in problem.defect.items()}
+        _trust_efforts(problem, effort_floor, jumps)
     parts = {NOISE: noise, "discretization of the simulator": steps}
     return Prepared(problem, tuple(owner), parts)
 
@@ -148,18 +165,75 @@ def _effort_noise(
     """
     efforts = [s.effort for s in segments if s.effort is not None]
     off = [e - p.effort for e, p in zip(efforts, nominal, strict=True)]
-    least: FloatArray = np.minimum(_greatest_noise(efforts, owner), _greatest_noise(off, owner))
+    least: FloatArray = np.minimum(
+        _greatest_noise(segments, efforts, owner), _greatest_noise(segments, off, owner)
+    )
     return least
 
 
-def _greatest_noise(values: Sequence[FloatArray], owner: Sequence[int]) -> FloatArray:
+def _trust_efforts(problem: Problem, noise: FloatArray, jumps: Mapping[int, FloatArray]) -> None:
+    """Weigh efforts by their noise against what may be wrong beside a jump of the command.
+
+    Such a sample is right or wrong as a whole.
+
+    Args:
+        noise: (joints,) N*m or N.
+        jumps: segment -> (samples, joints) N*m or N.
+    """
+    problem.effort_floor = noise
+    for i, jump in jumps.items():
+        problem.effort_trust[i] = 1.0 / np.sqrt(1.0 + (jump / noise) ** 2)
+
+
+def _steepest(effort: FloatArray) -> FloatArray:
+    """(samples, joints) greatest change to a neighbouring sample."""
+    change = np.abs(np.diff(effort, axis=0))
+    none = np.zeros((1, effort.shape[1]))
+    steepest: FloatArray = np.maximum(np.vstack([none, change]), np.vstack([change, none]))
+    return steepest
+
+
+def _quiet_noise(
+    problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int]
+) -> FloatArray:
+    """(joints,) deviation of measured efforts where the model's step is no matter, N*m or N.
+
+    Efforts that jump do so in proportion to the model's: what third differences leave beside that
+    is noise.
+    """
+    worst = np.zeros(len(problem.joints))
+    for trial in sorted(set(owner)):
+        measured, modelled, shaken = [], [], []
+        for i, o in enumerate(owner):
+            effort, add = problem.simulator.segments[i].effort, problem.defect.get(i)
+            if o == trial and effort is not None and add is not None:
+                measured.append(effort)
+                modelled.append(nominal[i].effort + add.effort)
+                shaken.append(np.abs(add.effort))
+        if not measured:
+            return np.full(len(problem.joints), np.inf)
+        third, like = (np.diff(np.concatenate(x), n=3, axis=0) for x in (measured, modelled))
+        shake = np.max(
+            np.lib.stride_tricks.sliding_window_view(np.concatenate(shaken), 4, axis=0), axis=-1
+        )
+        quiet = shake <= np.quantile(shake, _QUIET, axis=0)
+        for j in range(third.shape[1]):
+            a, b = third[quiet[:, j], j], like[quiet[:, j], j]
+            a = a - b * (a @ b) / max(float(b @ b), 1e-30)
+            worst[j] = max(worst[j], 1.4826 * float(np.median(np.abs(a))) / np.sqrt(20.0))
+    return worst
+
+
+def _greatest_noise(
+    segments: Sequence[Segment], values: Sequence[FloatArray], owner: Sequence[int]
+) -> FloatArray:
     """(joints,) of the noisiest trial; the windows of one trial are taken together."""
-    trials = sorted(set(owner))
-    each = [
-        np.concatenate([v for v, o in zip(values, owner, strict=True) if o == trial])
-        for trial in trials
-    ]
-    greatest: FloatArray = np.max([sensor_noise(e) for e in each], axis=0)
+    each = []
+    for trial in sorted(set(owner)):
+        mine = [i for i, o in enumerate(owner) if o == trial]
+        time = np.concatenate([segments[i].time for i in mine])
+        each.append(sensor_noise(time, np.concatenate([values[i] for i in mine])))
+    greatest: FloatArray = np.max(each, axis=0)
     return greatest
 
 
@@ -196,7 +270,11 @@ def _shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[s
 
 
 def segments_of(
-    realization: Realization, trial: Trial, index: int, joints: Sequence[str]
+    realization: Realization,
+    trial: Trial,
+    index: int,
+    joints: Sequence[str],
+    window: float = _EFFORT_WINDOW,
 ) -> list[Segment]:
     """A trial in the model's terms: one segment, or, under effort commands, short windows.
 
@@ -205,6 +283,7 @@ def segments_of(
         trial: what was recorded.
         index: of the trial, kept in its segments.
         joints: columns; all are in the trial.
+        window: s.
 
     Raises:
         SpecError: a controller or payload that the model lacks.
@@ -240,9 +319,7 @@ def segments_of(
     width = _START_SAMPLES * float(np.median(np.diff(time)))
     smooth, speed, _ = derivatives(time, position, width)
     history = (time, smooth, speed)
-    count = max(1, round(time[-1] / _EFFORT_WINDOW))
-    edges = np.linspace(0.0, time[-1], count + 1)
-    for start, end in itertools.pairwise(edges):
+    for start, end in itertools.pairwise(_edges(time, position - smooth, window)):
         inside = (time >= start) & (time <= end)
         if inside.sum() < 8:
             continue
@@ -254,6 +331,30 @@ def segments_of(
                     initial_position=q, initial_velocity=v, history=history, **common)
         )  # fmt: skip
     return out
+
+
+def _edges(time: FloatArray, off: FloatArray, window: float) -> FloatArray:
+    """Where windows under effort commands begin and end, s.
+
+    A velocity is not known where a command jumps: there, they begin a little before or after.
+
+    Args:
+        time: (n,) s, from 0 on.
+        off: (n, joints) samples less a smooth motion.
+        window: s, about.
+    """
+    count = max(1, round(time[-1] / window))
+    edges = np.linspace(0.0, time[-1], count + 1)
+    usual = np.maximum(np.median(off**2, axis=0), 1e-30) / _MEDIAN_SQUARE
+    rough = (off**2 / usual).max(axis=1)
+    level = np.convolve(rough, np.ones(_START_SAMPLES) / _START_SAMPLES, mode="same")
+    for k in range(1, count):
+        near = np.flatnonzero(np.abs(time - edges[k]) <= window / 4.0)
+        near = near[np.argsort(np.abs(time[near] - edges[k]))]
+        if len(near) and level[near[0]] > _ROUGH:
+            smooth = near[level[near] <= _ROUGH]
+            edges[k] = time[smooth[0] if len(smooth) else near[np.argmin(level[near])]]
+    return edges
 
 
 def _columns(

@@ -15,6 +15,8 @@ from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
 
 _REMEMBERED = 4
+# Samples that a cubic is fitted to, and its coefficients, where noise is measured.
+_NEIGHBOURS, _CUBIC = 15, 4
 REFINE = 4
 """How much finer the step is by which the error of the model's own is measured."""
 
@@ -52,6 +54,9 @@ class Problem:
         floor: (joints,) standard deviation of what no model can explain, rad or m.
         scales: of the joints' parameters.
         effort_floor: the same of measured efforts, where these take part.
+        effort_trust: segment -> (samples, joints) weights, 1 where a measured effort has its own
+            noise alone and less where the model's step leaves more than that; all residuals and
+            responses of efforts are multiplied by it.
         refined: the same segments with a finer step, to measure what the model's own step costs.
         defect: segment -> what the finer step adds to a prediction of the current best
             hypothesis; every prediction is corrected by it (defect correction, Stetter 1978).
@@ -68,6 +73,7 @@ class Problem:
     floor: FloatArray
     scales: Scales
     effort_floor: FloatArray | None = None
+    effort_trust: dict[int, FloatArray] = field(default_factory=dict)
     refined: RowSimulator | None = None
     defect: dict[int, Predicted] = field(default_factory=dict)
     starts: dict[int, FreeStart] = field(default_factory=dict)
@@ -160,10 +166,18 @@ class Problem:
                 start = self.starts.get(int(s))
                 columns = [off if start is None else start.freed(off)]
                 if self.effort_floor is not None and segment.effort is not None:
-                    columns.append(segment.effort - p.effort)
+                    columns.append(self.trusted(int(s), segment.effort - p.effort))
                 parts.append(np.concatenate(columns, axis=1))
             out.append(np.concatenate(parts))
         return out
+
+    def trusted(self, segment: int, effort: FloatArray) -> FloatArray:
+        """(samples, joints, ...) differences of efforts, by how far each sample is trusted."""
+        trust = self.effort_trust.get(segment)
+        if trust is None:
+            return effort
+        weighted: FloatArray = effort * trust.reshape(*trust.shape, *[1] * (effort.ndim - 2))
+        return weighted
 
     @property
     def signal_floor(self) -> FloatArray:
@@ -177,17 +191,38 @@ class Problem:
         return [len(self.simulator.segments[s].time) for s in segments]
 
 
-def sensor_noise(position: FloatArray) -> FloatArray:
-    """(joints,) standard deviation of noise and quantization of (n, joints) samples.
+def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
+    """(joints,) standard deviation of noise and quantization of (n, joints) samples at (n,) s.
 
-    Third differences take out what is smooth; white noise of deviation s gives them deviation
-    sqrt(20) s. The median keeps reversals and impacts out.
+    Two filters take out what is smooth, third differences and cubics through neighbours in time;
+    each knows what it leaves of white noise. Fast motion gets through the second; the steps of a
+    coarse encoder and irregular sampling are blown up by the first: the lesser is right. Medians
+    keep reversals and impacts out.
     """
-    third = np.diff(position, n=3, axis=0)
-    spread = 1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0)
     step = np.array([_quantum(position[:, j]) for j in range(position.shape[1])])
+    third = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
+    # A median of counts is known to half a count.
+    spread = 1.4826 * (third + 0.5 * step) / np.sqrt(20.0)
+    if len(position) >= 2 * _NEIGHBOURS:
+        spread = np.minimum(spread, _off_cubics(time, position))
     noise: FloatArray = np.maximum(spread, step / np.sqrt(12.0))
     return noise
+
+
+def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
+    """(joints,) deviation of samples from cubics, one through every few neighbours."""
+    count = len(time) // _NEIGHBOURS
+    inside = slice(0, count * _NEIGHBOURS)
+    windows = time[inside].reshape(count, _NEIGHBOURS)
+    middle = 0.5 * (windows[:, :1] + windows[:, -1:])
+    half = np.maximum(0.5 * (windows[:, -1:] - windows[:, :1]), 1e-12)
+    powers = ((windows - middle) / half)[..., None] ** np.arange(_CUBIC)
+    basis, _ = np.linalg.qr(powers)
+    samples = position[inside].reshape(count, _NEIGHBOURS, -1)
+    off = samples - basis @ (basis.transpose(0, 2, 1) @ samples)
+    free = _NEIGHBOURS - _CUBIC
+    spread: FloatArray = np.sqrt(np.median((off**2).sum(axis=1), axis=0) / free)
+    return spread
 
 
 def _quantum(values: FloatArray) -> float:

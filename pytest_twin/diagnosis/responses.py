@@ -102,24 +102,26 @@ def simulated(
     problem: Problem,
     terms: Sequence[Term],
     segments: NDArray[np.int64],
+    hypothesis: Hypothesis,
     residual: FloatArray,
 ) -> list[Response]:
     """Responses by simulation: every candidate at one size, the closest at all of theirs.
 
     Args:
         problem: what to explain.
-        terms: candidates.
+        terms: candidates, none of them in the hypothesis.
         segments: on which.
+        hypothesis: the best so far.
         residual: (bins, signals) that they are to explain.
     """
     sizes = {t: grid(t) for t in terms}
     middle = {t: len(s) // 2 for t, s in sizes.items()}
-    found = _simulated(problem, [(t, sizes[t][middle[t]]) for t in terms], segments)
+    found = _simulated(problem, [(t, sizes[t][middle[t]]) for t in terms], segments, hypothesis)
     weight = 1.0 / (np.mean(residual**2, axis=0) + problem.signal_floor**2)
     order = sorted(found, key=lambda r: -_explained(r.change, residual, weight))
     closest = [r.term for r in order[:_CLOSEST]]
     rest = [(t, s) for t in closest for k, s in enumerate(sizes[t]) if k != middle[t]]
-    return found + _simulated(problem, rest, segments)
+    return found + _simulated(problem, rest, segments, hypothesis)
 
 
 def _explained(change: FloatArray, residual: FloatArray, weight: FloatArray) -> float:
@@ -134,16 +136,17 @@ def _simulated(
     problem: Problem,
     sizes: Sequence[tuple[Term, tuple[FloatArray, tuple[int, ...]]]],
     segments: NDArray[np.int64],
+    hypothesis: Hypothesis,
 ) -> list[Response]:
     """Responses at given sizes, all in one batch."""
     if not sizes:
         return []
-    rows: list[Hypothesis] = [EMPTY]
+    rows: list[Hypothesis] = [hypothesis]
     plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
     for term, (full, switches) in sizes:
         plan.append((term, full, switches))
         for s in switches:
-            rows.append(Hypothesis((term,), _alone(full, switches, s)))
+            rows.append(hypothesis.with_term(term, _alone(full, switches, s)))
     binned = bins(problem, segments)
     found = [binned.mean(r) for r in problem.residuals(rows, segments)]
     at, out = 1, []
@@ -198,7 +201,8 @@ def responses(
     """
     if residual is None:
         residual = problem.residuals([hypothesis], segments)[0]
-    return answered(linearized(problem, segments, hypothesis), problem, terms, segments, residual)
+    linear = linearized(problem, segments, hypothesis)
+    return answered(linear, problem, terms, segments, hypothesis, residual)
 
 
 def answered(
@@ -206,12 +210,13 @@ def answered(
     problem: Problem,
     terms: Sequence[Term],
     segments: NDArray[np.int64],
+    hypothesis: Hypothesis,
     residual: FloatArray,
 ) -> tuple[list[Response], FloatArray]:
     """As :func:`responses`, around a hypothesis that is linearized already."""
     if linear is None:
         left = bins(problem, segments).mean(residual)
-        return simulated(problem, terms, segments, left), left
+        return simulated(problem, terms, segments, hypothesis, left), left
     return linear.responses(terms), linear.residual(residual)
 
 
@@ -549,6 +554,7 @@ class Linear:
             for k, c in enumerate(columns):
                 if c.direct is not None:
                     stacked[:, :, k] += c.direct[i]
+            stacked[:, joints:] = self.problem.trusted(int(s), stacked[:, joints:])
             if i in self.starts:
                 stacked[:, :joints] = self.starts[i].freed_columns(stacked[:, :joints])
             parts.append(stacked)

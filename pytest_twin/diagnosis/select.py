@@ -10,6 +10,7 @@ stand in its place.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -36,11 +37,12 @@ _CLEAR = 30.0
 _FAR = 100.0
 _POLISH, _MOST_CLOSE, _ATTEMPTS = 3, 2, 3
 _QUICK, _FAIR, _LONG = 2, 4, 8
-# Floors that the best leaves along the motion beyond which single terms are scanned by simulation,
-# and how many of them are kept.
-_FIRST_ORDER, _SCANNED = 10.0, 3
-# Replays of all recordings that a search may take: what needs more has no law in the catalogue.
-_MOST_REPLAYS = 300
+# Single terms are scanned by simulation where the mismatch is more floors than this and the best
+# along the motion is no single term that leaves few; and how many of them are kept.
+_FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
+# Replays of all recordings that a search may take, more for every term that was found, and at most:
+# what needs more has no law in the catalogue.
+_MOST_REPLAYS, _MORE_REPLAYS, _ALL_REPLAYS = 300, 60, 600
 # Floors that taking a term away leaves, beyond which the nearest rivals are simulated anyhow.
 _FAR_APART = 30.0
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many; share
@@ -48,10 +50,13 @@ _FAR_APART = 30.0
 _IN_FRONT, _FRONT = 150.0, 4
 _NECK = 0.05
 _ROUGH_ROUNDS = 2
+# Terms that act on one joint and may be a crowd in the place of fewer.
+_CROWD = 3
 # Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many.
 _EARNS = 5.0
-# Structures this share of the evidence behind the first are as good.
-_AS_GOOD = 0.01
+# Structures this share of the evidence behind the first are as good; with fewer names they have
+# to have this share of it.
+_AS_GOOD, _NAME_BUYS = 0.01, 0.8
 # A name must take away this share of what still stands above the floor at some joint, and this
 # share of what the nominal model left there: less is the simulator's own imperfection.
 _SHARE_OF_REST = 0.1
@@ -121,6 +126,8 @@ class Selection:
         self.say = say
         self.has_held = bool(len(problem.held_out))
         self.name_price = 0.0
+        self.regrown = 0
+        self.first: tuple[Term, ...] | None = None
 
     def run(self) -> Selected:
         """Search forward, backward and sideways."""
@@ -130,26 +137,55 @@ class Selection:
         tried = len(candidates(problem))
         self.name_price = name_price(tried)
         selected = Selected(nominal, nominal, tried=tried)
+        self._grow(selected)
+        return self._regrown(selected)
+
+    def _grow(self, selected: Selected) -> None:
+        """Add, drop and exchange terms until nothing is better."""
         for _ in range(_ROUNDS):
             best = selected.best
             better = None
             if (
                 len(best.hypothesis.terms) < _MAX_TERMS
                 and self._worth_a_search(best)
-                and not self._spent
+                and not self._spent(best)
             ):
                 better = self._forward(best)
             if better is not None:
                 selected.best = self._backward(better)
             elif not self._sideways(selected):
                 break
-        return selected
 
-    @property
-    def _spent(self) -> bool:
-        """Whether as much was simulated as any search may take."""
+    def _regrown(self, selected: Selected) -> Selected:
+        """What is found once more from its strongest term, if that comes to something better.
+
+        Several terms at one joint may hold each other up, and no exchange of one of them leads to
+        the fewer that are right.
+        """
+        terms = selected.best.hypothesis.terms
+        joints = [sum(t.joint in (j, -1) for t in terms) for j in range(len(self.problem.joints))]
+        if max(joints) < _CROWD or self._spent(selected.best):
+            return selected
+        theta, place = selected.best.hypothesis.theta, selected.best.hypothesis.slice_of
+        alone = [Hypothesis((t,), theta[place(t)]) for t in terms]
+        rivals = self._rivals(alone, self._weights(selected.best), _FAIR)
+        self._judge(rivals, selected.nominal)
+        root = max(rivals, key=lambda r: r.evidence)
+        if root.hypothesis.terms == self.first:
+            return selected
+        self.regrown = len(terms)
+        self.say(f"again from {_text(root.hypothesis)}")
+        other = Selected(self._settled(root), selected.nominal, tried=selected.tried)
+        self._grow(other)
+        self._judge([other.best], selected.best)
+        self.say(f"= {_text(other.best.hypothesis)} evidence {other.best.evidence:.1f}")
+        return other if other.best.evidence > 0.0 else selected
+
+    def _spent(self, best: Rival) -> bool:
+        """Whether as much was simulated as a search that found this may take."""
         once = int(self.problem.simulator.steps.sum())
-        return self.problem.stepped > _MOST_REPLAYS * once
+        most = _MOST_REPLAYS + _MORE_REPLAYS * (len(best.hypothesis.terms) + self.regrown)
+        return self.problem.stepped > min(most, _ALL_REPLAYS) * once
 
     # -- evidence
 
@@ -226,7 +262,9 @@ class Selection:
         named = set(best.hypothesis.terms)
         terms = [t for t in candidates(problem) if t not in named]
         linear = linearized(problem, problem.fit, best.hypothesis)
-        found, left = answered(linear, problem, terms, problem.fit, best.fitted.residual)
+        found, left = answered(
+            linear, problem, terms, problem.fit, best.hypothesis, best.fitted.residual
+        )
         view, answers = self._view(best, left), Answers(found)
         if linear is not None and found:
             sharp = sharpened(linear, view, answers, best.hypothesis)
@@ -247,7 +285,7 @@ class Selection:
         """
         look = self._look(best)
         for _ in range(_ATTEMPTS):
-            rivals = [] if self._spent else self._tried(best, look)
+            rivals = [] if self._spent(best) else self._tried(best, look)
             if not rivals:
                 break
             before, unseen = self._unseen(best), self._unseen(self.nominal)
@@ -260,12 +298,8 @@ class Selection:
                 and self._worth_a_name(before, self._unseen(r), unseen)
             ]  # fmt: skip
             if earning:
-                enough = (1.0 - _AS_GOOD) * earning[0].evidence
-                # What is left is never white: of those that are nearly as good, the simplest.
-                top = min(
-                    (r for r in earning if r.evidence >= enough),
-                    key=lambda r: (len(r.hypothesis.terms), r.hypothesis.free, -r.evidence),
-                )
+                top = _simplest(earning)
+                self.first = self.first or top.hypothesis.terms
                 self.say(f"+ {_text(top.hypothesis)} evidence {top.evidence:.1f}")
                 return self._settled(top)
             failed = {t for r in rivals for t in r.hypothesis.terms}
@@ -298,20 +332,34 @@ class Selection:
                 h = h.with_term(term, start)
             starts.append(h)
         starts, left, singles = self._front(look, starts, chosen[0].residual)
-        if (left > (_FIRST_ORDER * look.view.floor) ** 2).any():
-            starts += self._scanned(best, singles, left)
+        if self._bent(look, left, clear=starts[0] in singles):
+            scanned = self._scanned(best, singles, left)
+            alike = {h.terms for h in scanned}
+            starts = [*(h for h in starts if h.terms not in alike), *scanned]
         # What the step costs differs between the model as it came and what explains the rest; of
         # that, the simplest is the least to be wrong.
         self.problem.refine_at(min(starts, key=lambda h: len(h.terms)))
         return self._heats(starts, 1.0 / np.sqrt(left + look.view.floor**2), best)
 
+    @staticmethod
+    def _bent(look: Look, left: FloatArray, *, clear: bool) -> bool:
+        """Whether deviations are so far from small that slopes may lead nowhere.
+
+        Args:
+            left: (signals,) mean square that the best along the motion leaves.
+            clear: whether that is a single term.
+        """
+        floor = look.view.floor
+        if look.linear is None:
+            return bool((left > (_FIRST_ORDER * floor) ** 2).any())
+        whole = np.mean(look.view.residual**2, axis=0)
+        far = bool((whole > (_FIRST_ORDER * floor) ** 2).any())
+        return far and not (clear and bool((left < (_NEARLY * floor) ** 2).all()))
+
     def _scanned(
         self, best: Rival, singles: Sequence[Hypothesis], left: FloatArray
     ) -> list[Hypothesis]:
-        """The best of what single terms do as they are and at all starting sizes, by simulation.
-
-        Where a deviation is far from small, as of an arm that falls, slopes lead nowhere.
-        """
+        """The best of what single terms do as they are and at all starting sizes, by simulation."""
         terms = [h.terms[-1] for h in singles]
         terms += [t for t in self._gears(left) if t not in {*terms, *best.hypothesis.terms}]
         rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
@@ -361,9 +409,9 @@ class Selection:
             )
             if np.isfinite(evidence[i]) and not covered:
                 front.append(int(i))
-        # What acts strongly is only roughly of first order: the best single term is simulated too.
+        # What acts strongly is only roughly of first order: the best single terms are simulated.
         single = [i for i in front if len(polished[i].hypothesis.terms) == fewest]
-        front = [*front[:_FRONT], *(i for i in single[:1] if i not in front[:_FRONT])]
+        front = [*front[:_FRONT], *(i for i in single[:2] if i not in front[:_FRONT])]
         left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
         hypotheses = [p.hypothesis for p in polished]
         singles = [h for h in hypotheses if len(h.terms) == fewest]
@@ -436,13 +484,14 @@ class Selection:
         return [p.hypothesis for p in polished], values[1:] - values[0]
 
     def _backward(self, best: Rival) -> Rival:
-        """Drop terms that do not pay, and laws that a simpler one equals.
+        """Drop terms that do not pay, and laws that fewer or a simpler one equal.
 
         What clearly pays along the motion is not simulated.
         """
         while best.hypothesis.terms:
             terms = best.hypothesis.terms
             doubtful = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
+            doubtful += self._merged(best.hypothesis)
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
             if linear is not None and doubtful:
                 view = self._view(best, linear.residual(best.fitted.residual))
@@ -451,7 +500,7 @@ class Selection:
             doubtful += self._simpler(best.hypothesis)
             if not doubtful:
                 break
-            rivals = self._rivals(doubtful, self._weights(best), _QUICK)
+            rivals = self._rivals(doubtful, self._weights(best), _FAIR)
             self._judge(rivals, best)
             top = max(rivals, key=lambda r: r.evidence)
             if top.evidence < -_EARNS / 2:
@@ -460,6 +509,23 @@ class Selection:
             self.say(f"- {gone} evidence {top.evidence:.1f}")
             best = self._settled(top)
         return best
+
+    def _merged(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """The hypothesis with two terms of a joint as one of them that has the other in it, or as
+        the one law that is confused with both.
+        """
+        out = []
+        terms = [t for t in hypothesis.terms if t.joint >= 0]
+        for a, b in itertools.combinations(terms, 2):
+            if a.joint != b.joint:
+                continue
+            out += [h for h in (hypothesis.absorbed(a, b), hypothesis.absorbed(b, a)) if h]
+            for new in candidates(self.problem):
+                both = {a.effect, b.effect} <= set(new.law.confused_with)
+                if both and new.joint == a.joint and new not in hypothesis.terms:
+                    (start, _), *_ = grid(new)
+                    out.append(hypothesis.without(a).without(b).with_term(new, start))
+        return out
 
     def _simpler(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """The hypothesis with one of its laws as the special case that it comes to."""
@@ -531,7 +597,7 @@ class Selection:
         for term in far:
             nearest = [i for i in order if places[i][0] == term and places[i][1] is not None]
             close += [i for i in nearest[:_MOST_CLOSE] if i not in close]
-        close = [] if self._spent else close
+        close = [] if self._spent(best) else close
         rivals = self._rivals([others[i] for i in close], self._weights(best), _FAIR)
         self._judge(rivals, best)
         evidence = {place: float(value) for place, value in zip(places, found, strict=True)}
@@ -552,6 +618,21 @@ class Selection:
                 selected.best = self._backward(self._settled(top))
                 return True
         return False
+
+
+def _simplest(earning: Sequence[Rival]) -> Rival:
+    """The rival to go on from; ``earning`` by evidence, best first.
+
+    What is left is never white: a name more, or a parameter more, follows anything a little better.
+    A name that was needed after all is found in the next round.
+    """
+    first = earning[0].evidence
+    fewest = min(len(r.hypothesis.terms) for r in earning if r.evidence >= _NAME_BUYS * first)
+    alike = [r for r in earning if len(r.hypothesis.terms) == fewest]
+    enough = min((1.0 - _AS_GOOD) * alike[0].evidence, alike[0].evidence - _EARNS)
+    return min(
+        (r for r in alike if r.evidence >= enough), key=lambda r: (r.hypothesis.free, -r.evidence)
+    )
 
 
 def _text(h: Hypothesis) -> str:

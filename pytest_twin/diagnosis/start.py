@@ -123,6 +123,18 @@ def _start_variance(segment: Segment, noise: FloatArray, width: float) -> FloatA
     basis = np.vander(t, 4, increasing=True)
     covariance = np.linalg.inv(basis.T @ basis)
     spread = np.array([covariance[0, 0], covariance[1, 1] / (width / 2) ** 2])
-    variance: FloatArray = np.outer(spread, noise**2).ravel()
+    variance: FloatArray = np.outer(spread, noise**2 * _bent(segment, noise, width)).ravel()
     # A cubic bends less than a motion that reverses: leave the start more room than noise alone.
     return 4.0 * variance
+
+
+def _bent(segment: Segment, noise: FloatArray, width: float) -> FloatArray:
+    """(joints,) by how many times the noise's variance samples after a start are off cubics."""
+    if segment.history is None:
+        return np.ones(len(noise))
+    time, smooth, _ = segment.history
+    near = segment.time <= segment.start + width
+    line = np.stack([np.interp(segment.time[near], time, s) for s in smooth.T], axis=1)
+    off = np.mean((segment.position[near] - line) ** 2, axis=0)
+    square: FloatArray = np.maximum(off / noise**2, 1.0)
+    return square

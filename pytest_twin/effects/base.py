@@ -200,6 +200,21 @@ class Effect:
         """Laws with fewer parameters that this one comes to: effect id -> its parameters, SI."""
         return {}
 
+    def holds(self, effect: str) -> Mapping[str, str]:
+        """Which parameters of this law take up another's, where that adds nothing to it."""
+        return {}
+
+    def coordinates(self, parameters: FloatArray) -> FloatArray:
+        """Numbers in which the motion bends less than in the parameters: a fit steps in them.
+
+        Both are (parameters,), in multiples of references.
+        """
+        return parameters
+
+    def from_coordinates(self, coordinates: FloatArray) -> FloatArray:
+        """The inverse of ``coordinates``."""
+        return coordinates
+
     def command_delay(self, values: Values) -> FloatArray | None:
         """Latency of the command, (rows, joints) s."""
         return None

@@ -28,6 +28,9 @@ class _DryFriction(Effect):
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"coulomb_friction": {"coulomb": values[self.level]}}
 
+    def holds(self, effect: str) -> Mapping[str, str]:
+        return {"coulomb": self.level} if effect == "coulomb_friction" else {}
+
 
 class ViscousFriction(Effect):
     """Effort in proportion to velocity."""

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Parameter, Values
 
 
 class Payload(Effect):
@@ -26,6 +26,16 @@ class Payload(Effect):
         "torque_constant": "the same motion with a known mass added",
         "base_tilt": "poses on both sides of the vertical",
     }
+
+    def coordinates(self, parameters: FloatArray) -> FloatArray:
+        """First moment and distance: weight follows the one, inertia their product."""
+        mass, distance = parameters
+        return np.array([mass * distance, distance])
+
+    def from_coordinates(self, coordinates: FloatArray) -> FloatArray:
+        """Mass and distance; a mass at no distance has no moment."""
+        moment, distance = coordinates
+        return np.array([moment / distance if distance else 0.0, distance])
 
     def fields(self, fields: ModelFields, values: Values) -> None:
         # A robot's parameter stands in every joint's column; the mass sits on the last link.

@@ -138,3 +138,18 @@ def test_a_stiff_servo_is_not_a_loud_effort_sensor(tmp_path: Path) -> None:
     assert trial.effort is not None
     jumps = np.abs(np.diff(trial.effort[:, 0])).max()
     assert 0.015 < floor[0] < 0.05 * jumps
+
+
+@pytest.mark.parametrize(("scale", "stands"), [(1.0, False), (0.8, True)])
+def test_a_scale_of_efforts_stands_out_among_jumps(
+    tmp_path: Path, scale: float, stands: bool
+) -> None:
+    """Samples beside jumps say little, those between them tell a fifth."""
+    steps = np.repeat(np.random.default_rng(1).uniform(-0.2, 0.2, 30), 10)
+    trial = trial_of(tmp_path, POSITION, steps)
+    assert trial.effort is not None
+    problem = prepared(tmp_path, replace(trial, effort=scale * trial.effort)).problem
+    assert problem.effort_floor is not None
+    off = problem.residuals([EMPTY], problem.fit)[0][:, 1]
+    level = float(np.sqrt(np.mean(off**2))) / problem.effort_floor[0]
+    assert bool(level > 2.0) is stands, level

@@ -1,0 +1,64 @@
+"""How loud sensors are, told from their samples alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_twin.diagnosis.prepare import _edges
+from pytest_twin.diagnosis.problem import sensor_noise
+from pytest_twin.effects.base import FloatArray
+
+SAMPLES, INTERVAL, COUNT = 1200, 0.01, 2.0 * np.pi / 4096
+
+
+def swing(time: FloatArray, amplitude: float) -> FloatArray:
+    return np.asarray(amplitude * np.sin(2.0 * np.pi * 0.7 * time))
+
+
+@given(
+    noise=st.floats(5e-5, 2e-3),
+    amplitude=st.floats(0.02, 1.0),
+    jitter=st.floats(0.0, 0.2),
+    seed=st.integers(0, 1000),
+)
+def test_noise_and_counts_add_up(noise: float, amplitude: float, jitter: float, seed: int) -> None:
+    """A coarse encoder, irregular sampling, slow and fast motion: the deviation stays the same."""
+    random = np.random.default_rng(seed)
+    time = INTERVAL * (np.arange(SAMPLES) + jitter * random.uniform(-0.5, 0.5, SAMPLES))
+    read = swing(time, amplitude) + noise * random.standard_normal(SAMPLES)
+    counted = COUNT * np.round(read / COUNT)
+    truth = float(np.sqrt(np.mean((counted - swing(time, amplitude)) ** 2)))
+    assert sensor_noise(time, counted[:, None])[0] == pytest.approx(truth, rel=0.25)
+
+
+def test_what_moves_fast_is_not_noise() -> None:
+    """A motion that no cubic follows over fifteen samples: third differences still do."""
+    random = np.random.default_rng(0)
+    time = INTERVAL * np.arange(SAMPLES)
+    fast = np.sin(2.0 * np.pi * 4.0 * time) + 1e-3 * random.standard_normal(SAMPLES)
+    assert sensor_noise(time, fast[:, None])[0] < 5e-3
+
+
+def test_too_few_samples_have_a_noise_too() -> None:
+    random = np.random.default_rng(1)
+    time = INTERVAL * np.arange(20)
+    few = 1e-3 * random.standard_normal((20, 1))
+    assert 3e-4 < sensor_noise(time, few)[0] < 3e-3
+
+
+def test_windows_begin_where_nothing_jumps() -> None:
+    """A kink of the motion in the middle of where a window would begin."""
+    time = INTERVAL * np.arange(301)
+    random = np.random.default_rng(2)
+    off = 1e-4 * random.standard_normal((301, 1))
+    beside = np.abs(time - 0.5) < 0.06
+    off[beside] += 1e-2
+    edges = _edges(time, off, 0.5)
+    assert len(edges) == 7
+    assert (np.diff(edges) > 0.2).all()
+    assert abs(edges[1] - 0.5) > 0.06
+    assert edges[0] == 0.0
+    assert edges[-1] == pytest.approx(time[-1])

@@ -1,0 +1,72 @@
+"""In which coordinates a fit steps, and which terms are one law."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_first_order import ELBOW, SHOULDER, problem_of
+
+from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.select import Selection
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import Effect
+
+PAYLOAD = Term("payload", -1)
+
+
+@given(st.floats(-0.9, 20.0), st.floats(0.05, 4.0))
+def test_coordinates_of_a_payload_and_back(mass: float, distance: float) -> None:
+    law = catalogue()["payload"]
+    there = law.coordinates(np.array([mass, distance]))
+    assert there == pytest.approx([mass * distance, distance])
+    assert law.from_coordinates(there) == pytest.approx([mass, distance])
+
+
+def test_a_payload_is_found_from_along_its_valley(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mass and distance of the same moment: what first order takes for it, inertia far off."""
+    problem = problem_of("position", {PAYLOAD: {"mass": 0.6, "distance": 0.25}})
+    scales = [problem.scales.value(p, 0) for p in PAYLOAD.parameters]
+    truth = np.array([0.6, 0.25]) / scales
+    start = truth * [0.5, 2.0]
+    weights = 1.0 / problem.signal_floor
+
+    def cost() -> float:
+        started = [EMPTY.with_term(PAYLOAD, start)]
+        return fit(problem, started, weights, problem.fit, iterations=4)[0].cost
+
+    assert cost() < 2.0
+    law = type(catalogue()["payload"])
+    monkeypatch.setattr(law, "coordinates", Effect.coordinates)
+    monkeypatch.setattr(law, "from_coordinates", Effect.from_coordinates)
+    assert cost() > 100.0
+
+
+def test_one_law_takes_up_another_that_is_in_it() -> None:
+    """Coulomb friction beside Stribeck friction is Stribeck friction: the same levels."""
+    plain, rich = Term("coulomb_friction", ELBOW), Term("stribeck_friction", ELBOW)
+    both = Hypothesis((plain, rich), np.array([0.7, -0.4, 0.5, 0.2]))
+    one = both.absorbed(plain, rich)
+    assert one is not None
+    assert one.terms == (rich,)
+    assert one.theta == pytest.approx([0.3, 0.5, 0.2])
+    assert both.absorbed(rich, plain) is None
+
+
+def test_two_terms_that_one_law_is_confused_with_are_offered_as_that() -> None:
+    """A drive with less torque and more damping may be a servo with other gains."""
+    problem = problem_of("position", {Term("controller_gain", SHOULDER): {
+        "stiffness_error": -0.3, "damping_error": 0.2}})  # fmt: skip
+    pair = (Term("torque_constant", SHOULDER), Term("viscous_friction", SHOULDER))
+    offered = Selection(problem)._merged(Hypothesis(pair, np.array([-0.3, 0.1])))
+    assert (Term("controller_gain", SHOULDER),) in [h.terms for h in offered]
+    apart = (Term("torque_constant", SHOULDER), Term("viscous_friction", ELBOW))
+    assert not Selection(problem)._merged(Hypothesis(apart, np.array([-0.3, 0.1])))
+
+
+def test_other_laws_step_in_their_own_parameters() -> None:
+    for law in catalogue().values():
+        start = np.array([p.starts[0] for p in law.parameters])
+        assert law.from_coordinates(law.coordinates(start)) == pytest.approx(start)
