@@ -42,7 +42,7 @@ _QUICK, _FAIR, _LONG = 2, 4, 8
 _FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
 # Replays of all recordings that a search may take, more for every term that was found, and at most:
 # what needs more has no law in the catalogue.
-_MOST_REPLAYS, _MORE_REPLAYS, _ALL_REPLAYS = 300, 60, 600
+_MOST_REPLAYS, _MORE_REPLAYS, _ALL_REPLAYS = 300, 50, 450
 # Floors that taking a term away leaves, beyond which the nearest rivals are simulated anyhow.
 _FAR_APART = 30.0
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many; share
