@@ -16,7 +16,8 @@ from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
 from pytest_twin.diagnosis.patched import AppliedEffect, Patched
 from pytest_twin.diagnosis.patched_replay import fixed_values, stepped_beside, without_delays
 from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
-from pytest_twin.diagnosis.select import Selected, Selection
+from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
 from pytest_twin.effects.base import FloatArray

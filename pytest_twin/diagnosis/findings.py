@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.locate import Where, blame_windows, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.select import Selected
+from pytest_twin.diagnosis.rivals import Selected
 from pytest_twin.diagnosis.verdict import STANDS_OUT, JointError
 from pytest_twin.effects.base import FloatArray, Parameter
 from pytest_twin.trial import Trial

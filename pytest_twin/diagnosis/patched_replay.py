@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.diagnosis.patched import AppliedEffect, Patched
-from pytest_twin.diagnosis.prepare import segments_of
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
+from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import EffectValues, Predicted, RowSimulator, Segment

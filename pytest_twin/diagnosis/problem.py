@@ -15,8 +15,6 @@ from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
 
 _REMEMBERED = 4
-# Samples that a cubic is fitted to, and its coefficients, where noise is measured.
-_NEIGHBOURS, _CUBIC = 15, 4
 REFINE = 4
 """How much finer the step is by which the error of the model's own is measured."""
 
@@ -189,53 +187,6 @@ class Problem:
     def lengths(self, segments: NDArray[np.int64]) -> list[int]:
         """Samples of each segment."""
         return [len(self.simulator.segments[s].time) for s in segments]
-
-
-def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
-    """(joints,) standard deviation of noise and quantization of (n, joints) samples at (n,) s.
-
-    Two filters take out what is smooth, third differences and cubics through neighbours in time;
-    each knows what it leaves of white noise. Fast motion gets through the second; the steps of a
-    coarse encoder and irregular sampling are blown up by the first: the lesser is right. Medians
-    keep reversals and impacts out.
-    """
-    step = np.array([_quantum(position[:, j]) for j in range(position.shape[1])])
-    third = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
-    # A median of counts is known to half a count.
-    spread = 1.4826 * (third + 0.5 * step) / np.sqrt(20.0)
-    if len(position) >= 2 * _NEIGHBOURS:
-        spread = np.minimum(spread, _off_cubics(time, position))
-    noise: FloatArray = np.maximum(spread, step / np.sqrt(12.0))
-    return noise
-
-
-def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
-    """(joints,) deviation of samples from cubics, one through every few neighbours."""
-    count = len(time) // _NEIGHBOURS
-    inside = slice(0, count * _NEIGHBOURS)
-    windows = time[inside].reshape(count, _NEIGHBOURS)
-    middle = 0.5 * (windows[:, :1] + windows[:, -1:])
-    half = np.maximum(0.5 * (windows[:, -1:] - windows[:, :1]), 1e-12)
-    powers = ((windows - middle) / half)[..., None] ** np.arange(_CUBIC)
-    basis, _ = np.linalg.qr(powers)
-    samples = position[inside].reshape(count, _NEIGHBOURS, -1)
-    off = samples - basis @ (basis.transpose(0, 2, 1) @ samples)
-    free = _NEIGHBOURS - _CUBIC
-    spread: FloatArray = np.sqrt(np.median((off**2).sum(axis=1), axis=0) / free)
-    return spread
-
-
-def _quantum(values: FloatArray) -> float:
-    """The step of a quantized signal, or 0 where it is not quantized."""
-    levels = np.unique(values)
-    if len(levels) < 3:
-        return 0.0
-    gaps = np.diff(levels)
-    smallest = float(np.quantile(gaps, 0.05))
-    if smallest <= 0.0:
-        return 0.0
-    off = gaps / smallest
-    return smallest if np.abs(off - np.round(off)).mean() < 0.02 else 0.0
 
 
 def nominal_replay(simulator: RowSimulator) -> list[Predicted]:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_twin.diagnosis.prepare import _edges
-from pytest_twin.diagnosis.problem import sensor_noise
+from pytest_twin.diagnosis.noise import sensor_noise
+from pytest_twin.diagnosis.windows import edges_of
 from pytest_twin.effects.base import FloatArray
 
 SAMPLES, INTERVAL, COUNT = 1200, 0.01, 2.0 * np.pi / 4096
@@ -56,7 +56,7 @@ def test_windows_begin_where_nothing_jumps() -> None:
     off = 1e-4 * random.standard_normal((301, 1))
     beside = np.abs(time - 0.5) < 0.06
     off[beside] += 1e-2
-    edges = _edges(time, off, 0.5)
+    edges = edges_of(time, off, 0.5)
     assert len(edges) == 7
     assert (np.diff(edges) > 0.2).all()
     assert abs(edges[1] - 0.5) > 0.06

@@ -9,12 +9,13 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis import select
+from pytest_twin.diagnosis import contest
 from pytest_twin.diagnosis.findings import explain
 from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.diagnosis.select import Rival, Selected, Selection
+from pytest_twin.diagnosis.rivals import Rival, Selected
+from pytest_twin.diagnosis.select import Selection
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 
@@ -66,8 +67,27 @@ def test_a_search_ends_when_its_replays_are_spent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     prepared, _ = bench(tmp_path, delay=0.02)
-    monkeypatch.setattr(select, "_MOST_REPLAYS", 0)
+    monkeypatch.setattr(contest, "_MOST_REPLAYS", 0)
     stepped = prepared.problem.stepped
     selected = Selection(prepared.problem).run()
     assert not selected.best.hypothesis.terms
     assert prepared.problem.stepped - stepped < 10 * prepared.problem.simulator.steps.sum()
+
+
+def test_what_moves_the_prediction_most_without_it_comes_first(tmp_path: Path) -> None:
+    """Much friction on one pendulum, a short delay on the other, named the other way round."""
+    prepared, trials = bench(tmp_path, viscous=0.6, delay=0.002)
+    problem = prepared.problem
+    terms = (Term("command_delay", 0), Term("viscous_friction", 0))
+    hypothesis = EMPTY
+    for term in terms:
+        hypothesis = hypothesis.with_term(term, np.array([term.parameters[0].starts[0]]))
+    weights = 1.0 / problem.signal_floor
+    fitted = fit(problem, [hypothesis], weights, problem.fit, iterations=12)[0]
+    best = Rival(fitted, problem.residuals([fitted.hypothesis], problem.held_out)[0])
+    bare = fit(problem, [EMPTY], weights, problem.fit, iterations=0)[0]
+    nominal = Rival(bare, problem.residuals([EMPTY], problem.held_out)[0])
+    selected = Selected(best, nominal, confidence=dict.fromkeys(terms, 1.0))
+    found = explain(prepared, selected, trials).findings
+    assert [f.effect for f in found] == ["viscous_friction", "command_delay"]
+    assert found[0].stands > 2.0 * found[1].stands > 0.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from test_first_order import ELBOW, SHOULDER, problem_of
 
+from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.responses import bins, linearized
 from pytest_twin.diagnosis.screen import Answers, Lens, View, candidates
@@ -66,10 +67,8 @@ def test_a_curve_without_a_slope_is_a_saturation() -> None:
     curve, flat = Term("torque_speed_limit", SHOULDER), Term("torque_saturation", SHOULDER)
     stall = 4.0 / problem.scales.value(curve.parameters[1], SHOULDER)
     selection = Selection(problem)
-    selection.nominal = selection._rivals([EMPTY], np.ones(2), 0)[0]
-    selection.name_price = 4.0
     general = Hypothesis((curve,), np.array([1e-4, stall]))
-    rival = selection._rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
+    rival = selection.contest.rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
     found = selection._backward(rival).hypothesis
     assert found.terms == (flat,)
     limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))
@@ -80,9 +79,8 @@ def test_a_choice_is_no_parameter_of_a_fit() -> None:
     term = Term("encoder_bias", SHOULDER)
     assert term.free == 1
     problem = problem_of("position", {term: {"bias": 0.05, "in_loop": 1.0}})
-    selection = Selection(problem)
     start = EMPTY.with_term(term, np.array([0.01, 1.0]))
-    fitted = selection._rivals([start], np.ones(2) / problem.floor, 6, slopes=True)[0]
+    fitted = fit(problem, [start], 1.0 / problem.floor, problem.fit, iterations=6)[0]
     assert fitted.hypothesis.theta[1] == 1.0
     bias = fitted.hypothesis.theta[0] * problem.scales.value(term.parameters[0], SHOULDER)
     assert bias == pytest.approx(0.05, rel=0.1)

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_first_order import ELBOW, SHOULDER, problem_of
 
+from pytest_twin.diagnosis.fewer import merged
 from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.select import Selection
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect
 
@@ -60,10 +60,10 @@ def test_two_terms_that_one_law_is_confused_with_are_offered_as_that() -> None:
     problem = problem_of("position", {Term("controller_gain", SHOULDER): {
         "stiffness_error": -0.3, "damping_error": 0.2}})  # fmt: skip
     pair = (Term("torque_constant", SHOULDER), Term("viscous_friction", SHOULDER))
-    offered = Selection(problem)._merged(Hypothesis(pair, np.array([-0.3, 0.1])))
+    offered = merged(problem, Hypothesis(pair, np.array([-0.3, 0.1])))
     assert (Term("controller_gain", SHOULDER),) in [h.terms for h in offered]
     apart = (Term("torque_constant", SHOULDER), Term("viscous_friction", ELBOW))
-    assert not Selection(problem)._merged(Hypothesis(apart, np.array([-0.3, 0.1])))
+    assert not merged(problem, Hypothesis(apart, np.array([-0.3, 0.1])))
 
 
 def test_other_laws_step_in_their_own_parameters() -> None:

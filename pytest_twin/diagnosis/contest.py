@@ -1,0 +1,158 @@
+"""Where rivals meet: fitted side by side by simulation, and judged by evidence.
+
+Log-likelihood on the fit recordings less half a log of the effective samples for each parameter
+(Schwarz 1978), plus log-likelihood on recordings that no fit has seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
+from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.rivals import Rival
+from pytest_twin.diagnosis.screen import candidates, name_price, price
+from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.effects.base import FloatArray
+
+QUICK, FAIR, _LONG = 2, 4, 8
+"""Iterations of a fit that ranks, and of one that decides."""
+# Rivals that stay in the race after one iteration: evidence behind the first, and how many; share
+# of the first one's evidence within which they are judged once more.
+_IN_FRONT, FRONT = 150.0, 4
+_NECK = 0.05
+_ROUGH_ROUNDS = 2
+# Replays of all recordings that a search may take, more for every term that was found, and at most:
+# what needs more has no law in the catalogue.
+_MOST_REPLAYS, _MORE_REPLAYS, _ALL_REPLAYS = 300, 50, 450
+# A name must take away this share of what still stands above the floor at some joint, and this
+# share of what the nominal model left there: less is the simulator's own imperfection.
+_SHARE_OF_REST = 0.1
+_SHARE_OF_ALL = 0.003
+
+
+class Contest:
+    """All fits of one search.
+
+    Attributes:
+        problem: what to explain.
+        has_held: whether there are recordings that no fit sees.
+        tried: effects at joints that compete.
+        name_price: evidence that a name has to earn, drawn from so many.
+        nominal: the model as it came.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.has_held = bool(len(problem.held_out))
+        self.tried = len(candidates(problem))
+        self.name_price = name_price(self.tried)
+        self.nominal = self.rivals([EMPTY], np.ones(len(problem.signal_floor)), 0)[0]
+
+    def weights(self, rival: Rival) -> FloatArray:
+        """(signals,) reciprocal deviations of what a rival leaves."""
+        mean_square = np.mean(rival.fitted.residual**2, axis=0)
+        weights: FloatArray = 1.0 / np.sqrt(mean_square + self.problem.signal_floor**2)
+        return weights
+
+    def rivals(
+        self,
+        starts: Sequence[Hypothesis],
+        weights: FloatArray,
+        iterations: int,
+        *,
+        slopes: bool = False,
+    ) -> list[Rival]:
+        """Hypotheses fitted by so many iterations, and what they leave of what no fit sees."""
+        problem = self.problem
+        fitted = fit(problem, starts, weights, problem.fit, iterations=iterations, slopes=slopes)
+        if self.has_held:
+            held = problem.residuals([f.hypothesis for f in fitted], problem.held_out)
+        else:
+            held = [np.zeros((0, len(problem.signal_floor)))] * len(fitted)
+        return [Rival(f, h) for f, h in zip(fitted, held, strict=True)]
+
+    def judge(self, rivals: Sequence[Rival], against: Rival, under: Rival | None = None) -> None:
+        """Evidence of ``rivals`` over ``against``, by the effective samples of ``under``."""
+        problem, floor = self.problem, self.problem.signal_floor
+        under = against if under is None else under
+        fit_n = effective_samples(under.fitted.residual, problem.lengths(problem.fit))
+        base = log_likelihood(against.fitted.residual, floor, fit_n)
+        cost = price(fit_n)
+        if self.has_held:
+            held_n = effective_samples(under.held_residual, problem.lengths(problem.held_out))
+            held_base = log_likelihood(against.held_residual, floor, held_n)
+        for r in rivals:
+            more = r.hypothesis.free - against.hypothesis.free
+            names = len(r.hypothesis.terms) - len(against.hypothesis.terms)
+            r.evidence = log_likelihood(r.fitted.residual, floor, fit_n) - base
+            r.evidence -= cost * more + self.name_price * names
+            if self.has_held:
+                r.held_gain = log_likelihood(r.held_residual, floor, held_n) - held_base
+                r.evidence += r.held_gain
+
+    def unseen(self, rival: Rival) -> FloatArray:
+        """(signals,) mean square on what no fit has seen, where there is such a thing."""
+        residual = rival.held_residual if self.has_held else rival.fitted.residual
+        mean_square: FloatArray = np.mean(residual**2, axis=0)
+        return mean_square
+
+    def worth_a_search(self, rival: Rival) -> bool:
+        """Whether any joint has left what would be worth a name if all of it went."""
+        floor = self.problem.signal_floor**2
+        fit = np.mean(rival.fitted.residual**2, axis=0)
+        left = np.maximum(self.unseen(rival), fit)
+        least = np.where(left > STANDS_OUT**2 * floor, floor, left)
+        whole = np.maximum(
+            self.unseen(self.nominal), np.mean(self.nominal.fitted.residual**2, axis=0)
+        )
+        return self.worth_a_name(left, least, whole)
+
+    def worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:
+        """Whether mean squares (signals,) fall by enough; ``whole`` of the model as it came."""
+        floor = self.problem.signal_floor**2
+        gone = before - after
+        rest = np.maximum(before - floor, 0.2 * floor)
+        all_of_it = np.maximum(whole - floor, 0.2 * floor)
+        return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * all_of_it)).any())
+
+    def heats(self, starts: Sequence[Hypothesis], weights: FloatArray, best: Rival) -> list[Rival]:
+        """Rivals by evidence over ``best``: all after one iteration, those in front after more."""
+        rivals = self.rivals(starts, weights, 1)
+        self.judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
+        rivals.sort(key=lambda r: -r.evidence)
+        front = [r for r in rivals if r.evidence > rivals[0].evidence - _IN_FRONT][:FRONT]
+        again = self.rivals([r.hypothesis for r in front], weights, QUICK)
+        rivals[: len(front)] = again
+        self.judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
+        rivals.sort(key=lambda r: -r.evidence)
+        contenders = [r for r in rivals if r.evidence > (1.0 - _NECK) * rivals[0].evidence > 0.0]
+        if len(contenders) > 1:
+            # Neck and neck they are judged where the simulator's step is corrected for them.
+            self.problem.refine_at(rivals[0].hypothesis)
+            again = self.rivals([r.hypothesis for r in contenders], weights, QUICK)
+            rivals[: len(contenders)] = again
+            self.judge(again, best, min(again, key=lambda r: r.fitted.cost))
+        return sorted(rivals, key=lambda r: -r.evidence)
+
+    def settled(self, rival: Rival) -> Rival:
+        """The rival fitted to the end, with the simulator's step corrected where it now stands."""
+        # Where impacts fall between steps depends on the parameters themselves.
+        for _ in range(_ROUGH_ROUNDS if rival.hypothesis.rough else 1):
+            self.problem.refine_at(rival.hypothesis)
+            settled = self.rivals([rival.hypothesis], self.weights(rival), _LONG, slopes=True)[0]
+            if not np.isfinite(settled.held_residual).all():
+                # A fit that diverges on what it has not seen is none: stay where it did not.
+                return self.rivals([rival.hypothesis], self.weights(rival), 0, slopes=True)[0]
+            rival = settled
+        return rival
+
+    def spent(self, names: int) -> bool:
+        """Whether as much was simulated as a search that found so many may take."""
+        once = int(self.problem.simulator.steps.sum())
+        most = _MOST_REPLAYS + _MORE_REPLAYS * names
+        return self.problem.stepped > min(most, _ALL_REPLAYS) * once

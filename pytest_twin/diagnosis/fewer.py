@@ -1,0 +1,50 @@
+"""The same physics in fewer words: two terms as one law, a law as the simpler one it comes to."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.responses import grid
+from pytest_twin.diagnosis.screen import candidates
+
+
+def merged(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with two terms of a joint as one of them that has the other in it, or as
+    the one law that is confused with both.
+    """
+    out = []
+    terms = [t for t in hypothesis.terms if t.joint >= 0]
+    for a, b in itertools.combinations(terms, 2):
+        if a.joint != b.joint:
+            continue
+        out += [h for h in (hypothesis.absorbed(a, b), hypothesis.absorbed(b, a)) if h]
+        for new in candidates(problem):
+            both = {a.effect, b.effect} <= set(new.law.confused_with)
+            if both and new.joint == a.joint and new not in hypothesis.terms:
+                (start, _), *_ = grid(new)
+                out.append(hypothesis.without(a).without(b).with_term(new, start))
+    return out
+
+
+def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with one of its laws as the special case that it comes to."""
+    scales, out = problem.scales, []
+    for term in hypothesis.terms:
+        theta = hypothesis.theta[hypothesis.slice_of(term)]
+        values = {
+            p.name: float(t) * scales.value(p, term.joint)
+            for p, t in zip(term.parameters, theta, strict=True)
+        }
+        for effect, special in term.law.special_cases(values).items():
+            new = Term(effect, term.joint)
+            start = [
+                np.clip(special[p.name] / scales.value(p, term.joint), p.lower, p.upper)
+                for p in new.parameters
+            ]
+            if new not in hypothesis.terms:
+                out.append(hypothesis.without(term).with_term(new, np.array(start)))
+    return out

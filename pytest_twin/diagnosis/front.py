@@ -1,0 +1,211 @@
+"""What deserves a simulation: candidates to first order, the best along the motion, single terms.
+
+What a candidate would do is read off along the measured motion (:mod:`responses`), structures of
+several are searched to first order (:mod:`screen`), and the best are fitted along the motion with
+their laws exact (:mod:`polish`). Where deviations are far from small, single terms are simulated at
+all their starting sizes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.diagnosis.contest import FRONT, Contest
+from pytest_twin.diagnosis.fit import weighted_cost
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.polish import Polished, polish
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.responses import Linear, answered, bins, grid, linearized
+from pytest_twin.diagnosis.rivals import EARNS, Rival, described
+from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates
+from pytest_twin.diagnosis.sharpen import sharpened
+from pytest_twin.effects.base import FloatArray
+
+Say = Callable[[str], None]
+# Structures kept at each size, terms added at once, structures of each size and of one term that
+# are fitted along the motion, and iterations of that.
+_WIDTH, _AT_ONCE, _OFFERED, _SINGLE, _POLISH = 10, 4, 2, 8, 3
+# Single terms are scanned by simulation where the mismatch is more floors than this and the best
+# along the motion is no single term that leaves few; and how many of them are kept.
+_FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
+
+
+@dataclass(slots=True)
+class Look:
+    """A fit seen to first order.
+
+    Attributes:
+        linear: laws along the measured motion; None where the robot meets something.
+        view: what is left of the fit, and what may give way.
+        answers: responses of the candidates.
+    """
+
+    linear: Linear | None
+    view: View
+    answers: Answers
+
+
+def look_around(problem: Problem, best: Rival) -> Look:
+    """What is left around a fit, and what every candidate would do to it."""
+    named = set(best.hypothesis.terms)
+    terms = [t for t in candidates(problem) if t not in named]
+    linear = linearized(problem, problem.fit, best.hypothesis)
+    found, left = answered(
+        linear, problem, terms, problem.fit, best.hypothesis, best.fitted.residual
+    )
+    view, answers = view_of(problem, best, left), Answers(found)
+    if linear is not None and found:
+        sharp = sharpened(linear, view, answers, best.hypothesis)
+        answers = Answers([*found, *sharp]) if sharp else answers
+    return Look(linear, view, answers)
+
+
+def view_of(problem: Problem, best: Rival, left: FloatArray) -> View:
+    """A fit whose (bins, signals) residual is ``left``."""
+    binned = bins(problem, problem.fit)
+    slope = binned.mean(best.fitted.jacobian)
+    return View(left, slope, problem.signal_floor, binned.lengths)
+
+
+def front(
+    contest: Contest, best: Rival, look: Look, say: Say
+) -> tuple[list[Hypothesis], FloatArray]:
+    """Structures that are worth a simulation, and the (signals,) mean square that may be left.
+
+    Args:
+        contest: of the search.
+        best: the fit at hand.
+        look: at it.
+        say: told what is considered.
+    """
+    none: FloatArray = np.zeros(len(look.view.floor))
+    if not look.answers.responses:
+        return [], none
+    whole = np.mean(contest.nominal.fitted.residual**2, axis=0)
+    levels = Search(
+        _WIDTH, _AT_ONCE, EARNS,
+        lambda before, after: contest.worth_a_name(before, after, whole),
+    ).levels(Lens(look.view, look.answers))  # fmt: skip
+    if not levels:
+        return [], none
+    # Shapes of single terms are known as well as their grids are: more of them get a chance.
+    chosen = [
+        structure
+        for level in reversed(levels)
+        for structure in level[: _OFFERED if level is not levels[0] else _SINGLE]
+    ]
+    starts = []
+    for structure in chosen:
+        h = best.hypothesis
+        for term, start in structure.starts.items():
+            h = h.with_term(term, start)
+        starts.append(h)
+    starts, left, singles = _foremost(look, starts, chosen[0].residual, contest.name_price, say)
+    if _bent(look, left, clear=starts[0] in singles):
+        scanned = _scanned(contest.problem, best, singles, left)
+        alike = {h.terms for h in scanned}
+        starts = [*(h for h in starts if h.terms not in alike), *scanned]
+    return starts, left
+
+
+def _foremost(
+    look: Look, starts: list[Hypothesis], residual: FloatArray, name_price: float, say: Say
+) -> tuple[list[Hypothesis], FloatArray, list[Hypothesis]]:
+    """The few that are worth a simulation, the (signals,) mean square that is left, and all
+    that add least.
+    """
+    view = look.view
+    fewest = min(len(h.terms) for h in starts)
+    if look.linear is None:
+        singles = [h for h in starts if len(h.terms) == fewest]
+        return starts, np.mean(residual**2, axis=0), singles
+    polished = polish(look.linear, view, starts, _POLISH)
+    evidence = evidence_along(view, polished, name_price)
+    order = np.argsort(-evidence)
+    for i in order:
+        say(f"  along {described(polished[i].hypothesis)} evidence {evidence[i]:.1f}")
+    front: list[int] = []
+    for i in order:
+        terms = set(polished[i].hypothesis.terms)
+        # What only adds to another in front, and not enough, says nothing new.
+        covered = any(
+            terms > set(polished[k].hypothesis.terms) and evidence[i] < evidence[k] + EARNS
+            for k in order
+        )
+        if np.isfinite(evidence[i]) and not covered:
+            front.append(int(i))
+    # What acts strongly is only roughly of first order: the best single terms are simulated.
+    single = [i for i in front if len(polished[i].hypothesis.terms) == fewest]
+    front = [*front[:FRONT], *(i for i in single[:2] if i not in front[:FRONT])]
+    left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
+    hypotheses = [p.hypothesis for p in polished]
+    singles = [h for h in hypotheses if len(h.terms) == fewest]
+    return [hypotheses[i] for i in front], left, singles
+
+
+def _bent(look: Look, left: FloatArray, *, clear: bool) -> bool:
+    """Whether deviations are so far from small that slopes may lead nowhere.
+
+    Args:
+        left: (signals,) mean square that the best along the motion leaves.
+        clear: whether that is a single term.
+    """
+    floor = look.view.floor
+    if look.linear is None:
+        return bool((left > (_FIRST_ORDER * floor) ** 2).any())
+    whole = np.mean(look.view.residual**2, axis=0)
+    far = bool((whole > (_FIRST_ORDER * floor) ** 2).any())
+    return far and not (clear and bool((left < (_NEARLY * floor) ** 2).all()))
+
+
+def _scanned(
+    problem: Problem, best: Rival, singles: Sequence[Hypothesis], left: FloatArray
+) -> list[Hypothesis]:
+    """The best of what single terms do as they are and at all starting sizes, by simulation."""
+    terms = [h.terms[-1] for h in singles]
+    terms += [t for t in _gears(problem, left) if t not in {*terms, *best.hypothesis.terms}]
+    rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
+    rows += singles
+    weight = 1.0 / np.sqrt(left + problem.signal_floor**2)
+    costs = [weighted_cost(r, weight) for r in problem.residuals(rows, problem.fit)]
+    order = [i for i in np.argsort(costs) if np.isfinite(costs[i])]
+    found: dict[Term, Hypothesis] = {}
+    for i in order:
+        found.setdefault(rows[i].terms[-1], rows[i])
+    return list(found.values())[:_SCANNED]
+
+
+def _gears(problem: Problem, left: FloatArray) -> list[Term]:
+    """Transmissions that may give where much is left: they read the measured motion back, and
+    say along it little of what they do.
+    """
+    joints = len(problem.joints)
+    far = left[:joints] > (_FIRST_ORDER * problem.floor) ** 2
+    return [
+        t for t in candidates(problem)
+        if t.law.overrides("separates") and far[t.joint]
+    ]  # fmt: skip
+
+
+def evidence_along(view: View, polished: Sequence[Polished], name_price: float) -> FloatArray:
+    """Log-likelihood less price of hypotheses along the measured motion, comparable."""
+    effective = view.effective_of_best([p.residual for p in polished])
+    return np.array(
+        [
+            view.worth(p.residual, effective, p.hypothesis.free)
+            - name_price * len(p.hypothesis.terms)
+            for p in polished
+        ]
+    )
+
+
+def against(
+    linear: Linear, view: View, best: Rival, others: Sequence[Hypothesis], name_price: float
+) -> tuple[list[Hypothesis], FloatArray]:
+    """Hypotheses fitted along the measured motion of ``best``, and their evidence over it."""
+    polished = polish(linear, view, others, _POLISH)
+    values = evidence_along(view, [Polished(best.hypothesis, view.residual), *polished], name_price)
+    return [p.hypothesis for p in polished], values[1:] - values[0]

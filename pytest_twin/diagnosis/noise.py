@@ -1,0 +1,121 @@
+"""How loud sensors are: what their samples, and the model, do not explain of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import Predicted, Segment
+
+# Samples that a cubic is fitted to, and its coefficients.
+_NEIGHBOURS, _CUBIC = 15, 4
+# Share of the samples, those that the model's step changes least, that tell an effort's noise.
+_QUIET = 0.3
+
+
+def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
+    """(joints,) standard deviation of noise and quantization of (n, joints) samples at (n,) s.
+
+    Two filters take out what is smooth, third differences and cubics through neighbours in time;
+    each knows what it leaves of white noise. Fast motion gets through the second; the steps of a
+    coarse encoder and irregular sampling are blown up by the first: the lesser is right. Medians
+    keep reversals and impacts out.
+    """
+    step = np.array([_quantum(position[:, j]) for j in range(position.shape[1])])
+    third = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
+    # A median of counts is known to half a count.
+    spread = 1.4826 * (third + 0.5 * step) / np.sqrt(20.0)
+    if len(position) >= 2 * _NEIGHBOURS:
+        spread = np.minimum(spread, _off_cubics(time, position))
+    noise: FloatArray = np.maximum(spread, step / np.sqrt(12.0))
+    return noise
+
+
+def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
+    """(joints,) deviation of samples from cubics, one through every few neighbours."""
+    count = len(time) // _NEIGHBOURS
+    inside = slice(0, count * _NEIGHBOURS)
+    windows = time[inside].reshape(count, _NEIGHBOURS)
+    middle = 0.5 * (windows[:, :1] + windows[:, -1:])
+    half = np.maximum(0.5 * (windows[:, -1:] - windows[:, :1]), 1e-12)
+    powers = ((windows - middle) / half)[..., None] ** np.arange(_CUBIC)
+    basis, _ = np.linalg.qr(powers)
+    samples = position[inside].reshape(count, _NEIGHBOURS, -1)
+    off = samples - basis @ (basis.transpose(0, 2, 1) @ samples)
+    free = _NEIGHBOURS - _CUBIC
+    spread: FloatArray = np.sqrt(np.median((off**2).sum(axis=1), axis=0) / free)
+    return spread
+
+
+def _quantum(values: FloatArray) -> float:
+    """The step of a quantized signal, or 0 where it is not quantized."""
+    levels = np.unique(values)
+    if len(levels) < 3:
+        return 0.0
+    gaps = np.diff(levels)
+    smallest = float(np.quantile(gaps, 0.05))
+    if smallest <= 0.0:
+        return 0.0
+    off = gaps / smallest
+    return smallest if np.abs(off - np.round(off)).mean() < 0.02 else 0.0
+
+
+def greatest_noise(
+    segments: Sequence[Segment], values: Sequence[FloatArray], owner: Sequence[int]
+) -> FloatArray:
+    """(joints,) of the noisiest trial; the windows of one trial are taken together."""
+    each = []
+    for trial in sorted(set(owner)):
+        mine = [i for i, o in enumerate(owner) if o == trial]
+        time = np.concatenate([segments[i].time for i in mine])
+        each.append(sensor_noise(time, np.concatenate([values[i] for i in mine])))
+    greatest: FloatArray = np.max(each, axis=0)
+    return greatest
+
+
+def effort_noise(
+    segments: Sequence[Segment], nominal: Sequence[Predicted], owner: Sequence[int]
+) -> FloatArray:
+    """(joints,) deviation of measured efforts, N*m or N.
+
+    A stiff servo's effort jumps at every command, which third differences take for noise where the
+    model does not say the same.
+    """
+    efforts = [s.effort for s in segments if s.effort is not None]
+    off = [e - p.effort for e, p in zip(efforts, nominal, strict=True)]
+    least: FloatArray = np.minimum(
+        greatest_noise(segments, efforts, owner), greatest_noise(segments, off, owner)
+    )
+    return least
+
+
+def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int]) -> FloatArray:
+    """(joints,) deviation of measured efforts where the model's step is no matter, N*m or N.
+
+    Efforts that jump do so in proportion to the model's: what third differences leave beside that
+    is noise.
+    """
+    worst = np.zeros(len(problem.joints))
+    for trial in sorted(set(owner)):
+        measured, modelled, shaken = [], [], []
+        for i, o in enumerate(owner):
+            effort, add = problem.simulator.segments[i].effort, problem.defect.get(i)
+            if o == trial and effort is not None and add is not None:
+                measured.append(effort)
+                modelled.append(nominal[i].effort + add.effort)
+                shaken.append(np.abs(add.effort))
+        if not measured:
+            return np.full(len(problem.joints), np.inf)
+        third, like = (np.diff(np.concatenate(x), n=3, axis=0) for x in (measured, modelled))
+        shake = np.max(
+            np.lib.stride_tricks.sliding_window_view(np.concatenate(shaken), 4, axis=0), axis=-1
+        )
+        quiet = shake <= np.quantile(shake, _QUIET, axis=0)
+        for j in range(third.shape[1]):
+            a, b = third[quiet[:, j], j], like[quiet[:, j], j]
+            a = a - b * (a @ b) / max(float(b @ b), 1e-30)
+            worst[j] = max(worst[j], 1.4826 * float(np.median(np.abs(a))) / np.sqrt(20.0))
+    return worst

@@ -1,0 +1,78 @@
+"""Rivals: fitted hypotheses and what speaks for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.effects.base import FloatArray
+
+EARNS = 5.0
+"""Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many."""
+# Structures this share of the evidence behind the first are as good; with fewer names they have
+# to have this share of it.
+_AS_GOOD, _NAME_BUYS = 0.01, 0.8
+
+
+@dataclass(slots=True)
+class Rival:
+    """A fitted hypothesis and what speaks for it.
+
+    Attributes:
+        fitted: on the fit segments.
+        held_residual: (samples, signals) on the held-out segments.
+        evidence: higher is better; comparable within one round.
+    """
+
+    fitted: Fitted
+    held_residual: FloatArray
+    evidence: float = 0.0
+    held_gain: float = 0.0
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """With its fitted parameters."""
+        return self.fitted.hypothesis
+
+
+@dataclass(slots=True)
+class Selected:
+    """What was chosen, and what stood against it.
+
+    Attributes:
+        best: the chosen rival.
+        nominal: the model as it came.
+        confidence: term -> share of the evidence against the rivals in its place.
+        alternatives: term -> rivals in its place with their share, best first.
+        tried: effects at joints that competed.
+    """
+
+    best: Rival
+    nominal: Rival
+    confidence: dict[Term, float] = field(default_factory=dict)
+    alternatives: dict[Term, list[tuple[Term, float]]] = field(default_factory=dict)
+    tried: int = 0
+
+
+def simplest(earning: Sequence[Rival]) -> Rival:
+    """The rival to go on from; ``earning`` by evidence, best first.
+
+    What is left is never white: a name more, or a parameter more, follows anything a little better.
+    A name that was needed after all is found in the next round.
+    """
+    first = earning[0].evidence
+    fewest = min(len(r.hypothesis.terms) for r in earning if r.evidence >= _NAME_BUYS * first)
+    alike = [r for r in earning if len(r.hypothesis.terms) == fewest]
+    enough = min((1.0 - _AS_GOOD) * alike[0].evidence, alike[0].evidence - EARNS)
+    return min(
+        (r for r in alike if r.evidence >= enough), key=lambda r: (r.hypothesis.free, -r.evidence)
+    )
+
+
+def described(h: Hypothesis) -> str:
+    """Terms, joints' columns and parameters, in multiples of their scales."""
+    return " + ".join(f"{t.effect}@{t.joint}{np.round(h.theta[h.slice_of(t)], 3)}" for t in h.terms)

@@ -1,0 +1,154 @@
+"""Trials in the model's terms: whole, or in short windows where errors would grow.
+
+Under an effort command errors integrate twice: a simulation is held to the recording for a while,
+then starts anew from the measured state.
+"""
+
+from __future__ import annotations
+
+import itertools
+import weakref
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import Segment
+from pytest_twin.realization import Realization
+from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.realization.mjcf import compiled
+from pytest_twin.trial import Trial
+
+EFFORT_WINDOW = 0.5
+"""s, of motions under effort commands."""
+_START_SAMPLES = 12
+# Mean square, of its usual size, by which samples are off a smooth motion where a command jumps;
+# the median of the squares of a unit normal distribution.
+_ROUGH, _MEDIAN_SQUARE = 4.0, 0.455
+
+
+def segments_of(
+    realization: Realization,
+    trial: Trial,
+    index: int,
+    joints: Sequence[str],
+    window: float = EFFORT_WINDOW,
+) -> list[Segment]:
+    """A trial in the model's terms: one segment, or, under effort commands, short windows.
+
+    Args:
+        realization: what it is stepped on, under the trial's own controller and payload.
+        trial: what was recorded.
+        index: of the trial, kept in its segments.
+        joints: columns; all are in the trial.
+        window: s.
+
+    Raises:
+        SpecError: a controller or payload that the model lacks.
+    """
+    columns = [trial.joints.index(j) for j in joints]
+    encoders = Encoders.of(calibration_of(realization), joints)
+    model = _model(realization, trial)
+    keep = np.concatenate([[True], np.diff(trial.time) > 0])
+    time = trial.time[keep]
+    position = encoders.model_position(trial.position[keep][:, columns])
+    velocity = _columns(trial.velocity, keep, columns, encoders)
+    effort = _columns(trial.effort, keep, columns, encoders)
+    command = np.full((len(trial.command_time), len(joints)), np.nan)
+    for j, joint in enumerate(joints):
+        if joint in trial.command_joints:
+            command[:, j] = trial.command[:, trial.command_joints.index(joint)]
+    command = encoders.model_command(command, trial.command_mode)
+    ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
+    common = {
+        "trial": index,
+        "model": model,
+        "mode": trial.command_mode,
+        "command_time": trial.command_time[ascending],
+        "command": command[ascending],
+    }
+    if trial.command_mode != "effort":
+        first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])
+        return [
+            Segment(start=0.0, time=time, position=position, velocity=velocity, effort=effort,
+                    initial_position=position[0], initial_velocity=first, **common)
+        ]  # fmt: skip
+    out = []
+    width = _START_SAMPLES * float(np.median(np.diff(time)))
+    smooth, speed, _ = derivatives(time, position, width)
+    history = (time, smooth, speed)
+    for start, end in itertools.pairwise(edges_of(time, position - smooth, window)):
+        inside = (time >= start) & (time <= end)
+        if inside.sum() < 8:
+            continue
+        q, v = smooth_state(time, position, float(start), width)
+        out.append(
+            Segment(start=float(start), time=time[inside], position=position[inside],
+                    velocity=None if velocity is None else velocity[inside],
+                    effort=None if effort is None else effort[inside],
+                    initial_position=q, initial_velocity=v, history=history, **common)
+        )  # fmt: skip
+    return out
+
+
+def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:
+    """Where windows under effort commands begin and end, s.
+
+    A velocity is not known where a command jumps: there, they begin a little before or after.
+
+    Args:
+        time: (n,) s, from 0 on.
+        off: (n, joints) samples less a smooth motion.
+        window: s, about.
+    """
+    count = max(1, round(time[-1] / window))
+    edges = np.linspace(0.0, time[-1], count + 1)
+    usual = np.maximum(np.median(off**2, axis=0), 1e-30) / _MEDIAN_SQUARE
+    rough = (off**2 / usual).max(axis=1)
+    level = np.convolve(rough, np.ones(_START_SAMPLES) / _START_SAMPLES, mode="same")
+    for k in range(1, count):
+        near = np.flatnonzero(np.abs(time - edges[k]) <= window / 4.0)
+        near = near[np.argsort(np.abs(time[near] - edges[k]))]
+        if len(near) and level[near[0]] > _ROUGH:
+            smooth = near[level[near] <= _ROUGH]
+            edges[k] = time[smooth[0] if len(smooth) else near[np.argmin(level[near])]]
+    return edges
+
+
+def _columns(
+    values: FloatArray | None, keep: NDArray[np.bool_], columns: list[int], encoders: Encoders
+) -> FloatArray | None:
+    return None if values is None else encoders.signed(values[keep][:, columns])
+
+
+_MODELS: weakref.WeakKeyDictionary[Realization, dict[tuple[str | None, ...], mujoco.MjModel]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def _model(realization: Realization, trial: Trial) -> mujoco.MjModel:
+    """What a trial is stepped on: one model for all trials of a controller and a payload."""
+    twin = realization.twin
+    chosen: list[str | None] = [None, None]
+    if twin is not None:
+        controller, payload = (trial.metadata.get(key) for key in ("controller", "payload"))
+        chosen = [
+            controller if controller in twin.controllers else None,
+            payload if payload in twin.payloads else None,
+        ]
+    known = _MODELS.setdefault(realization, {})
+    if tuple(chosen) not in known:
+        spec = realization.variant(*chosen).spec.copy()
+        for body in spec.bodies:
+            # MuJoCo's shortcut for bodies that turn about their centre: effects move centres.
+            body.simple = 0
+        known[tuple(chosen)] = compiled(spec)[0]
+    return known[tuple(chosen)]
+
+
+def start_width(segment: Segment) -> float:
+    """Seconds of samples that a window's initial state is taken from."""
+    return _START_SAMPLES * float(np.median(np.diff(segment.time)))

@@ -1,0 +1,38 @@
+"""Which of several rivals a search goes on from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.rivals import Rival, simplest
+
+COULOMB, VISCOUS = Term("coulomb_friction", 0), Term("viscous_friction", 0)
+STRIBECK, GAIN = Term("stribeck_friction", 0), Term("controller_gain", 0)
+
+
+def rival(evidence: float, *terms: Term) -> Rival:
+    hypothesis = EMPTY
+    for term in terms:
+        hypothesis = hypothesis.with_term(term, np.zeros(len(term.parameters)))
+    none = np.zeros((1, 1))
+    return Rival(Fitted(hypothesis, none, none[..., None], 0.0), none, evidence)
+
+
+@pytest.mark.parametrize(
+    ("rivals", "chosen"),
+    [
+        # A second name for a sixth more of the evidence follows anything: one is enough.
+        ([rival(170.0, GAIN, VISCOUS), rival(143.0, COULOMB)], (COULOMB,)),
+        # Two that explain what neither does are both needed.
+        ([rival(300.0, GAIN, VISCOUS), rival(143.0, COULOMB)], (GAIN, VISCOUS)),
+        # Among laws of one name the better one, unless a simpler one is as good.
+        ([rival(1000.0, STRIBECK), rival(850.0, COULOMB)], (STRIBECK,)),
+        ([rival(1000.0, STRIBECK), rival(995.0, COULOMB)], (COULOMB,)),
+        ([rival(12.0, STRIBECK), rival(8.0, COULOMB)], (COULOMB,)),
+    ],
+)
+def test_the_simplest_that_is_as_good(rivals: list[Rival], chosen: tuple[Term, ...]) -> None:
+    assert simplest(rivals).hypothesis.terms == chosen
