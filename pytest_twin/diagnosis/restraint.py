@@ -1,0 +1,211 @@
+"""A wrong name is worse than none: which terms of what was chosen are taken back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.intervals import spread
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.verdict import STANDS_OUT, JointError
+from pytest_twin.effects.base import FloatArray
+
+_REFIT = 4
+# A finding takes some signal down by this factor at least.
+_WORSE = 1.05
+# With more than this share of its joint's squared mismatch left a name is not given.
+_SURE = 0.9
+_LEFT_SURE, _LEFT_UNSURE = 0.35, 0.25
+# A name that rivals could replace has to take this share of the mismatch.
+_UNSURE, _SLIGHT = 0.7, 0.01
+# What could be absent, by its own interval, has to take off this many times as much as others.
+_ABSENT_BAR = 2.0
+
+
+@dataclass(slots=True)
+class Pruned:
+    """A fit, and for each of its terms the rest refitted without it."""
+
+    fitted: Fitted
+    rests: list[Hypothesis]
+    notes: list[str]
+
+
+def prune(problem: Problem, selected: Selected) -> Pruned:
+    """Take back what explains nothing above the floor, and what explains too little to be right.
+
+    A term stays where some signal of the tested recordings, refitted without it, stands above
+    the floor: what lies under it may be noise and the simulator's own error, and has no name. A
+    term goes as well where most of its joint's mismatch is left with it: something else is at work
+    there, and the nearest name in the catalogue would be a wrong one. What diverges on a recording
+    predicts nothing: terms go until nothing diverges.
+    """
+    notes: list[str] = []
+    # Once, with every term at work: afterwards each removal leaves more for the others.
+    judged = False
+    fitted = selected.best.fitted
+    tested = problem.held_out if len(problem.held_out) else problem.fit
+    problem.refine_at(EMPTY)
+    before = in_floors(problem.residuals([EMPTY], tested)[0], problem.signal_floor)
+    while fitted.hypothesis.terms:
+        terms = fitted.hypothesis.terms
+        problem.refine_at(fitted.hypothesis)
+        weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
+        starts = [fitted.hypothesis.without(t) for t in terms]
+        refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
+        rests = [f.hypothesis for f in refitted]
+        with_it, *without = problem.residuals([fitted.hypothesis, *rests], tested)
+        base = in_floors(with_it, problem.signal_floor)
+        levels = [in_floors(residual, problem.signal_floor) for residual in without]
+        if not np.isfinite([base, in_floors(fitted.residual, problem.signal_floor)]).all():
+            least = int(np.argmin([np.linalg.norm(v) for v in levels]))
+            notes.append(
+                f"with {label(problem, terms[least])} the prediction diverges; it is not claimed"
+            )
+            fitted = refitted[least]
+            continue
+        half = spread(problem, fitted).half_width
+        bars = [
+            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted.hypothesis, t, half) else 1.0)
+            for t in terms
+        ]
+        height = [
+            float(v[v > _WORSE * base].max(initial=0.0)) / bar
+            for v, bar in zip(levels, bars, strict=True)
+        ]
+        least = int(np.argmin(height))
+        if height[least] <= 1.0:
+            notes.append(
+                f"{label(problem, terms[least])} takes nothing off that stands more than "
+                f"{bars[least]:g} floors high; it is not claimed"
+            )
+            fitted = refitted[least]
+            continue
+        whole = float(np.sum(before**2))
+        slight = [
+            k for k, t in enumerate(terms)
+            if selected.confidence.get(t, 1.0) < _UNSURE
+            and float(np.sum(levels[k] ** 2 - base**2)) < _SLIGHT * whole
+        ]  # fmt: skip
+        if slight:
+            notes.append(
+                f"{label(problem, terms[slight[0]])} would take less than {100 * _SLIGHT:g} % of "
+                "the squared mismatch, and others could in its place; it is not claimed"
+            )
+            fitted = refitted[slight[0]]
+            continue
+        if judged:
+            return Pruned(fitted, rests, notes)
+        stretched = _stretched(problem, fitted, half, before, base)
+        if stretched:
+            rest = fitted.hypothesis
+            for t in stretched:
+                rest = rest.without(t)
+                notes.append(
+                    f"near in the catalogue is {label(problem, t)}, but it would have to stand at "
+                    "a physical bound, or could be absent, and does not explain all; it is not "
+                    "claimed"
+                )
+            fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
+            continue
+        judged = True
+        gone = []
+        for t in terms:
+            share = _too_little(
+                problem, t, before, base,
+                sure=selected.confidence.get(t, 1.0) >= _SURE
+                and not at_bound(fitted.hypothesis, t),
+            )  # fmt: skip
+            if share > 0.0:
+                gone.append(t)
+                notes.append(
+                    f"near in the catalogue is {label(problem, t)}, but with all of them "
+                    f"{100 * share:.0f} % of the squared mismatch is left there; it is not claimed"
+                )
+        if not gone:
+            return Pruned(fitted, rests, notes)
+        rest = fitted.hypothesis
+        for t in gone:
+            rest = rest.without(t)
+        fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
+    return Pruned(fitted, [], notes)
+
+
+def _stretched(
+    problem: Problem, fitted: Fitted, half: FloatArray, before: FloatArray, after: FloatArray
+) -> list[Term]:
+    """Terms at a physical bound, or perhaps absent, at joints that stay unexplained with them."""
+    hypothesis, joints = fitted.hypothesis, len(problem.joints)
+    explained = np.array([
+        JointError(float(b), float(a), 1.0, "").explained
+        for b, a in zip(before[:joints], after[:joints], strict=True)
+    ])  # fmt: skip
+    return [
+        t for t in hypothesis.terms
+        if not (explained.all() if t.joint < 0 else explained[t.joint])
+        and (_perhaps_absent(hypothesis, t, half) or at_bound(hypothesis, t))
+    ]  # fmt: skip
+
+
+def _perhaps_absent(hypothesis: Hypothesis, term: Term, half: FloatArray) -> bool:
+    """Whether the 95 % intervals (parameters,) of all that switches a term on hold its absence."""
+    place = hypothesis.slice_of(term)
+    return all(
+        p.neutral is None or abs(value - p.neutral) <= width
+        for p, value, width in zip(
+            term.parameters, hypothesis.theta[place], half[place], strict=True
+        )
+    )
+
+
+def _too_little(
+    problem: Problem, term: Term, before: FloatArray, after: FloatArray, *, sure: bool
+) -> float:
+    """Share of the squared mismatch that is left where a term acts, if it is too much, else 0.
+
+    An unsure name has to explain more.
+    """
+    joints = len(problem.joints)
+    columns = slice(None) if term.joint < 0 else slice(term.joint, None, joints)
+    mismatch = float(np.maximum(before[columns] ** 2 - 1.0, 0.0).sum())
+    left = float(np.maximum(after[columns] ** 2 - 1.0, 0.0).sum())
+    share = left / mismatch if mismatch > 0.0 else 0.0
+    top = float(after[columns].max())
+    bound = _LEFT_SURE if sure else _LEFT_UNSURE
+    return share if share > bound and top > STANDS_OUT else 0.0
+
+
+def at_bound(hypothesis: Hypothesis, term: Term) -> bool:
+    """Whether a parameter that switches the effect on stands at its physical bound."""
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    return any(
+        p.neutral is not None and value != p.neutral and not p.lower < value < p.upper
+        for p, value in zip(term.parameters, theta, strict=True)
+    )
+
+
+def label(problem: Problem, term: Term) -> str:
+    """Effect and joint in words."""
+    joint = joint_name(problem, term)
+    return term.effect if joint is None else f"{term.effect} at {joint}"
+
+
+def in_floors(residual: FloatArray, floor: FloatArray) -> FloatArray:
+    """(signals,) root mean squares; infinite where a simulation diverged."""
+    with np.errstate(over="ignore"):
+        level: FloatArray = np.sqrt(np.mean(residual**2, axis=0)) / floor
+    return np.where(np.isfinite(level), level, np.inf)
+
+
+def _finite_floors(fitted: Fitted, problem: Problem) -> FloatArray:
+    level = in_floors(fitted.residual, problem.signal_floor)
+    return np.where(np.isfinite(level), level, 0.0)
+
+
+def joint_name(problem: Problem, term: Term) -> str | None:
+    """None where it is the whole robot's."""
+    return None if term.joint < 0 else problem.joints[term.joint]
