@@ -31,6 +31,10 @@ _WIDTH, _AT_ONCE, _OFFERED, _SINGLE, _POLISH = 10, 4, 2, 8, 3
 # Single terms are scanned by simulation where the mismatch is more floors than this and the best
 # along the motion is no single term that leaves few; and how many of them are kept.
 _FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
+# With so many floors (an arm that falls, a command that is never followed) a size that is a tenth
+# off may leave as much as none: laws of one parameter are scanned to their bounds where they have
+# so many starting sizes, and honed by so many sizes within these factors, one after the other.
+_NEEDLES, _MANY, _NEIGHBOURS, _HONED = 1000.0, 6, 9, (1.25, 1.05)
 
 
 @dataclass(slots=True)
@@ -105,7 +109,7 @@ def front(
         starts.append(h)
     starts, left, singles = _foremost(look, starts, chosen[0].residual, contest.name_price, say)
     if _bent(look, left, clear=starts[0] in singles):
-        scanned = _scanned(contest.problem, best, singles, left)
+        scanned = _scanned(contest.problem, best, look, singles, left)
         alike = {h.terms for h in scanned}
         starts = [*(h for h in starts if h.terms not in alike), *scanned]
     return starts, left
@@ -162,7 +166,7 @@ def _bent(look: Look, left: FloatArray, *, clear: bool) -> bool:
 
 
 def _scanned(
-    problem: Problem, best: Rival, singles: Sequence[Hypothesis], left: FloatArray
+    problem: Problem, best: Rival, look: Look, singles: Sequence[Hypothesis], left: FloatArray
 ) -> list[Hypothesis]:
     """The best of what single terms do as they are and at all starting sizes, by simulation."""
     terms = [h.terms[-1] for h in singles]
@@ -170,12 +174,48 @@ def _scanned(
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
     rows += singles
     weight = 1.0 / np.sqrt(left + problem.signal_floor**2)
+    whole = np.mean(look.view.residual**2, axis=0)
+    needles = bool((whole > (_NEEDLES * look.view.floor) ** 2).any())
+    if needles:
+        rows += [best.hypothesis.with_term(t, size) for t in terms for size in _beyond(t)]
+    found = _cheapest(problem, rows, weight)[:_SCANNED]
+    for reach in _HONED if needles else ():
+        found = _cheapest(problem, [h for f in found for h in _about(f, reach)], weight)
+    return found
+
+
+def _cheapest(problem: Problem, rows: Sequence[Hypothesis], weight: FloatArray) -> list[Hypothesis]:
+    """Of each last term the row that leaves least, by simulation, best first."""
     costs = [weighted_cost(r, weight) for r in problem.residuals(rows, problem.fit)]
-    order = [i for i in np.argsort(costs) if np.isfinite(costs[i])]
     found: dict[Term, Hypothesis] = {}
-    for i in order:
-        found.setdefault(rows[i].terms[-1], rows[i])
-    return list(found.values())[:_SCANNED]
+    for i in np.argsort(costs):
+        if np.isfinite(costs[i]):
+            found.setdefault(rows[i].terms[-1], rows[i])
+    return list(found.values())
+
+
+def _beyond(term: Term) -> list[FloatArray]:
+    """Sizes of a law with one parameter and many starting sizes, on from these to its bound."""
+    (first, *more) = term.parameters
+    if more or len(first.starts) < _MANY:
+        return []
+    ratio = first.starts[-1] / first.starts[-2]
+    count = int(np.log(first.upper / first.starts[-1]) / np.log(ratio))
+    return [np.array([first.starts[-1] * ratio ** (k + 1)]) for k in range(count)]
+
+
+def _about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
+    """A hypothesis, and where its last term has one parameter, its neighbours within a factor."""
+    term = hypothesis.terms[-1]
+    if len(term.parameters) > 1:
+        return [hypothesis]
+    (p,) = term.parameters
+    out = []
+    for factor in np.geomspace(1.0 / reach, reach, _NEIGHBOURS):
+        theta = hypothesis.theta.copy()
+        theta[-1] = np.clip(theta[-1] * factor, p.lower, p.upper)
+        out.append(hypothesis.with_theta(theta))
+    return out
 
 
 def _gears(problem: Problem, left: FloatArray) -> list[Term]:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from test_first_order import ELBOW, SHOULDER, problem_of
 
+from pytest_twin.diagnosis import front
+from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.responses import bins, linearized
@@ -84,3 +86,28 @@ def test_a_choice_is_no_parameter_of_a_fit() -> None:
     assert fitted.hypothesis.theta[1] == 1.0
     bias = fitted.hypothesis.theta[0] * problem.scales.value(term.parameters[0], SHOULDER)
     assert bias == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_needle_is_found_beyond_the_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drive that hardly follows: twice the greatest starting size, and a few per cent decide."""
+    monkeypatch.setattr(front, "_NEEDLES", 100.0)
+    term = Term("rate_limit", ELBOW)
+    bare = problem_of("position", {term: {"inverse_rate": 0.0}})
+    (parameter,) = term.parameters
+    hidden = 2.0 * parameter.starts[-1]
+    scale = bare.scales.value(parameter, ELBOW)
+    problem = problem_of("position", {term: {"inverse_rate": hidden * scale}})
+    hidden *= scale / problem.scales.value(parameter, ELBOW)
+    contest = Contest(problem)
+    rival = contest.rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
+    look = front.look_around(problem, rival)
+    starts, _ = front.front(contest, rival, look, lambda text: None)
+    (mine,) = [h for h in starts if h.terms == (term,)]
+    assert mine.theta[0] == pytest.approx(hidden, rel=0.02)
+
+
+def test_sizes_beyond_a_grid_end_at_the_physical_bound() -> None:
+    for law in catalogue().values():
+        sizes = [float(s[0]) for s in front._beyond(Term(law.id, 0))]
+        assert all(law.parameters[0].starts[-1] < s <= law.parameters[0].upper for s in sizes)
+    assert len(front._beyond(Term("rate_limit", 0))) >= 6
