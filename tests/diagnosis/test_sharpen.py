@@ -88,22 +88,25 @@ def test_a_choice_is_no_parameter_of_a_fit() -> None:
     assert bias == pytest.approx(0.05, rel=0.1)
 
 
-def test_a_needle_is_found_beyond_the_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("needles", "near"), [(100.0, True), (1e9, False)])
+def test_a_needle_is_found_beyond_the_grid(
+    needles: float, near: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A drive that hardly follows: twice the greatest starting size, and a few per cent decide."""
-    monkeypatch.setattr(front, "_NEEDLES", 100.0)
+    monkeypatch.setattr(front, "_NEEDLES", needles)
     term = Term("rate_limit", ELBOW)
-    bare = problem_of("position", {term: {"inverse_rate": 0.0}})
     (parameter,) = term.parameters
-    hidden = 2.0 * parameter.starts[-1]
-    scale = bare.scales.value(parameter, ELBOW)
+    hidden = 2.0 * parameter.starts[-1] * 1.07
+    scale = problem_of("position", {}).scales.value(parameter, ELBOW)
     problem = problem_of("position", {term: {"inverse_rate": hidden * scale}})
     hidden *= scale / problem.scales.value(parameter, ELBOW)
-    contest = Contest(problem)
-    rival = contest.rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
+    rival = Contest(problem).rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
     look = front.look_around(problem, rival)
-    starts, _ = front.front(contest, rival, look, lambda text: None)
-    (mine,) = [h for h in starts if h.terms == (term,)]
-    assert mine.theta[0] == pytest.approx(hidden, rel=0.02)
+    alone = EMPTY.with_term(term, np.array([parameter.starts[0]]))
+    left = np.mean(rival.fitted.residual**2, axis=0)
+    scanned = front._scanned(problem, rival, look, [alone], left)
+    (mine,) = [h for h in scanned if h.terms == (term,)]
+    assert bool(abs(mine.theta[0] / hidden - 1.0) < 0.02) is near
 
 
 def test_sizes_beyond_a_grid_end_at_the_physical_bound() -> None:
