@@ -112,7 +112,25 @@ def front(
         scanned = _scanned(contest.problem, best, look, singles, left)
         alike = {h.terms for h in scanned}
         starts = [*(h for h in starts if h.terms not in alike), *scanned]
+    if look.linear is None:
+        starts = _promising(contest.problem, starts, left)
     return starts, left
+
+
+def _promising(
+    problem: Problem, starts: Sequence[Hypothesis], left: FloatArray
+) -> list[Hypothesis]:
+    """Of those that add least and of the others, the few that leave least as they are.
+
+    In contact every fit is one by simulation: ranked along the motion are the others.
+    """
+    fewest = min(len(h.terms) for h in starts)
+    weight = 1.0 / np.sqrt(left + problem.signal_floor**2)
+    costs = [weighted_cost(r, weight) for r in problem.residuals(starts, problem.fit)]
+    order = [starts[i] for i in np.argsort(costs)]
+    single = [h for h in order if len(h.terms) == fewest]
+    several = [h for h in order if len(h.terms) > fewest]
+    return single[:_SCANNED] + several[:_SCANNED]
 
 
 def _foremost(

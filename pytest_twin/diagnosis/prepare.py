@@ -26,9 +26,9 @@ from pytest_twin.trial import Trial
 
 # Share of the greatest effort below which a model's negative efforts say nothing of the sign.
 _UNSIGNED = 0.05
-# Times the noise by which a finer step may change a window of usual length, and samples that one of
-# half that length has to have.
-_WILD, _FEWEST = 30.0, 20
+# Times the noise, and share of the motion, by which a finer step may change a window of usual
+# length; samples that one of half that length has to have.
+_WILD, _WILD_SHARE, _FEWEST = 30.0, 0.002, 20
 NOISE = "sensor noise and quantization"
 # As measured on an arm whose tip taps on a table, and on arms whose drives are sent efforts:
 # impacts and the jumps of a command fall between steps.
@@ -107,7 +107,8 @@ def prepare(
         problem.free = free
     problem.refine_at(EMPTY)
     steps = discretization(problem)
-    if window == EFFORT_WINDOW and _too_wild(segments, steps, noise):
+    allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
+    if window == EFFORT_WINDOW and _too_wild(segments, steps, allowed):
         return prepare(realization, fit, held_out, threads=threads, window=0.5 * window)
     if segments[0].mode == "effort":
         problem.step_left = _LEFT_OF_JUMPS
@@ -142,10 +143,10 @@ def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -
     return lowest < 0.0 or not modelled < 0.0
 
 
-def _too_wild(segments: Sequence[Segment], steps: FloatArray, noise: FloatArray) -> bool:
+def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
     """Whether windows under effort commands are too long, and half of one is long enough."""
     enough = float(np.median([len(s.time) for s in segments])) >= 2 * _FEWEST
-    return segments[0].mode == "effort" and enough and bool((steps > _WILD * noise).any())
+    return segments[0].mode == "effort" and enough and bool((steps > allowed).any())
 
 
 def discretization(problem: Problem) -> FloatArray:

@@ -70,7 +70,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             continue
         half = spread(problem, fitted).half_width
         bars = [
-            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted.hypothesis, t, half) else 1.0)
+            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted, t, half) else 1.0)
             for t in terms
         ]
         height = [
@@ -147,17 +147,22 @@ def _stretched(
     return [
         t for t in hypothesis.terms
         if not (explained.all() if t.joint < 0 else explained[t.joint])
-        and (_perhaps_absent(hypothesis, t, half) or at_bound(hypothesis, t))
+        and (_perhaps_absent(fitted, t, half) or at_bound(hypothesis, t))
     ]  # fmt: skip
 
 
-def _perhaps_absent(hypothesis: Hypothesis, term: Term, half: FloatArray) -> bool:
-    """Whether the 95 % intervals (parameters,) of all that switches a term on hold its absence."""
+def _perhaps_absent(fitted: Fitted, term: Term, half: FloatArray) -> bool:
+    """Whether the 95 % intervals (parameters,) of all that switches a term on hold its absence.
+
+    What the motion follows in leaps alone (when a drive lets go) has no interval, and is there.
+    """
+    hypothesis = fitted.hypothesis
     place = hypothesis.slice_of(term)
+    felt = np.any(fitted.jacobian[:, :, place] != 0.0, axis=(0, 1))
     return all(
-        p.neutral is None or abs(value - p.neutral) <= width
-        for p, value, width in zip(
-            term.parameters, hypothesis.theta[place], half[place], strict=True
+        p.neutral is None or (slope and abs(value - p.neutral) <= width)
+        for p, value, width, slope in zip(
+            term.parameters, hypothesis.theta[place], half[place], felt, strict=True
         )
     )
 

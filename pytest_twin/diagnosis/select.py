@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pytest_twin.diagnosis.contest import FAIR, Contest
+from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
 from pytest_twin.diagnosis.fewer import merged, simpler
 from pytest_twin.diagnosis.front import Look, against, evidence_along, front, look_around, view_of
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
@@ -168,7 +168,9 @@ class Selection:
             doubtful += simpler(self.problem, best.hypothesis)
             if not doubtful:
                 break
-            rivals = self.contest.rivals(doubtful, self.contest.weights(best), FAIR)
+            # Where small deviations say nothing every doubt costs fits of its own: shorter ones.
+            iterations = QUICK if linear is None else FAIR
+            rivals = self.contest.rivals(doubtful, self.contest.weights(best), iterations)
             self.contest.judge(rivals, best)
             top = max(rivals, key=lambda r: r.evidence)
             if top.evidence < -EARNS / 2:
