@@ -70,8 +70,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             continue
         half = spread(problem, fitted).half_width
         bars = [
-            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted, t, half) else 1.0)
-            for t in terms
+            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted, t, half) else 1.0) for t in terms
         ]
         height = [
             float(v[v > _WORSE * base].max(initial=0.0)) / bar

@@ -11,9 +11,10 @@ from two_pendulums import mjcf, record
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis import contest
 from pytest_twin.diagnosis.findings import explain
-from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.restraint import _perhaps_absent
 from pytest_twin.diagnosis.rivals import Rival, Selected
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.formats.mcap import read_recording
@@ -91,3 +92,13 @@ def test_what_moves_the_prediction_most_without_it_comes_first(tmp_path: Path) -
     found = explain(prepared, selected, trials).findings
     assert [f.effect for f in found] == ["viscous_friction", "command_delay"]
     assert found[0].stands > 2.0 * found[1].stands > 0.0
+
+
+@pytest.mark.parametrize(("slope", "absent"), [(1.0, True), (0.0, False)])
+def test_what_acts_in_leaps_has_no_interval_and_is_there(slope: float, absent: bool) -> None:
+    """A time-out between two samples: a finite difference of it moves nothing."""
+    term = Term("watchdog_timeout", 0)
+    hypothesis = EMPTY.with_term(term, np.array([50.0, 0.05]))
+    jacobian = np.ones((4, 1, 2)) * [slope, 1.0]
+    fitted = Fitted(hypothesis, np.zeros((4, 1)), jacobian, 0.0)
+    assert _perhaps_absent(fitted, term, np.array([1e6, 1e-3])) is absent
