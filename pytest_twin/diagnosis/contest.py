@@ -55,9 +55,7 @@ class Contest:
 
     def weights(self, rival: Rival) -> FloatArray:
         """(signals,) reciprocal deviations of what a rival leaves."""
-        mean_square = np.mean(rival.fitted.residual**2, axis=0)
-        weights: FloatArray = 1.0 / np.sqrt(mean_square + self.problem.signal_floor**2)
-        return weights
+        return self.problem.weights(np.mean(rival.fitted.residual**2, axis=0))
 
     def rivals(
         self,

@@ -222,9 +222,7 @@ def _prepared(
 
 def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[str, JointError]:
     problem = prepared.problem
-    tested = problem.held_out if len(problem.held_out) else problem.fit
-    everywhere = np.arange(len(problem.simulator.segments))
-    inside = np.repeat(np.isin(everywhere, tested), problem.lengths(everywhere))
+    inside = problem.in_test
     found = {}
     for j, joint in enumerate(problem.joints):
         if problem.floor[j] >= _UNSEEN:

@@ -8,7 +8,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
@@ -120,7 +119,7 @@ def explain(
     gone = [hypothesis.without(t) for t in hypothesis.terms]
     residuals = problem.residuals([hypothesis, *pruned.rests], everywhere)
     stands = _heights(problem, [hypothesis, *gone])
-    in_test = _tested(problem)
+    in_test = problem.in_test
 
     def error(residual: FloatArray) -> float:
         return float((in_floors(residual[in_test], problem.signal_floor) ** 2).sum())
@@ -172,8 +171,7 @@ def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
 
     Of positions; of efforts where no position differs.
     """
-    tested = problem.held_out if len(problem.held_out) else problem.fit
-    first, *others = problem.predict(hypotheses, tested)
+    first, *others = problem.predict(hypotheses, problem.tested)
     out = []
     for other in others:
         pairs = list(zip(first, other, strict=True))
@@ -191,14 +189,6 @@ def _gain(without: float, with_it: float) -> float:
     if not np.isfinite(without):
         return 1.0
     return float(np.clip((without - with_it) / without, -1.0, 1.0)) if without > 0.0 else 0.0
-
-
-def _tested(problem: Problem) -> NDArray[np.bool_]:
-    """(samples,) over all segments: held out, or all that was fitted where nothing is."""
-    tested = problem.held_out if len(problem.held_out) else problem.fit
-    everywhere = np.arange(len(problem.simulator.segments))
-    inside: NDArray[np.bool_] = np.repeat(np.isin(everywhere, tested), problem.lengths(everywhere))
-    return inside
 
 
 def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) -> FloatArray:

@@ -125,9 +125,7 @@ def _promising(
     In contact every fit is one by simulation: ranked along the motion are the others.
     """
     fewest = min(len(h.terms) for h in starts)
-    weight = 1.0 / np.sqrt(left + problem.signal_floor**2)
-    costs = [weighted_cost(r, weight) for r in problem.residuals(starts, problem.fit)]
-    order = [starts[i] for i in np.argsort(costs)]
+    order = [starts[i] for i in np.argsort(_costs(problem, starts, left))]
     single = [h for h in order if len(h.terms) == fewest]
     several = [h for h in order if len(h.terms) > fewest]
     return single[:_SCANNED] + several[:_SCANNED]
@@ -191,20 +189,25 @@ def _scanned(
     terms += [t for t in _gears(problem, left) if t not in {*terms, *best.hypothesis.terms}]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
     rows += singles
-    weight = 1.0 / np.sqrt(left + problem.signal_floor**2)
     whole = np.mean(look.view.residual**2, axis=0)
     needles = bool((whole > (_NEEDLES * look.view.floor) ** 2).any())
     if needles:
         rows += [best.hypothesis.with_term(t, size) for t in terms for size in _beyond(t)]
-    found = _cheapest(problem, rows, weight)[:_SCANNED]
+    found = _cheapest(problem, rows, left)[:_SCANNED]
     for reach in _HONED if needles else ():
-        found = _cheapest(problem, [h for f in found for h in _about(f, reach)], weight)
+        found = _cheapest(problem, [h for f in found for h in _about(f, reach)], left)
     return found
 
 
-def _cheapest(problem: Problem, rows: Sequence[Hypothesis], weight: FloatArray) -> list[Hypothesis]:
+def _costs(problem: Problem, rows: Sequence[Hypothesis], left: FloatArray) -> list[float]:
+    """What rows leave as they are, by simulation, under the weights of (signals,) ``left``."""
+    weights = problem.weights(left)
+    return [weighted_cost(r, weights) for r in problem.residuals(rows, problem.fit)]
+
+
+def _cheapest(problem: Problem, rows: Sequence[Hypothesis], left: FloatArray) -> list[Hypothesis]:
     """Of each last term the row that leaves least, by simulation, best first."""
-    costs = [weighted_cost(r, weight) for r in problem.residuals(rows, problem.fit)]
+    costs = _costs(problem, rows, left)
     found: dict[Term, Hypothesis] = {}
     for i in np.argsort(costs):
         if np.isfinite(costs[i]):

@@ -96,7 +96,7 @@ def prepare(
         effort_floor,
         refined=refined,
     )
-    problem.start_noise, problem.start_width = noise, start_width(segments[0])
+    problem.start_noise, problem.start_width = noise, start_width(segments[0].time)
     if any(s.mode != "position" for s in segments):
 
         def free(hypothesis: Hypothesis) -> dict[int, FreeStart]:

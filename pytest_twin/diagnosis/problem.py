@@ -184,6 +184,25 @@ class Problem:
             return self.floor
         return np.concatenate([self.floor, self.effort_floor])
 
+    @property
+    def tested(self) -> NDArray[np.int64]:
+        """Segments that a name is held against: held out, or all that was fitted."""
+        return self.held_out if len(self.held_out) else self.fit
+
+    @property
+    def in_test(self) -> NDArray[np.bool_]:
+        """(samples,) of all segments, whether they lie in :attr:`tested` ones."""
+        everywhere = np.arange(len(self.simulator.segments))
+        inside: NDArray[np.bool_] = np.repeat(
+            np.isin(everywhere, self.tested), self.lengths(everywhere)
+        )
+        return inside
+
+    def weights(self, left: FloatArray) -> FloatArray:
+        """(signals,) reciprocal deviations of a fit that leaves the mean squares ``left``."""
+        weights: FloatArray = 1.0 / np.sqrt(left + self.signal_floor**2)
+        return weights
+
     def lengths(self, segments: NDArray[np.int64]) -> list[int]:
         """Samples of each segment."""
         return [len(self.simulator.segments[s].time) for s in segments]

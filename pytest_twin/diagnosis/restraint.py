@@ -48,7 +48,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     # Once, with every term at work: afterwards each removal leaves more for the others.
     judged = False
     fitted = selected.best.fitted
-    tested = problem.held_out if len(problem.held_out) else problem.fit
+    tested = problem.tested
     problem.refine_at(EMPTY)
     before = in_floors(problem.residuals([EMPTY], tested)[0], problem.signal_floor)
     while fitted.hypothesis.terms:

@@ -135,7 +135,7 @@ class Selection:
         # What the step costs differs between the model as it came and what explains the rest; of
         # that, the simplest is the least to be wrong.
         self.problem.refine_at(min(starts, key=lambda h: len(h.terms)))
-        return self.contest.heats(starts, 1.0 / np.sqrt(left + look.view.floor**2), best)
+        return self.contest.heats(starts, self.problem.weights(left), best)
 
     def _lenses(self, best: Rival, look: Look) -> list[Lens]:
         """For every term: what stands, to first order, with it taken away and the rest free."""

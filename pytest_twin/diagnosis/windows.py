@@ -77,7 +77,7 @@ def segments_of(
                     initial_position=position[0], initial_velocity=first, **common)
         ]  # fmt: skip
     out = []
-    width = _START_SAMPLES * float(np.median(np.diff(time)))
+    width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
     history = (time, smooth, speed)
     for start, end in itertools.pairwise(edges_of(time, position - smooth, window)):
@@ -149,6 +149,6 @@ def _model(realization: Realization, trial: Trial) -> mujoco.MjModel:
     return known[tuple(chosen)]
 
 
-def start_width(segment: Segment) -> float:
+def start_width(time: FloatArray) -> float:
     """Seconds of samples that a window's initial state is taken from."""
-    return _START_SAMPLES * float(np.median(np.diff(segment.time)))
+    return _START_SAMPLES * float(np.median(np.diff(time)))
