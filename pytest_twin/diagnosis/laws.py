@@ -1,13 +1,14 @@
 """The generalized force that laws give along a motion, without simulating it.
 
 The hooks of :class:`~pytest_twin.effects.base.Effect` are called on samples of the motion as rows:
-all samples at once where no law remembers, else step by step. Dry friction follows the sign of the
-velocity; where the joint stands it is what the motion asks for, up to its level.
+all samples at once where no law remembers, else step by step. Joints whose laws are those at hand
+already are left out. Dry friction follows the sign of the velocity; where the joint stands it is
+what the motion asks for, up to its level.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -17,13 +18,17 @@ from pytest_twin.diagnosis.along import Along
 from pytest_twin.diagnosis.rigid_terms import Rigid, upsampled
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
 from pytest_twin.effects.roll_in import act
-from pytest_twin.effects.rows import RowSimulator, hooks_between_steps
+from pytest_twin.effects.rows import OF_ROWS, RowSimulator, hooks_between_steps
 
 _MOST_NUMBERS = 2_000_000
+_BLOCK = 64
+"""Steps that are prepared and closed together: few enough to stay in a core's cache."""
 _PER_ROW = (
     "gain", "stiffness", "damping", "offset", "lower", "upper", "friction_level",
     "motor_armature", "motor_damping",
 )  # fmt: skip
+_AT_ONCE, _SAMPLES, _STEPS = 0, 1, 2
+"""Pace of a joint's laws: all samples at once, sample by sample, at the model's own step."""
 ActiveEffects = Sequence[tuple[Effect, Values]]
 
 
@@ -49,9 +54,54 @@ class Forces:
     passive_damping: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class _Lanes:
+    """Joints of segments under variants of their laws, side by side.
+
+    A lane is one joint, or all joints of the robot where a law reads what another joint's does.
+
+    Attributes:
+        copy: (lanes,) variant.
+        segment: (lanes,) index among the motion's segments.
+        joint: (lanes, columns).
+    """
+
+    copy: NDArray[np.int64]
+    segment: NDArray[np.int64]
+    joint: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, pairs: NDArray[np.int64], joint: NDArray[np.int64], segments: int) -> _Lanes:
+        """Every segment under (n,) variants at (n, columns) joints."""
+        return cls(
+            np.repeat(pairs, segments),
+            np.tile(np.arange(segments), len(pairs)),
+            np.repeat(joint, segments, axis=0),
+        )
+
+    def of_copy(self, x: FloatArray) -> FloatArray:
+        """(lanes, columns) of (copies, joints)."""
+        return x[self.copy[:, None], self.joint]
+
+    def of_segment(self, x: FloatArray) -> FloatArray:
+        """(lanes, columns) of (segments, joints)."""
+        return x[self.segment[:, None], self.joint]
+
+    def in_time(self, x: FloatArray) -> FloatArray:
+        """(lanes, n, columns) of (segments, n, joints)."""
+        return np.moveaxis(x[self.segment[:, None], :, self.joint], 2, 1)
+
+    def parts(self, samples: int) -> Iterator[_Lanes]:
+        """Lanes in parts of what is worked out together."""
+        per = max(1, _MOST_NUMBERS // (samples * self.joint.shape[1]))
+        for first in range(0, len(self.copy), per):
+            some = slice(first, first + per)
+            yield _Lanes(self.copy[some], self.segment[some], self.joint[some])
+
+
 @dataclass(slots=True)
 class _Joint:
-    """What a variant's joints have beside the drive, (rows, joints)."""
+    """What lanes have beside the drive, (lanes, columns)."""
 
     damping: FloatArray
     armature: FloatArray
@@ -63,6 +113,20 @@ class _Joint:
     soft: FloatArray
 
 
+@dataclass(slots=True)
+class _Found:
+    """Of lanes: (lanes, samples, columns) in time, (lanes, columns) else."""
+
+    total: FloatArray
+    drive: FloatArray
+    dry: FloatArray
+    level: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
+    passive_stiffness: FloatArray
+    passive_damping: FloatArray
+
+
 class Laws:
     """Evaluates laws along one motion."""
 
@@ -72,7 +136,7 @@ class Laws:
         samples = along.position.shape[1]
         self.load = upsampled(rigid.bias, rigid.at, samples)
         self.required = upsampled(rigid.effort, rigid.at, samples)
-        self._commands: FloatArray | None = None
+        self._held: dict[int, FloatArray] = {}
 
     def forces(self, effects: ActiveEffects, copies: int) -> Forces:
         """Forces of ``copies`` variants.
@@ -82,53 +146,104 @@ class Laws:
             copies: how many variants.
         """
         segments, samples, joints = self.along.position.shape
-        per = max(1, _MOST_NUMBERS // (segments * samples * joints))
-        found = []
-        for first in range(0, copies, per):
-            part = slice(first, min(first + per, copies))
-            some = [(e, {n: x[part] for n, x in v.items()}) for e, v in effects]
-            found.append(self._forces(some, part.stop - part.start))
-        return Forces(
-            *(np.concatenate([getattr(f, x.name) for f in found]) for x in fields(Forces))
-        )
+        out = Forces(*(np.zeros((copies, segments, samples, joints)) for _ in fields(Forces)))
+        everything = np.ones((copies, joints), dtype=bool)
+        for lanes, found in self._found(effects, _pace(effects, (copies, joints)), everything):
+            at = (lanes.copy[:, None], lanes.segment[:, None], slice(None), lanes.joint)
+            for field in fields(Forces):
+                value = getattr(found, field.name)
+                value = np.moveaxis(value, 1, 2) if value.ndim == 3 else value[:, :, None]
+                getattr(out, field.name)[at] = value
+        return out
 
-    def _forces(self, effects: ActiveEffects, copies: int) -> Forces:
-        simulator, along = self.simulator, self.along
-        segments, samples, joints = along.position.shape
-        rows = np.tile(along.segments, copies)
-        each = [(e, {n: np.repeat(x, segments, axis=0) for n, x in v.items()}) for e, v in effects]
-        world = simulator.world(rows)
-        world.timestep = simulator.timestep
-        joint = self._joint(each, world, rows)
+    def changes(
+        self, effects: ActiveEffects, copies: int, own: ActiveEffects, base: Forces
+    ) -> tuple[FloatArray, FloatArray]:
+        """What variants add to the total force and to the drive.
+
+        Args:
+            effects: values (copies, joints), neutral where a variant lacks the effect.
+            copies: how many variants.
+            own: of the laws at hand, values (1, joints).
+            base: their forces.
+
+        Returns:
+            Twice (copies, segments, samples, joints) N*m or N.
+        """
+        segments, samples, joints = self.along.position.shape
+        shape = (copies, joints)
+        total, drive = np.zeros((2, copies, segments, samples, joints))
+        # A law that remembers must not change how the others are sampled: a joint that lost it is
+        # stepped as it was.
+        pace = np.maximum(_pace(effects, shape), _pace(own, (1, joints)))
+        for lanes, found in self._found(effects, pace, _unlike(effects, own, shape)):
+            here = (lanes.segment[:, None], slice(None), lanes.joint)
+            at = (lanes.copy[:, None], *here)
+            total[at] = np.moveaxis(found.total, 1, 2) - base.total[0][here]
+            drive[at] = np.moveaxis(found.drive, 1, 2) - base.drive[0][here]
+        return total, drive
+
+    def _found(
+        self, effects: ActiveEffects, pace: NDArray[np.int64], which: NDArray[np.bool_]
+    ) -> Iterator[tuple[_Lanes, _Found]]:
+        """Forces of (copies, joints) joints ``which``, those of one pace together."""
+        segments, samples, joints = self.along.position.shape
+        coupled = np.zeros(len(which), dtype=bool)
+        for effect, v in effects:
+            if effect.reads_other_joints:
+                coupled |= _there(effect, v).any(axis=1)
+        coupled &= which.any(axis=1)
+        together = np.where(coupled, pace.max(axis=1), -1)
+        alone = np.where(which & ~coupled[:, None], pace, -1)
+        for p in (_AT_ONCE, _SAMPLES, _STEPS):
+            copies = np.flatnonzero(together == p)
+            everything = np.tile(np.arange(joints), (len(copies), 1))
+            copy, joint = np.nonzero(alone == p)
+            for some, columns in ((copies, everything), (copy, joint[:, None])):
+                if len(some):
+                    for lanes in _Lanes.of(some, columns, segments).parts(samples):
+                        yield lanes, self._of_lanes(effects, lanes, p)
+
+    def _of_lanes(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> _Found:
+        along = self.along
+        active = [(e, {n: lanes.of_copy(x) for n, x in v.items()}) for e, v in effects]
+        each = [(e, v) for e, v in active if _there(e, v).any()]
+        world = self._world(lanes)
+        joint = self._joint(each, world, lanes)
         for effect, v in each:
             effect.gains(world, v)
-        world_stiffness, world_damping = world.stiffness, world.damping
-        commands = self._command(each, rows, copies)
-        if any(effect.remembers for effect, _ in each):
-            out = self._stepwise(each, world, joint, commands, copies)
+        stiffness, damping = world.stiffness, world.damping
+        if pace == _AT_ONCE:
+            out = self._at_once(each, world, joint, lanes)
         else:
-            out = self._at_once(each, world, joint, commands, copies)
-        shape = (copies, segments, samples, joints)
-        constant = (
-            world_stiffness,
-            world_damping,
-            joint.spring + joint.model_spring,
-            joint.damping,
-        )
-        return Forces(
-            *(x.reshape(shape) for x in out),
-            *(np.broadcast_to(x.reshape(copies, segments, 1, joints), shape) for x in constant),
-        )
+            # Gears are stiff: they need the model's own step. A sample will do for the rest.
+            out = self._stepwise(each, world, joint, lanes, along.steps if pace == _STEPS else 1)
+        total, drive, dry, level = out
+        passive = joint.spring + joint.model_spring
+        return _Found(total, drive, dry, level, stiffness, damping, passive, joint.damping)
 
-    def _joint(self, effects: ActiveEffects, world: World, rows: NDArray[np.int64]) -> _Joint:
+    def _world(self, lanes: _Lanes) -> World:
+        world = self.simulator.world(self.along.segments)
+        for name in OF_ROWS:
+            value = getattr(world, name)
+            value = value[lanes.segment] if value.ndim == 1 else lanes.of_segment(value)
+            setattr(world, name, value)
+        world.servo = world.servo[lanes.joint]
+        return world
+
+    def _joint(self, effects: ActiveEffects, world: World, lanes: _Lanes) -> _Joint:
         simulator = self.simulator
-        models = [simulator.segments[r].model for r in rows]
+        models = [simulator.segments[s].model for s in self.along.segments]
         dof = simulator.dof_index
-        count = world.gain.shape
-        changed = ModelFields.neutral(np.array([m.opt.gravity for m in models]), count[1])
-        changed.damping = np.array([m.dof_damping[dof] for m in models])
+
+        def of(values: list[FloatArray]) -> FloatArray:
+            return lanes.of_segment(np.array(values))
+
+        gravity = np.array([m.opt.gravity for m in models])[lanes.segment]
+        changed = ModelFields.neutral(gravity, lanes.joint.shape[1])
+        changed.damping = of([m.dof_damping[dof] for m in models])
         changed.friction = world.friction_level
-        soft = np.zeros(count, dtype=bool)
+        soft = np.zeros(lanes.joint.shape, dtype=bool)
         for effect, v in effects:
             if effect.family != "contact":
                 effect.fields(changed, v)
@@ -136,124 +251,185 @@ class Laws:
             if apart is not None:
                 soft |= apart
         world.friction_level = np.maximum(changed.friction, 0.0)
-        own = np.array([m.dof_armature[dof] for m in models])
+        own = of([m.dof_armature[dof] for m in models])
         world.motor_armature = own + changed.armature
         world.motor_damping = changed.damping
-        rest = np.array([m.qpos_spring[simulator.qpos_index] for m in models])
-        springs = np.array([m.jnt_stiffness[simulator.joint_ids] for m in models])
+        rest = of([m.qpos_spring[simulator.qpos_index] for m in models])
+        springs = of([m.jnt_stiffness[simulator.joint_ids] for m in models])
         return _Joint(
             changed.damping, changed.armature, own, changed.constant_force, changed.stiffness,
             springs, rest, soft,
         )  # fmt: skip
 
-    def _command(self, effects: ActiveEffects, rows: NDArray[np.int64], copies: int) -> FloatArray:
-        """(rows, steps, joints) held commands of every step of the model."""
+    def _commands(self, effects: ActiveEffects, lanes: _Lanes, count: int) -> FloatArray:
+        """(lanes, count, columns) means of the held commands over even parts of the motion."""
         simulator, along = self.simulator, self.along
-        steps = (along.position.shape[1] - 1) * along.steps
+        segments, samples, joints = along.position.shape
+        steps = (samples - 1) * along.steps
         late = [(e, v) for e, v in effects if e.overrides("command_delay", "sample_time")]
         if late:
-            return simulator.commands(rows, late, steps)
-        if self._commands is None:
-            self._commands = simulator.commands(along.segments, [], steps)
-        return np.tile(self._commands, (copies, 1, 1))
+            rows = along.segments[lanes.segment]
+            found = simulator.commands(rows, late, steps, lanes.joint)
+            mean: FloatArray = found.reshape(len(rows), count, -1, found.shape[2]).mean(axis=2)
+            return mean
+        if count not in self._held:
+            found = simulator.commands(along.segments, [], steps)
+            self._held[count] = found.reshape(segments, count, -1, joints).mean(axis=2)
+        return lanes.in_time(self._held[count])
 
     def _at_once(
-        self, effects: ActiveEffects, world: World, joint: _Joint, commands: FloatArray, copies: int
-    ) -> tuple[FloatArray, ...]:
+        self, effects: ActiveEffects, world: World, joint: _Joint, lanes: _Lanes
+    ) -> list[FloatArray]:
         along = self.along
-        segments, samples, joints = along.position.shape
-        rows = copies * segments
-        mean = commands.reshape(rows, samples - 1, along.steps, joints).mean(axis=2)
+        samples = along.position.shape[1]
+        count, columns = lanes.joint.shape
+        mean = self._commands(effects, lanes, samples - 1)
         # A command holds from its sample on; a sample stands for half a sample to either side.
         held = np.concatenate([mean[:, :1], 0.5 * (mean[:, 1:] + mean[:, :-1]), mean[:, -1:]], 1)
 
         def spread(x: FloatArray) -> FloatArray:
             return np.repeat(x, samples, axis=0)
 
-        def tiled(x: FloatArray) -> FloatArray:
-            return np.tile(x, (copies, 1, 1)).reshape(-1, joints)
+        def flat(x: FloatArray) -> FloatArray:
+            return lanes.in_time(x).reshape(-1, columns)
 
-        for name in _PER_ROW:
+        for name in (*_PER_ROW, "servo"):
             setattr(world, name, spread(getattr(world, name)))
         wide = _Joint(*(spread(getattr(joint, f.name)) for f in fields(_Joint)))
-        each = [(e, {n: spread(x) for n, x in v.items()}) for e, v in effects]
-        world.time = np.tile(along.time, (copies, 1)).ravel()
-        world.position, world.velocity = tiled(along.position), tiled(along.velocity)
-        world.load = tiled(self.load)
-        out = self._law(
-            hooks_between_steps(each),
+        world.time = along.time[lanes.segment].ravel()
+        world.position, world.velocity = flat(along.position), flat(along.velocity)
+        world.load = flat(self.load)
+        world.setpoint = held.reshape(-1, columns)
+        world.applied = wide.constant - wide.spring * (world.position - wide.rest)
+        act(
             world,
-            wide,
-            held.reshape(-1, joints),
-            tiled(along.acceleration),
-            tiled(self.required),
+            hooks_between_steps([(e, {n: spread(x) for n, x in v.items()}) for e, v in effects]),
         )
-        return tuple(x.reshape(rows, samples, joints) for x in out)
+        out = self._closed(
+            wide, world.velocity, flat(along.acceleration), flat(self.required),
+            world.delivered, world.applied, world.friction_level,
+            along.slip_velocity[np.repeat(lanes.joint, samples, axis=0)],
+        )  # fmt: skip
+        return [x.reshape(count, samples, columns) for x in out]
 
     def _stepwise(
-        self, effects: ActiveEffects, world: World, joint: _Joint, commands: FloatArray, copies: int
-    ) -> tuple[FloatArray, ...]:
+        self, effects: ActiveEffects, world: World, joint: _Joint, lanes: _Lanes, parts: int
+    ) -> list[FloatArray]:
         along = self.along
-        segments, samples, joints = along.position.shape
-        rows = copies * segments
-        # Gears are stiff: they need the model's own step. A sample will do for the rest.
-        parts = along.steps if any(effect.overrides("transmit") for effect, _ in effects) else 1
+        samples = along.position.shape[1]
+        count, columns = lanes.joint.shape
         world.timestep = along.interval / parts
-        held = commands.reshape(rows, (samples - 1) * parts, -1, joints).mean(axis=2)
-        motion = np.stack(
-            [along.position, along.velocity, self.load, along.acceleration, self.required], axis=0
-        )
-        motion = np.ascontiguousarray(np.tile(motion, (1, copies, 1, 1)).swapaxes(0, 2))
-        start = np.tile(along.time[:, 0], copies)
+
+        def by_step(x: FloatArray) -> FloatArray:
+            return np.ascontiguousarray(x.swapaxes(0, 1))
+
+        held = by_step(self._commands(effects, lanes, (samples - 1) * parts))
+        motion = [
+            by_step(lanes.in_time(x))
+            for x in (along.position, along.velocity, self.load, along.acceleration, self.required)
+        ]
+        start = along.time[lanes.segment, 0]
         hooks = hooks_between_steps(effects)
-        world.time, world.load = start, motion[0, :, 2]
-        self.simulator.roll_in(world, np.tile(along.segments, copies), effects)
-        found = np.empty((4, (samples - 1) * parts, rows, joints))
+        world.time, world.load = start, motion[2][0]
+        self.simulator.roll_in(world, along.segments[lanes.segment], effects, lanes.joint)
         bounds = world.lower, world.upper, world.friction_level
-        for k in range((samples - 1) * parts):
-            t, part = divmod(k, parts)
-            now = motion[t]
-            if parts > 1:
-                now = now + (part / parts) * (motion[t + 1] - now)
-            world.time = start + k * world.timestep
-            world.position, world.velocity, world.load = now[:, 0], now[:, 1], now[:, 2]
-            found[:, k] = self._law(hooks, world, joint, held[:, k], now[:, 3], now[:, 4])
-            world.lower, world.upper, world.friction_level = bounds
-        out = np.empty((4, rows, samples, joints))
-        mean = found.reshape(4, samples - 1, parts, rows, joints).mean(axis=2).swapaxes(1, 2)
+        share = (np.arange(parts) / parts)[None, :, None, None]
+        slip_velocity = along.slip_velocity[lanes.joint]
+        mean = np.empty((4, samples - 1, count, columns))
+        per = max(1, _BLOCK // parts)
+        drive, level = np.empty((2, per * parts, count, columns))
+        for first in range(0, samples - 1, per):
+            last = min(first + per, samples - 1)
+            steps = (last - first) * parts
+            position, velocity, load, acceleration, required = (
+                (
+                    x[first:last, None] + share * (x[first + 1 : last + 1] - x[first:last])[:, None]
+                ).reshape(steps, count, columns)
+                for x in motion
+            )
+            applied = joint.constant - joint.spring * (position - joint.rest)
+            for i in range(steps):
+                k = first * parts + i
+                world.time = start + k * world.timestep
+                world.position, world.velocity = position[i], velocity[i]
+                world.load, world.setpoint, world.applied = load[i], held[k], applied[i]
+                world.lower, world.upper, world.friction_level = bounds
+                act(world, hooks)
+                for effect, v in hooks["transmit"]:
+                    effect.transmit(world, v)
+                drive[i], level[i] = world.delivered, world.friction_level
+            found = self._closed(
+                joint, velocity, acceleration, required, drive[:steps], applied,
+                level[:steps], slip_velocity,
+            )  # fmt: skip
+            for m, x in zip(mean, found, strict=True):
+                m[first:last] = x.reshape(last - first, parts, count, columns).mean(axis=1)
+        world.lower, world.upper, world.friction_level = bounds
+        out = np.empty((4, count, samples, columns))
+        mean = mean.swapaxes(1, 2)
         # Means over the sample after each stamp, moved to the stamps.
         out[:, :, 0], out[:, :, -1] = mean[:, :, 0], mean[:, :, -1]
         out[:, :, 1:-1] = 0.5 * (mean[:, :, 1:] + mean[:, :, :-1])
-        return tuple(out)
+        return list(out)
 
-    def _law(
-        self,
-        hooks: Mapping[str, ActiveEffects],
-        world: World,
+    @staticmethod
+    def _closed(
         joint: _Joint,
-        command: FloatArray,
+        velocity: FloatArray,
         acceleration: FloatArray,
         required: FloatArray,
+        drive: FloatArray,
+        applied: FloatArray,
+        level: FloatArray,
+        slip_velocity: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Total, drive, dry friction and its level."""
-        world.setpoint = command.copy()
-        world.applied = joint.constant - joint.spring * (world.position - joint.rest)
-        act(world, hooks)
-        drive = world.delivered
-        level = np.maximum(world.friction_level, 0.0)
-        others = (
-            drive + world.applied - joint.damping * world.velocity - joint.armature * acceleration
-        )
-        slip = world.velocity / self.along.slip_velocity
+        """Total, drive, dry friction and its level, (..., lanes, columns) like the arguments."""
+        level = np.maximum(level, 0.0)
+        others = drive + applied - joint.damping * velocity - joint.armature * acceleration
+        slip = velocity / slip_velocity
         # At rest dry friction is what holds the joint, as far as its level goes.
         standing = np.exp(-0.25 * slip * slip)
         holding = np.minimum(np.maximum(required - others, -level), level)
         dry = standing * holding - (1.0 - standing) * level * np.tanh(slip)
-        rigid = others + dry
-        for effect, v in hooks["transmit"]:
-            effect.transmit(world, v)
-        total = rigid
-        if hooks["transmit"]:
+        total = others + dry
+        if joint.soft.any():
             # A link that the gear lets go has no armature: the mass matrix has it all the same.
-            total = np.where(joint.soft, world.applied + joint.own_armature * acceleration, rigid)
+            total = np.where(joint.soft, applied + joint.own_armature * acceleration, total)
         return total, drive, dry, level
+
+
+def _there(effect: Effect, values: Values) -> NDArray[np.bool_]:
+    """Where an effect acts: a switch that is not neutral."""
+    switches = [p for p in effect.parameters if p.neutral is not None]
+    found: NDArray[np.bool_] = np.any([values[p.name] != p.neutral for p in switches], axis=0)
+    return found
+
+
+def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
+    """How the laws of every (copies, joints) joint have to be stepped."""
+    out = np.full(shape, _AT_ONCE)
+    for effect, v in effects:
+        if effect.remembers:
+            mine = _STEPS if effect.overrides("transmit") else _SAMPLES
+            out = np.maximum(out, np.where(_there(effect, v), mine, _AT_ONCE))
+    return out
+
+
+def _unlike(
+    effects: ActiveEffects, own: ActiveEffects, shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """(copies, joints) whose laws are not those at hand."""
+    out = np.zeros(shape, dtype=bool)
+    held = {e.id: v for e, v in own}
+    for effect, v in effects:
+        there = _there(effect, v)
+        mine = held.pop(effect.id, None)
+        if mine is None:
+            out |= there
+        else:
+            changed = np.any([x != mine[n] for n, x in v.items()], axis=0)
+            out |= changed & (there | _there(effect, mine))
+    for effect, _ in own:
+        if effect.id in held:
+            out |= _there(effect, held[effect.id])
+    return out

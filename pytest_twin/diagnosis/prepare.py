@@ -97,7 +97,7 @@ def prepare(
         refined=refined,
     )
     problem.start_noise, problem.start_width = noise, start_width(segments[0].time)
-    if any(s.mode != "position" for s in segments):
+    if any(s.amid or s.mode != "position" for s in segments):
 
         def free(hypothesis: Hypothesis) -> dict[int, FreeStart]:
             return free_starts(

@@ -280,7 +280,7 @@ class Linear:
         out = {}
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
-            free = free_shifts(segment.mode, joints)
+            free = free_shifts(segment)
             if free:
                 response = self._read(i, state[i, :, :joints, :free]).reshape(-1, free)
                 out[i] = free_start(
@@ -337,9 +337,9 @@ class Linear:
         everything = {**self._wide(len(rows)), effect.id: values}
         active = self._active(everything)
         joints = len(self.problem.joints)
-        forces = None
+        added = None
         if effect.overrides(*_IN_FORCES):
-            forces = self.laws.forces(active, len(rows))
+            added = self.laws.changes(active, len(rows), self._active(self.own), self.base)
         heavy = _is_rigid(effect, values, joints)
         masses: dict[int, list[FloatArray]] = {}
         if heavy:
@@ -352,9 +352,8 @@ class Linear:
                 for n in range(len(switches)):
                     row = k * len(switches) + n
                     column = self._sensed(effect, values, row, j)
-                    if forces is not None:
-                        column.force = _only(forces.total[row] - self.base.total[0], j)
-                        column.drive = _only(forces.drive[row] - self.base.drive[0], j)
+                    if added is not None:
+                        column.force, column.drive = (_only(x[row], j) for x in added)
                     if heavy:
                         extra = masses[j][row]
                         column.force = extra if column.force is None else column.force + extra
@@ -451,27 +450,10 @@ class Linear:
         values = with_fixed(
             effect_values(hypotheses, joints, self.problem.scales), self.simulator.fixed, copies
         )
-        for effect, own in self.own.items():
-            if effect not in values:
-                # Absent from all of them, and stepped like the one at hand all the same: a law that
-                # remembers must not change how the others are sampled.
-                neutral = {p.name: p.neutral for p in catalogue()[effect].parameters}
-                values = {
-                    **values,
-                    effect: {
-                        n: np.repeat(x, copies, axis=0)
-                        if neutral[n] is None
-                        else np.full((copies, joints), neutral[n], dtype=np.float64)
-                        for n, x in own.items()
-                    },
-                }
         active = self._active(values)
-        forces = self.laws.forces(active, copies)
-        columns = [
-            _Column(forces.total[k] - self.base.total[0], forces.drive[k] - self.base.drive[0])
-            for k in range(copies)
-        ]
-        if any(_is_rigid(e, v, joints) for e, v in active):
+        total, drive = self.laws.changes(active, copies, self._active(self.own), self.base)
+        columns = [_Column(total[k], drive[k]) for k in range(copies)]
+        if any(_is_rigid(e, v, joints) for e, v in (*active, *self._active(self.own))):
             samples = self.along.position.shape[1]
             found = rigid_terms(self.simulator, self.along, active, copies)
             for column, f in zip(columns, found, strict=True):

@@ -47,13 +47,16 @@ class FreeStart:
         return left.reshape(residuals.shape)
 
 
-def free_shifts(mode: str, joints: int) -> int:
+def free_shifts(segment: Segment) -> int:
     """How much of (positions, velocities) is free when a segment starts.
 
     Of a velocity servo the positions alone: it takes an error of the velocity for a moment only,
     which leaves one of the position.
     """
-    return {"position": 0, "velocity": joints, "effort": 2 * joints}[mode]
+    joints = len(segment.initial_position)
+    if segment.amid:
+        return 2 * joints
+    return joints if segment.mode == "velocity" else 0
 
 
 def free_starts(
@@ -77,7 +80,7 @@ def free_starts(
             of the velocity dies out, without it it grows with time.
     """
     count = len(joints)
-    shifts = [free_shifts(s.mode, count) for s in segments]
+    shifts = [free_shifts(s) for s in segments]
     shifted: list[Segment] = []
     for s, free in zip(segments, shifts, strict=True):
         if free:

@@ -180,6 +180,7 @@ class Effect:
         confused_with: effect id -> the experiment that tells the two apart.
         modes: command modes under which it can act.
         remembers: whether a hook keeps a state between steps.
+        reads_other_joints: whether a hook of a joint reads what another joint's drive does.
     """
 
     id: ClassVar[str]
@@ -191,6 +192,7 @@ class Effect:
     confused_with: ClassVar[Mapping[str, str]] = {}
     modes: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
     remembers: ClassVar[bool] = False
+    reads_other_joints: ClassVar[bool] = False
 
     def overrides(self, *hooks: str) -> bool:
         """Whether any of these hooks does anything."""

@@ -26,7 +26,7 @@ def act(world: World, hooks: Hooks) -> None:
     for effect, v in hooks["servo"]:
         effect.servo(world, v)
     law = world.asked(world.position, world.velocity)
-    world.delivered = np.clip(law, world.lower, world.upper)
+    world.delivered = np.minimum(np.maximum(law, world.lower), world.upper)
     for effect, v in hooks["drive"]:
         effect.drive(world, v)
     for effect, v in hooks["friction"]:

@@ -31,7 +31,7 @@ EffectValues = Mapping[str, Values]
 
 _MAX_ROWS = 384
 _WORTH_THREADS = 64
-_OF_ROWS = (
+OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
 )  # fmt: skip
@@ -73,6 +73,11 @@ class Segment:
     initial_position: FloatArray
     initial_velocity: FloatArray
     history: tuple[FloatArray, FloatArray, FloatArray] | None = None
+
+    @property
+    def amid(self) -> bool:
+        """Whether it starts amid a motion."""
+        return self.history is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,25 +175,32 @@ class RowSimulator:
     # -- commands
 
     def _mean_commands(
-        self, segment: int, delay: FloatArray | None, steps: int, timestep: float | None = None
+        self,
+        segment: int,
+        delay: FloatArray | None,
+        steps: int,
+        joints: NDArray[np.int64],
+        timestep: float | None = None,
     ) -> FloatArray:
         """Mean over each step of the held command, (steps, joints); ``delay`` (joints,) s."""
         s = self.segments[segment]
         step = timestep or self.timestep
         if delay is None and segment in self._commands and len(self._commands[segment]) >= steps:
-            return self._commands[segment][:steps]
+            return self._commands[segment][:steps][:, joints]
         edges = s.start + step * np.arange(steps + 1)
         far = np.append(s.command_time, s.command_time[-1] + 1e6)
         area = np.zeros((len(far), s.command.shape[1]))
         np.cumsum(np.diff(far)[:, None] * s.command, axis=0, out=area[1:])
-        out = np.empty((steps, s.command.shape[1]))
-        for j in range(s.command.shape[1]):
-            at = edges if delay is None else edges - delay[j]
+        wanted = np.arange(s.command.shape[1]) if delay is None else joints
+        out = np.empty((steps, len(wanted)))
+        for c, j in enumerate(wanted):
+            at = edges if delay is None else edges - delay[c]
             # Before the first stamp the first command holds.
             summed = np.interp(at, far, area[:, j]) + np.minimum(at - far[0], 0.0) * s.command[0, j]
-            out[:, j] = np.diff(summed) / step
+            out[:, c] = np.diff(summed) / step
         if delay is None:
             self._commands[segment] = out
+            return out[:, joints]
         return out
 
     # -- models
@@ -274,51 +286,81 @@ class RowSimulator:
             world.position, world.velocity = effect.unsense(
                 world.position, world.velocity, parameters
             )
-        world.time = world.time - self.behind(rows, effects)[:, 0]
+        world.time = world.time - self.behind(rows, effects, len(self.joints))[:, 0]
         self._write_fields(batch, rows, models, effects, world)
         return batch, world
 
     def commands(
-        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], steps: int
+        self,
+        rows: NDArray[np.int64],
+        effects: Sequence[tuple[Effect, Values]],
+        steps: int,
+        joints: NDArray[np.int64] | None = None,
     ) -> FloatArray:
-        """Mean over each step of the held command after every delay, (rows, steps, joints)."""
-        delay = np.zeros((len(rows), len(self.joints)))
+        """Mean over each step of the held command after every delay, (rows, steps, columns).
+
+        Args:
+            rows: segments.
+            effects: values (rows, columns).
+            steps: of the model.
+            joints: (rows, columns) which; all of them, in their order, by default.
+        """
+        joints = self._columns(rows, joints)
+        delay = np.zeros(joints.shape)
         for effect, v in effects:
             added = effect.command_delay(v)
             if added is not None:
                 delay = delay + added
-        delay = delay + self.behind(rows, effects)
+        delay = delay + self.behind(rows, effects, joints.shape[1])
         late = np.any(delay, axis=1)
-        commands = np.empty((len(rows), steps, len(self.joints)))
-        for i, r in enumerate(rows):
-            commands[i] = self._mean_commands(int(r), delay[i] if late[i] else None, steps)
+        commands = np.empty((len(rows), steps, joints.shape[1]))
+        for i, (r, j) in enumerate(zip(rows, joints, strict=True)):
+            commands[i] = self._mean_commands(int(r), delay[i] if late[i] else None, steps, j)
         return np.nan_to_num(commands)
+
+    def _columns(
+        self, rows: NDArray[np.int64], joints: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        return np.tile(np.arange(len(self.joints)), (len(rows), 1)) if joints is None else joints
 
     def roll_in(
         self,
         world: World,
         rows: NDArray[np.int64],
         effects: Sequence[tuple[Effect, Values]],
+        joints: NDArray[np.int64] | None = None,
     ) -> None:
-        """Let laws that remember live through what came before windows, as far as it is known."""
+        """Let laws that remember live through what came before windows, as far as it is known.
+
+        Args:
+            world: rows at their start.
+            rows: segments.
+            effects: values (rows, columns).
+            joints: (rows, columns) which; all of them, in their order, by default.
+        """
         histories = [self.segments[r].history for r in rows]
         if not any(e.remembers for e, _ in effects) or any(h is None for h in histories):
             return
+        joints = self._columns(rows, joints)
         steps = round(LEAD / world.timestep)
         before = -world.timestep * np.arange(steps, 0, -1)
-        motion = np.empty((2, steps, len(rows), len(self.joints)))
-        command = np.empty(motion.shape[1:])
-        late = self.behind(rows, effects) + LEAD
-        for effect, v in effects:
-            added = effect.command_delay(v)
-            late = late if added is None else late + added
-        for i, (r, history) in enumerate(zip(rows, histories, strict=True)):
+        which, of = np.unique(rows, return_inverse=True)
+        known = np.empty((2, len(which), len(self.joints), steps))
+        for i, r in enumerate(which):
+            history = self.segments[r].history
             assert history is not None
             stamps = self.segments[r].start + before
             for j in range(len(self.joints)):
-                motion[0, :, i, j] = np.interp(stamps, history[0], history[1][:, j])
-                motion[1, :, i, j] = np.interp(stamps, history[0], history[2][:, j])
-            command[:, i] = self._mean_commands(int(r), late[i], steps, world.timestep)
+                known[0, i, j] = np.interp(stamps, history[0], history[1][:, j])
+                known[1, i, j] = np.interp(stamps, history[0], history[2][:, j])
+        motion = np.ascontiguousarray(np.moveaxis(known[:, of[:, None], joints], -1, 1))
+        command = np.empty(motion.shape[1:])
+        late = self.behind(rows, effects, joints.shape[1]) + LEAD
+        for effect, v in effects:
+            added = effect.command_delay(v)
+            late = late if added is None else late + added
+        for i, (r, j) in enumerate(zip(rows, joints, strict=True)):
+            command[:, i] = self._mean_commands(int(r), late[i], steps, j, world.timestep)
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):
                 for k in range(steps):
@@ -326,19 +368,19 @@ class RowSimulator:
         roll_in(world, hooks_between_steps(effects), motion[0], motion[1], np.nan_to_num(command))
 
     def behind(
-        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]
+        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], columns: int
     ) -> FloatArray:
-        """How long before its stamp the state was that a window starts from, (rows, joints) s.
+        """How long before its stamp the state was that a window starts from, (rows, columns) s.
 
         A window begins with what was read amid a motion: where readings are late, so is its start,
         and commands reach it that much later. A whole trial begins at rest, and when it says.
         """
         start = np.array([self.segments[r].start for r in rows])[:, None, None]
-        stamp = np.repeat(start, len(self.joints), axis=2)
+        stamp = np.repeat(start, columns, axis=2)
         taken = stamp
         for effect, v in effects:
             taken = effect.sample_time(taken, v)
-        window = np.array([self.segments[r].mode == "effort" for r in rows])
+        window = np.array([self.segments[r].amid for r in rows])
         out: FloatArray = np.where(window[:, None], (stamp - taken)[:, 0], 0.0)
         return out
 
@@ -351,7 +393,7 @@ class RowSimulator:
         """When readings with (rows, n, joints) stamps were taken, on the clock of their motion."""
         for effect, v in effects:
             stamps = effect.sample_time(stamps, v)
-        return stamps + self.behind(rows, effects)[:, None]
+        return stamps + self.behind(rows, effects, stamps.shape[2])[:, None]
 
     def world(self, rows: NDArray[np.int64]) -> World:
         """The rows' segments at their start, the drives as the model has them."""
@@ -390,7 +432,7 @@ class RowSimulator:
                 world.damping[i, driven] = -m.actuator_biasprm[act, 2] * gear**2
             limits = m.actuator_forcerange[act] * gear[:, None]
             world.lower[i, driven], world.upper[i, driven] = limits.min(axis=1), limits.max(axis=1)
-        for name in _OF_ROWS:
+        for name in OF_ROWS:
             setattr(world, name, getattr(world, name)[of])
         return world
 
@@ -538,53 +580,56 @@ class RowSimulator:
         steps: int,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         count, joints = len(rows), len(self.joints)
-        qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-        applied = batch.bind("qfrc_applied")
-        qpos[:, self.qpos_index] = world.position
-        qvel[:, self.dof_index] = world.velocity
-        applied[:, self.dof_index] = self._constant
-        driven = self.actuator >= 0
-        bare = (self.servo == "effort") & ~driven
-        control, scale = self.control[driven], self.scale[driven]
-        q = np.empty((count, steps + 1, joints))
-        v = np.empty((count, steps + 1, joints))
-        effort = np.zeros((count, steps + 1, joints))
-        q[:, 0], v[:, 0] = world.position, world.velocity
+        at_qpos, at_dof = _span(self.qpos_index), _span(self.dof_index)
+        qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+        ctrl, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
+        qpos[:, at_qpos], qvel[:, at_dof] = world.position, world.velocity
+        applied[:, at_dof] = self._constant
+        driven = np.flatnonzero(self.actuator >= 0)
+        bare = (self.servo == "effort") & (self.actuator < 0)
+        control, scale = _span(self.control[driven]), self.scale[driven]
+        at_driven = _span(driven)
+        # Steps first: one step of all rows lies together.
+        q, v = np.empty((2, steps + 1, count, joints))
+        effort = np.zeros((steps + 1, count, joints))
         hooks = hooks_between_steps(effects)
         if not any(hooks.values()) and not bare.any():
-            inputs = np.zeros((count, steps, batch.bind("ctrl").shape[1]))
+            inputs = np.zeros((count, steps, ctrl.shape[1]))
             inputs[:] = ctrl[:, None]
-            inputs[:, :, control] = commands[:, :, driven] * scale
+            inputs[:, :, control] = commands[:, :, at_driven] * scale
+            q[0], v[0] = world.position, world.velocity
             try:
                 out = batch.rollout(steps, inputs, record=("qpos", "qvel", "qfrc_actuator"))
-            except BatchError as error:
-                q[:, 1:], v[:, 1:] = np.nan, np.nan
-                del error
+            except BatchError:
+                q[1:], v[1:] = np.nan, np.nan
             else:
-                q[:, 1:] = out["qpos"][:, :, self.qpos_index]
-                v[:, 1:] = out["qvel"][:, :, self.dof_index]
-                effort[:, :-1] = out["qfrc_actuator"][:, :, self.dof_index]
-                effort[:, -1] = effort[:, -2]
-            self._mark_diverged(batch, q, v, effort)
-            return q, v, effort
+                q[1:] = out["qpos"][:, :, at_qpos].swapaxes(0, 1)
+                v[1:] = out["qvel"][:, :, at_dof].swapaxes(0, 1)
+                effort[:-1] = out["qfrc_actuator"][:, :, at_dof].swapaxes(0, 1)
+                effort[-1] = effort[-2]
+            return self._by_row(batch, q, v, effort)
         bias = batch.bind("qfrc_bias")
         actuator_force = batch.bind("qfrc_actuator")
         batch.forward()
         level = world.friction_level
         start = world.time
-        if hooks["friction"] or hooks["transmit"]:
-            world.load = bias[:, self.dof_index]
+        loaded = bool(hooks["friction"] or hooks["transmit"])
+        if loaded:
+            world.load = bias[:, at_dof]
         self.roll_in(world, rows, effects)
+        commanded = np.ascontiguousarray(commands.swapaxes(0, 1))
+        pushed = np.empty((count, joints))
+        by_hand = bare.any()
 
         def before(k: int) -> None:
             world.time = start + k * self.timestep
+            q[k], v[k] = qpos[:, at_qpos], qvel[:, at_dof]
+            world.position, world.velocity = q[k], v[k]
             if k:
-                world.position = qpos[:, self.qpos_index]
-                world.velocity = qvel[:, self.dof_index]
-                q[:, k], v[:, k] = world.position, world.velocity
-                effort[:, k - 1] = actuator_force[:, self.dof_index] + effort[:, k - 1]
-            world.setpoint = commands[:, k].copy()
-            world.applied = self._constant.copy()
+                effort[k - 1] += actuator_force[:, at_dof]
+            world.setpoint = commanded[k]
+            pushed[:] = self._constant
+            world.applied = pushed
             for effect, p in hooks["command"]:
                 effect.command(world, p)
             if hooks["servo"]:
@@ -595,49 +640,52 @@ class RowSimulator:
                     self._write_bounds(world)
             if hooks["drive"]:
                 law = world.asked(world.position, world.velocity)
-                native = np.clip(law, world.lower, world.upper)
+                native = np.minimum(np.maximum(law, world.lower), world.upper)
                 world.delivered = native
                 for effect, p in hooks["drive"]:
                     effect.drive(world, p)
                 added = world.delivered - native
                 world.applied += added
-                effort[:, k] = added
-            if hooks["friction"] or hooks["transmit"]:
+                effort[k] = added
+            if loaded:
                 world.friction_level = level
-                world.load = bias[:, self.dof_index]
+                world.load = bias[:, at_dof]
             if hooks["friction"]:
                 for effect, p in hooks["friction"]:
                     effect.friction(world, p)
                 assert self._friction is not None
-                self._friction[:, self.dof_index] = np.where(
+                self._friction[:, at_dof] = np.where(
                     self._soft, 0.0, np.maximum(world.friction_level, 0.0)
                 )
             for effect, p in hooks["force"]:
                 effect.force(world, p)
-            if bare.any():
+            if by_hand:
                 world.applied[:, bare] += np.where(
                     self._soft[:, bare], 0.0, world.setpoint[:, bare]
                 )
-                effort[:, k, bare] += world.setpoint[:, bare]
+                effort[k][:, bare] += world.setpoint[:, bare]
             for effect, p in hooks["transmit"]:
                 effect.transmit(world, p)
             if hooks["servo"]:
                 world.lower, world.upper = bounds
-            applied[:, self.dof_index] = world.applied
-            ctrl[:, control] = world.setpoint[:, driven] * scale
+            applied[:, at_dof] = world.applied
+            ctrl[:, control] = world.setpoint[:, at_driven] * scale
 
         lockstep(batch, steps, before)
-        q[:, steps], v[:, steps] = qpos[:, self.qpos_index], qvel[:, self.dof_index]
-        effort[:, steps - 1] += actuator_force[:, self.dof_index]
-        effort[:, steps] = effort[:, steps - 1]
-        self._mark_diverged(batch, q, v, effort)
-        return q, v, effort
+        q[steps], v[steps] = qpos[:, at_qpos], qvel[:, at_dof]
+        effort[steps - 1] += actuator_force[:, at_dof]
+        effort[steps] = effort[steps - 1]
+        return self._by_row(batch, q, v, effort)
 
     @staticmethod
-    def _mark_diverged(batch: Batch, q: FloatArray, v: FloatArray, effort: FloatArray) -> None:
+    def _by_row(
+        batch: Batch, q: FloatArray, v: FloatArray, effort: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Steps first to rows first; NaN where a row diverged."""
         failed = batch.warning[:, :, 1].any(axis=1)
         for array in (q, v, effort):
-            array[failed] = np.nan
+            array[:, failed] = np.nan
+        return q.swapaxes(0, 1), v.swapaxes(0, 1), effort.swapaxes(0, 1)
 
     def _sample(
         self,
@@ -678,6 +726,13 @@ class RowSimulator:
             )
             for i, r in enumerate(rows)
         ]
+
+
+def _span(index: NDArray[np.int64]) -> slice | NDArray[np.int64]:
+    """The same elements as a slice, where they lie side by side: views cost nothing."""
+    if len(index) and (np.diff(index) == 1).all():
+        return slice(int(index[0]), int(index[-1]) + 1)
+    return index
 
 
 def _cores() -> int:

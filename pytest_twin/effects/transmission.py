@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -41,6 +42,7 @@ class JointCoupling(Effect):
     law = "delivered_j += ratio drive_(j-1)"
     source = "Siciliano et al., Robotics (2009), sec. 5.1: transmissions that couple joints"
     parameters = (Parameter("ratio", "one", 0.0, -2.0, 2.0, (0.1,)),)
+    reads_other_joints = True
     confused_with: ClassVar = {
         "inertial_parameters": "hold the other joint still under load: only a coupling pulls",
     }
@@ -49,6 +51,24 @@ class JointCoupling(Effect):
         before = np.zeros_like(world.delivered)
         before[:, 1:] = world.delivered[:, :-1]
         world.delivered = world.delivered + values["ratio"] * before
+
+
+@dataclass(slots=True)
+class _MotorSide:
+    """Where motors are, and what of their gears does not change, (rows, joints) each.
+
+    ``half_gap`` is None where gears have no play. ``momentum`` is the inertia over a step, ``inert``
+    the same with what always acts on the motor.
+    """
+
+    angle: FloatArray
+    speed: FloatArray
+    stiffness: FloatArray
+    gear: FloatArray
+    half_gap: FloatArray | None
+    momentum: FloatArray
+    inert: FloatArray
+    servo: FloatArray
 
 
 class _Compliance(Effect):
@@ -62,49 +82,59 @@ class _Compliance(Effect):
 
     def _gear(
         self, world: World, values: Values
-    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray | None]:
         """Where it acts, and stiffness, damping and gap of the gear, (rows, joints) each."""
         raise NotImplementedError
 
-    def transmit(self, world: World, values: Values) -> None:
+    def _at_rest(self, world: World, values: Values) -> _MotorSide:
+        """Start where the gear carries the load: stretched, on one flank."""
         acts, stiffness, damping, gap = self._gear(world, values)
         dt = world.timestep
-        armature = np.maximum(world.motor_armature, 1e-9)
-        held = world.state.get(self.id)
-        if held is None:
-            # Start where the gear carries the load: stretched, on one flank.
-            stretch = world.load / np.maximum(stiffness, 1e-9) + np.sign(world.load) * gap / 2.0
-            held = (world.position + stretch, world.velocity.copy())
-        angle, speed = held
-        stretch = angle - world.position
-        deflection = stretch - np.clip(stretch, -gap / 2.0, gap / 2.0)
-        touching = (deflection != 0.0) | (gap == 0.0)
+        stretch = world.load / np.maximum(stiffness, 1e-9)
+        if gap is not None:
+            stretch = stretch + np.sign(world.load) * gap / 2.0
+        # Where it does not act nothing is transmitted.
+        stiffness, damping = np.where(acts, stiffness, 0.0), np.where(acts, damping, 0.0)
+        gear = stiffness * dt + damping
+        momentum = np.maximum(world.motor_armature, 1e-9) / dt
+        inert = momentum + world.motor_damping
+        if gap is None:
+            inert = inert + gear
+        return _MotorSide(
+            world.position + stretch, world.velocity.copy(), stiffness, gear,
+            None if gap is None else gap / 2.0, momentum, inert,
+            world.damping + world.stiffness * dt,
+        )  # fmt: skip
+
+    def transmit(self, world: World, values: Values) -> None:
+        side = world.state.get(self.id)
+        if side is None:
+            side = world.state[self.id] = self._at_rest(world, values)
+        angle, speed, gear = side.angle, side.speed, side.gear
+        deflection = angle - world.position
         law = world.asked(angle, speed)
-        drive = np.clip(law, world.lower, world.upper)
-        servo = np.where(drive == law, world.damping + world.stiffness * dt, 0.0)
-        gear = np.where(touching, stiffness * dt + damping, 0.0)
-        pull = np.where(touching, stiffness * deflection, 0.0)
-        inert = armature / dt + servo + world.motor_damping + gear
-        push = (
-            armature / dt * speed
-            + drive
-            + servo * speed
-            - world.stiffness * dt * np.where(drive == law, speed, 0.0)
-            - pull
-            + gear * world.velocity
-        )
-        free = push / inert
+        drive = np.minimum(np.maximum(law, world.lower), world.upper)
+        # A drive within its bounds gives way over the step as its gains say.
+        free = drive == law
+        inert = side.inert + side.servo * free
+        half = side.half_gap
+        if half is not None:
+            deflection = deflection - np.minimum(np.maximum(deflection, -half), half)
+            gear = gear * (deflection != 0.0)
+            inert = inert + gear
+        pull = side.stiffness * deflection
+        push = (side.momentum + world.damping * free) * speed + drive - pull + gear * world.velocity
+        moving = push / inert
         # Dry friction as the impulse that stops the motor, at most its level (Moreau 1988).
-        next_speed = free - np.clip(
-            free, -world.friction_level / inert, world.friction_level / inert
-        )
-        transmitted = pull + gear * (next_speed - world.velocity)
-        # Flanks push and never pull.
-        flank = np.sign(deflection)
-        transmitted = np.where(gap > 0.0, flank * np.maximum(flank * transmitted, 0.0), transmitted)
-        angle = angle + dt * next_speed
-        world.state[self.id] = (angle, next_speed)
-        world.applied += np.where(acts, transmitted, 0.0)
+        most = world.friction_level / inert
+        moving = moving - np.minimum(np.maximum(moving, -most), most)
+        transmitted = pull + gear * (moving - world.velocity)
+        if half is not None:
+            # Flanks push and never pull.
+            flank = np.sign(deflection)
+            transmitted = flank * np.maximum(flank * transmitted, 0.0)
+        side.angle, side.speed = angle + world.timestep * moving, moving
+        world.applied += transmitted
 
 
 class Backlash(_Compliance):
@@ -126,7 +156,7 @@ class Backlash(_Compliance):
 
     def _gear(
         self, world: World, values: Values
-    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray | None]:
         # Teeth as stiff as the step resolves: their deflection is small beside the gap.
         stiffness = 0.05 * np.maximum(world.motor_armature, 1e-9) / world.timestep**2
         damping = 0.6 * np.sqrt(stiffness * np.maximum(world.motor_armature, 1e-9))
@@ -162,8 +192,8 @@ class JointElasticity(_Compliance):
 
     def _gear(
         self, world: World, values: Values
-    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+    ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray | None]:
         acts = values["compliance"] > 0.0
         stiffest = 0.5 * np.maximum(world.motor_armature, 1e-9) / world.timestep**2
         stiffness = np.minimum(1.0 / np.maximum(values["compliance"], 1e-12), stiffest)
-        return acts, stiffness, values["damping_time"] * stiffness, np.zeros_like(stiffness)
+        return acts, stiffness, values["damping_time"] * stiffness, None
