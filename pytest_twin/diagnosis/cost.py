@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,11 +40,12 @@ class Cost:
         }
 
 
-def cost(problem: Problem, since: float) -> Cost:
-    """Cost of a diagnosis that began at ``since`` (``time.perf_counter``)."""
+def cost(problems: Sequence[Problem], since: float) -> Cost:
+    """Cost of a diagnosis of ``problems`` that began at ``since`` (``time.perf_counter``)."""
     wall = time.perf_counter() - since
+    problem = problems[0]
     simulator = problem.simulator
-    stepped = problem.stepped
+    stepped = sum(p.stepped for p in problems)
     rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
     before = simulator.stepped

@@ -35,6 +35,8 @@ _FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
 # off may leave as much as none: laws of one parameter are scanned to their bounds where they have
 # so many starting sizes, and honed by so many sizes within these factors, one after the other.
 _NEEDLES, _MANY, _NEIGHBOURS, _HONED = 1000.0, 6, 9, (1.25, 1.05)
+# Joints whose drives are scanned for limits.
+_LIMITED = 2
 
 
 @dataclass(slots=True)
@@ -74,10 +76,23 @@ def view_of(problem: Problem, best: Rival, left: FloatArray) -> View:
     return View(left, slope, problem.signal_floor, binned.lengths)
 
 
-def front(
-    contest: Contest, best: Rival, look: Look, say: Say
-) -> tuple[list[Hypothesis], FloatArray]:
-    """Structures that are worth a simulation, and the (signals,) mean square that may be left.
+@dataclass(slots=True)
+class Foremost:
+    """What is best along the motion.
+
+    Attributes:
+        starts: the few structures that are worth a simulation, best first.
+        left: (signals,) mean square that the best leaves.
+        singles: all those that add least.
+    """
+
+    starts: list[Hypothesis]
+    left: FloatArray
+    singles: list[Hypothesis]
+
+
+def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | None:
+    """The best structures along the motion, None without any.
 
     Args:
         contest: of the search.
@@ -85,16 +100,15 @@ def front(
         look: at it.
         say: told what is considered.
     """
-    none: FloatArray = np.zeros(len(look.view.floor))
     if not look.answers.responses:
-        return [], none
+        return None
     whole = np.mean(contest.nominal.fitted.residual**2, axis=0)
     levels = Search(
         _WIDTH, _AT_ONCE, EARNS,
         lambda before, after: contest.worth_a_name(before, after, whole),
     ).levels(Lens(look.view, look.answers))  # fmt: skip
     if not levels:
-        return [], none
+        return None
     # Shapes of single terms are known as well as their grids are: more of them get a chance.
     chosen = [
         structure
@@ -107,14 +121,19 @@ def front(
         for term, start in structure.starts.items():
             h = h.with_term(term, start)
         starts.append(h)
-    starts, left, singles = _foremost(look, starts, chosen[0].residual, contest.name_price, say)
-    if _bent(look, left, clear=starts[0] in singles):
-        scanned = _scanned(contest.problem, best, look, singles, left)
+    return _foremost(look, starts, chosen[0].residual, contest.name_price, say)
+
+
+def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hypothesis]:
+    """Structures that are worth a simulation: where small deviations say little, others too."""
+    starts, left = found.starts, found.left
+    if _bent(look, left, clear=starts[0] in found.singles):
+        scanned = _scanned(problem, best, look, found.singles, left)
         alike = {h.terms for h in scanned}
         starts = [*(h for h in starts if h.terms not in alike), *scanned]
     if look.linear is None:
-        starts = _promising(contest.problem, starts, left)
-    return starts, left
+        starts = _promising(problem, starts, left)
+    return starts
 
 
 def _promising(
@@ -133,15 +152,12 @@ def _promising(
 
 def _foremost(
     look: Look, starts: list[Hypothesis], residual: FloatArray, name_price: float, say: Say
-) -> tuple[list[Hypothesis], FloatArray, list[Hypothesis]]:
-    """The few that are worth a simulation, the (signals,) mean square that is left, and all
-    that add least.
-    """
+) -> Foremost:
     view = look.view
     fewest = min(len(h.terms) for h in starts)
     if look.linear is None:
         singles = [h for h in starts if len(h.terms) == fewest]
-        return starts, np.mean(residual**2, axis=0), singles
+        return Foremost(starts, np.mean(residual**2, axis=0), singles)
     polished = polish(look.linear, view, starts, _POLISH)
     evidence = evidence_along(view, polished, name_price)
     order = np.argsort(-evidence)
@@ -163,7 +179,7 @@ def _foremost(
     left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
     hypotheses = [p.hypothesis for p in polished]
     singles = [h for h in hypotheses if len(h.terms) == fewest]
-    return [hypotheses[i] for i in front], left, singles
+    return Foremost([hypotheses[i] for i in front], left, singles)
 
 
 def _bent(look: Look, left: FloatArray, *, clear: bool) -> bool:
@@ -186,8 +202,11 @@ def _scanned(
 ) -> list[Hypothesis]:
     """The best of what single terms do as they are and at all starting sizes, by simulation."""
     terms = [h.terms[-1] for h in singles]
-    terms += [t for t in _gears(problem, left) if t not in {*terms, *best.hypothesis.terms}]
+    seen = {*terms, *best.hypothesis.terms}
+    terms += [t for t in _gears(problem, left) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
+    limits = [t for t in _limits(problem, left) if t not in seen]
+    rows += [best.hypothesis.with_term(t, start) for t in limits for start, _ in grid(t)[::2]]
     rows += singles
     whole = np.mean(look.view.residual**2, axis=0)
     needles = bool((whole > (_NEEDLES * look.view.floor) ** 2).any())
@@ -237,6 +256,19 @@ def _about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
         theta[-1] = np.clip(theta[-1] * factor, p.lower, p.upper)
         out.append(hypothesis.with_theta(theta))
     return out
+
+
+def _limits(problem: Problem, left: FloatArray) -> list[Term]:
+    """Limits of the drives where most is left: along the motion they are needles, and simulated
+    they are not.
+    """
+    joints = len(problem.joints)
+    floors = np.sqrt(left[:joints]) / problem.floor
+    most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > _FIRST_ORDER]
+    return [
+        t for t in candidates(problem)
+        if t.joint in most and len(t.parameters) == 1 and len(t.parameters[0].starts) >= _MANY
+    ]  # fmt: skip
 
 
 def _gears(problem: Problem, left: FloatArray) -> list[Term]:

@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.problem import (
     nominal_replay,
 )
 from pytest_twin.diagnosis.start import FreeStart, free_starts
-from pytest_twin.diagnosis.windows import EFFORT_WINDOW, segments_of, start_width
+from pytest_twin.diagnosis.windows import WINDOW, segments_of, start_width
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
 from pytest_twin.errors import RecordingError
@@ -56,7 +56,7 @@ def prepare(
     held_out: Sequence[Trial],
     *,
     threads: int = 0,
-    window: float = EFFORT_WINDOW,
+    window: float | None = None,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
@@ -64,7 +64,8 @@ def prepare(
         realization: the model as it came.
         fit, held_out: recordings.
         threads: of the simulation; 0 for all.
-        window: s, of motions under effort commands; halved where they are too wild for it.
+        window: s, that motions are cut into, halved where they are too wild for it; by default
+            those under effort commands alone.
 
     Raises:
         RecordingError: no joint that the model and every recording share.
@@ -108,8 +109,8 @@ def prepare(
     problem.refine_at(EMPTY)
     steps = discretization(problem)
     allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
-    if window == EFFORT_WINDOW and _too_wild(segments, steps, allowed):
-        return prepare(realization, fit, held_out, threads=threads, window=0.5 * window)
+    if window in (None, WINDOW) and _too_wild(segments, steps, allowed):
+        return prepare(realization, fit, held_out, threads=threads, window=0.5 * WINDOW)
     if segments[0].mode == "effort":
         problem.step_left = _LEFT_OF_JUMPS
     elif simulator.contact.world.size:
@@ -144,9 +145,9 @@ def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -
 
 
 def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
-    """Whether windows under effort commands are too long, and half of one is long enough."""
+    """Whether windows are too long, and half of one is long enough."""
     enough = float(np.median([len(s.time) for s in segments])) >= 2 * _FEWEST
-    return segments[0].mode == "effort" and enough and bool((steps > allowed).any())
+    return segments[0].amid and enough and bool((steps > allowed).any())
 
 
 def discretization(problem: Problem) -> FloatArray:

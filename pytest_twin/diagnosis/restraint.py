@@ -20,8 +20,10 @@ _WORSE = 1.05
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.35, 0.25
-# A name that rivals could replace has to take this share of the mismatch.
+# A name that rivals could replace has to take this share of the mismatch; one that they would
+# replace, had there been time to simulate them, is none beside others.
 _UNSURE, _SLIGHT = 0.7, 0.01
+_UNLIKELY = 0.02
 # What could be absent, by its own interval, has to take off this many times as much as others.
 _ABSENT_BAR = 2.0
 
@@ -96,6 +98,15 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
                 "the squared mismatch, and others could in its place; it is not claimed"
             )
             fitted = refitted[slight[0]]
+            continue
+        chances = [selected.confidence.get(t, 1.0) for t in terms]
+        if len(terms) > 1 and min(chances) < _UNLIKELY:
+            least = int(np.argmin(chances))
+            notes.append(
+                f"{label(problem, terms[least])} stands where others are more likely, and they "
+                "were not told apart; it is not claimed"
+            )
+            fitted = refitted[least]
             continue
         if judged:
             return Pruned(fitted, rests, notes)

@@ -14,7 +14,16 @@ import numpy as np
 
 from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
 from pytest_twin.diagnosis.fewer import merged, simpler
-from pytest_twin.diagnosis.front import Look, against, evidence_along, front, look_around, view_of
+from pytest_twin.diagnosis.front import (
+    Foremost,
+    Look,
+    against,
+    evidence_along,
+    foremost,
+    front,
+    look_around,
+    view_of,
+)
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.problem import Problem
@@ -38,9 +47,18 @@ _CROWD = 3
 class Selection:
     """One search over structures."""
 
-    def __init__(self, problem: Problem, say: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        say: Callable[[str], None] = lambda text: None,
+        share_left: float = np.inf,
+    ) -> None:
+        """A search, given up where along the motion no structure leaves less than ``share_left``
+        of the squared mismatch.
+        """
         self.problem = problem
         self.say = say
+        self.share_left = share_left
         self.contest = Contest(problem)
         self.regrown = 0
         self.first: tuple[Term, ...] | None = None
@@ -129,13 +147,20 @@ class Selection:
 
     def _tried(self, best: Rival, look: Look) -> list[Rival]:
         """The structures in front, simulated and fitted; by evidence over ``best``."""
-        starts, left = front(self.contest, best, look, self.say)
-        if not starts:
+        found = foremost(self.contest, best, look, self.say)
+        if found is None or self._hopeless(best, look, found):
             return []
+        starts, left = front(self.problem, best, look, found), found.left
         # What the step costs differs between the model as it came and what explains the rest; of
         # that, the simplest is the least to be wrong.
         self.problem.refine_at(min(starts, key=lambda h: len(h.terms)))
         return self.contest.heats(starts, self.problem.weights(left), best)
+
+    def _hopeless(self, best: Rival, look: Look, found: Foremost) -> bool:
+        floor = look.view.floor
+        whole = np.mean(look.view.residual**2, axis=0)
+        share = float(np.sum(found.left / floor**2) / np.sum(whole / floor**2))
+        return not best.hypothesis.terms and share > self.share_left
 
     def _lenses(self, best: Rival, look: Look) -> list[Lens]:
         """For every term: what stands, to first order, with it taken away and the rest free."""

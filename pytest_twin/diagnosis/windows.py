@@ -1,7 +1,8 @@
 """Trials in the model's terms: whole, or in short windows where errors would grow.
 
-Under an effort command errors integrate twice: a simulation is held to the recording for a while,
-then starts anew from the measured state.
+Under an effort command errors integrate twice, and a servo that hunts or an arm that falls does not
+do the same twice: a simulation is held to the recording for a while, then starts anew from the
+measured state (multiple shooting; Bock, 1981).
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.mjcf import compiled
 from pytest_twin.trial import Trial
 
-EFFORT_WINDOW = 0.5
-"""s, of motions under effort commands."""
+WINDOW = 0.5
+"""s, of windows, where motions are not too wild for it."""
 _START_SAMPLES = 12
 # Mean square, of its usual size, by which samples are off a smooth motion where a command jumps;
 # the median of the squares of a unit normal distribution.
@@ -35,16 +36,16 @@ def segments_of(
     trial: Trial,
     index: int,
     joints: Sequence[str],
-    window: float = EFFORT_WINDOW,
+    window: float | None = None,
 ) -> list[Segment]:
-    """A trial in the model's terms: one segment, or, under effort commands, short windows.
+    """A trial in the model's terms: one segment, or short windows.
 
     Args:
         realization: what it is stepped on, under the trial's own controller and payload.
         trial: what was recorded.
         index: of the trial, kept in its segments.
         joints: columns; all are in the trial.
-        window: s.
+        window: s; by default effort commands have :data:`WINDOW`, others none.
 
     Raises:
         SpecError: a controller or payload that the model lacks.
@@ -70,7 +71,7 @@ def segments_of(
         "command_time": trial.command_time[ascending],
         "command": command[ascending],
     }
-    if trial.command_mode != "effort":
+    if window is None and trial.command_mode != "effort":
         first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])
         return [
             Segment(start=0.0, time=time, position=position, velocity=velocity, effort=effort,
@@ -80,7 +81,7 @@ def segments_of(
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
     history = (time, smooth, speed)
-    for start, end in itertools.pairwise(edges_of(time, position - smooth, window)):
+    for start, end in itertools.pairwise(edges_of(time, position - smooth, window or WINDOW)):
         inside = (time >= start) & (time <= end)
         if inside.sum() < 8:
             continue
@@ -95,7 +96,7 @@ def segments_of(
 
 
 def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:
-    """Where windows under effort commands begin and end, s.
+    """Where windows begin and end, s.
 
     A velocity is not known where a command jumps: there, they begin a little before or after.
 

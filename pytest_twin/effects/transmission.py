@@ -57,8 +57,8 @@ class JointCoupling(Effect):
 class _MotorSide:
     """Where motors are, and what of their gears does not change, (rows, joints) each.
 
-    ``half_gap`` is None where gears have no play. ``momentum`` is the inertia over a step, ``inert``
-    the same with what always acts on the motor.
+    ``half_gap`` is None where gears have no play; ``momentum`` is inertia over a step, ``inert`` it
+    with what always acts on the motor.
     """
 
     angle: FloatArray

@@ -48,7 +48,12 @@ def reference(seed: int, seconds: float, joints: int) -> np.ndarray:
 
 
 def swing(
-    wanted: np.ndarray, *, delay: float = 0.0, viscous: float = 0.0, joint: int = 0
+    wanted: np.ndarray,
+    *,
+    delay: float = 0.0,
+    viscous: float = 0.0,
+    lag: float = 0.0,
+    joint: int = 0,
 ) -> np.ndarray:
     """(steps, joints) rad under (steps, joints) setpoints; what is hidden acts on one joint."""
     joints = wanted.shape[1]
@@ -57,14 +62,18 @@ def swing(
     late[joint] = round(delay / STEP)
     damping = np.full(joints, DAMPING)
     damping[joint] += viscous
+    keep = np.zeros(joints)
+    keep[joint] = np.exp(-STEP / lag) if lag else 0.0
+    given = np.zeros(joints)
     q, v = np.zeros(joints), np.zeros(joints)
     out = np.empty_like(wanted)
     columns = np.arange(joints)
     for k in range(len(wanted)):
         out[k] = q
         sent = wanted[np.maximum(k - late, 0), columns]
-        effort = np.clip(KP * (sent - q) - KV * v, -LIMIT, LIMIT)
-        effort += -damping * v + MASS * 9.81 * LENGTH * np.sin(q)
+        asked = np.clip(KP * (sent - q) - KV * v, -LIMIT, LIMIT)
+        given = asked + keep * (given - asked)
+        effort = given - damping * v + MASS * 9.81 * LENGTH * np.sin(q)
         v = v + STEP * effort / inertia
         q = q + STEP * v
     return out

@@ -1,0 +1,77 @@
+"""Motions that do not do the same twice are predicted in windows that start from what was read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import ARMATURE, DAMPING, INERTIA, KP, KV, LENGTH, MASS, mjcf, record
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.start import free_shifts
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.diagnosis.windows import WINDOW
+from pytest_twin.realization import Realization
+
+LAG = 0.05
+ONE = ("left",)
+
+
+def hunting(folder: Path, **hidden: float) -> tuple[Realization, TrialSet]:
+    """A pendulum whose servo lags, and three recordings."""
+    model = folder / "model.xml"
+    model.write_text(mjcf(ONE))
+    files = [
+        record(folder / f"{role}{seed}.mcap", seed, role=role, seconds=4.0, joints=ONE, **hidden)
+        for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
+    ]
+    loaded = load_model(model)
+    return loaded.realization, read_trials(files, [], loaded.topics, loaded.realization.structure)
+
+
+def test_the_servo_of_this_test_hunts() -> None:
+    """Routh: ``lag I s^3 + I s^2 + (kv + d) s + (kp - m g l)`` is unstable for a long lag."""
+    inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
+    stiffness, damping = KP - MASS * 9.81 * LENGTH, KV + DAMPING
+    assert inertia * damping < LAG * inertia * stiffness
+
+
+def test_a_lag_that_makes_a_servo_hunt_is_named_with_its_time(tmp_path: Path) -> None:
+    realization, trials = hunting(tmp_path, lag=LAG)
+    found = diagnose(realization, trials, threads=1)
+    assert found.verdict == "explained"
+    (finding,) = found.explained.findings
+    assert (finding.effect, finding.joint) == ("actuator_lag", "left")
+    estimate = finding.parameters["time_constant"]
+    assert estimate.value == pytest.approx(LAG, rel=0.05)
+    assert estimate.low <= LAG <= estimate.high
+    assert any("windows of 0.5 s" in note for note in found.notes)
+    assert found.errors["left"].after < 3.0 * found.errors["left"].floor
+
+
+def test_a_motion_that_is_followed_whole_stays_whole(tmp_path: Path) -> None:
+    realization, trials = hunting(tmp_path, delay=0.02)
+    found = diagnose(realization, trials, threads=1)
+    assert [f.effect for f in found.explained.findings] == ["command_delay"]
+    assert not any("windows" in note for note in found.notes)
+
+
+def test_windows_start_from_what_was_measured_and_are_free_to_shift(tmp_path: Path) -> None:
+    realization, trials = hunting(tmp_path)
+    whole = prepare(realization, trials.fit, trials.held_out, threads=1).problem
+    cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW).problem
+    assert [s.amid for s in whole.simulator.segments] == [False] * 3
+    assert all(s.amid for s in cut.simulator.segments)
+    assert len(cut.simulator.segments) == pytest.approx(3 * 4.0 / WINDOW, abs=3)
+    assert {free_shifts(s) for s in whole.simulator.segments} == {0}
+    assert {free_shifts(s) for s in cut.simulator.segments} == {2}
+    first = cut.simulator.segments[1]
+    trial = trials.fit[0]
+    read = np.interp(first.start, trial.time, trial.position[:, 0])
+    assert first.initial_position == pytest.approx([read], abs=3e-4)
+    velocity_servo = replace(whole.simulator.segments[0], mode="velocity")
+    assert free_shifts(velocity_servo) == 1
