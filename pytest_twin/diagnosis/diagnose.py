@@ -34,8 +34,9 @@ _UNSEEN = 1e6
 # worth a search in windows, and by simulation where that search explains what whole motions do not.
 _CLEAR, _MOSTLY = 0.05, 0.1
 _IN_WINDOWS = (
-    f"predicted in windows of {WINDOW:g} s that start from what was measured: over whole recordings "
-    "small errors of this motion grow (a servo that hunts, an arm that falls, a speed that adds up)"
+    f"predicted in windows of {WINDOW:g} s that start from what was measured: over whole "
+    "recordings small errors of this motion grow (a servo that hunts, an arm that falls, a speed "
+    "that adds up)"
 )
 
 

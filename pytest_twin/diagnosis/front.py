@@ -33,9 +33,10 @@ _WIDTH, _AT_ONCE, _OFFERED, _SINGLE, _POLISH = 10, 4, 2, 8, 3
 _FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
 # With so many floors (an arm that falls, a command that is never followed) a size that is a tenth
 # off may leave as much as none: laws of one parameter are scanned to their bounds where they have
-# so many starting sizes, and honed by so many sizes within these factors, one after the other.
+# so many starting sizes. They and limits of drives are honed by so many sizes within these
+# factors, one after the other.
 _NEEDLES, _MANY, _NEIGHBOURS, _HONED = 1000.0, 6, 9, (1.25, 1.05)
-# Joints whose drives are scanned for limits.
+# Joints whose drives are scanned for limits, and laws of them that are honed.
 _LIMITED = 2
 
 
@@ -205,17 +206,23 @@ def _scanned(
     seen = {*terms, *best.hypothesis.terms}
     terms += [t for t in _gears(problem, left) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
-    limits = [t for t in _limits(problem, left) if t not in seen]
+    whole = np.mean(look.view.residual**2, axis=0)
+    limits = [t for t in _limits(problem, whole) if t not in seen]
     rows += [best.hypothesis.with_term(t, start) for t in limits for start, _ in grid(t)[::2]]
     rows += singles
-    whole = np.mean(look.view.residual**2, axis=0)
     needles = bool((whole > (_NEEDLES * look.view.floor) ** 2).any())
     if needles:
-        rows += [best.hypothesis.with_term(t, size) for t in terms for size in _beyond(t)]
-    found = _cheapest(problem, rows, left)[:_SCANNED]
-    for reach in _HONED if needles else ():
-        found = _cheapest(problem, [h for f in found for h in _about(f, reach)], left)
-    return found
+        rows += [
+            best.hypothesis.with_term(t, size) for t in [*terms, *limits] for size in _beyond(t)
+        ]
+    found = _cheapest(problem, rows, left)
+    few = found[:_SCANNED]
+    honed = [h for h in found if h.terms[-1] in limits][:_LIMITED]
+    if needles:
+        honed += [h for h in few if h.terms[-1] not in limits]
+    for reach in _HONED:
+        honed = _cheapest(problem, [h for f in honed for h in _about(f, reach)], left)
+    return _cheapest(problem, [*few, *honed], left)[:_SCANNED]
 
 
 def _costs(problem: Problem, rows: Sequence[Hypothesis], left: FloatArray) -> list[float]:
@@ -258,12 +265,12 @@ def _about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
     return out
 
 
-def _limits(problem: Problem, left: FloatArray) -> list[Term]:
-    """Limits of the drives where most is left: along the motion they are needles, and simulated
-    they are not.
+def _limits(problem: Problem, whole: FloatArray) -> list[Term]:
+    """Limits of the drives where most is to be explained: along the motion they are needles, and
+    simulated they are not.
     """
     joints = len(problem.joints)
-    floors = np.sqrt(left[:joints]) / problem.floor
+    floors = np.sqrt(whole[:joints]) / problem.floor
     most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > _FIRST_ORDER]
     return [
         t for t in candidates(problem)

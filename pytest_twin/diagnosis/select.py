@@ -51,14 +51,20 @@ class Selection:
         self,
         problem: Problem,
         say: Callable[[str], None] = lambda text: None,
-        share_left: float = np.inf,
+        share_left: float = 1.0,
     ) -> None:
-        """A search, given up where along the motion no structure leaves less than ``share_left``
-        of the squared mismatch.
+        """A search over all structures.
+
+        Args:
+            problem: what to explain.
+            say: told what is considered.
+            share_left: of the squared mismatch. Below 1 the search is a second look: given up where
+                along the motion no structure leaves less, or where those in front fail.
         """
         self.problem = problem
         self.say = say
         self.share_left = share_left
+        self.attempts = _ATTEMPTS if share_left >= 1.0 else 1
         self.contest = Contest(problem)
         self.regrown = 0
         self.first: tuple[Term, ...] | None = None
@@ -121,7 +127,7 @@ class Selection:
         along it what it does not when it is simulated: such terms leave, and the search goes on.
         """
         look = look_around(self.problem, best)
-        for _ in range(_ATTEMPTS):
+        for _ in range(self.attempts):
             rivals = [] if self._spent(best) else self._tried(best, look)
             if not rivals:
                 break
@@ -157,10 +163,12 @@ class Selection:
         return self.contest.heats(starts, self.problem.weights(left), best)
 
     def _hopeless(self, best: Rival, look: Look, found: Foremost) -> bool:
+        if best.hypothesis.terms or self.share_left >= 1.0:
+            return False
         floor = look.view.floor
         whole = np.mean(look.view.residual**2, axis=0)
         share = float(np.sum(found.left / floor**2) / np.sum(whole / floor**2))
-        return not best.hypothesis.terms and share > self.share_left
+        return share > self.share_left
 
     def _lenses(self, best: Rival, look: Look) -> list[Lens]:
         """For every term: what stands, to first order, with it taken away and the rest free."""
