@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
 from pytest_twin.diagnosis.responses import bins, responses
 from pytest_twin.diagnosis.rigid_terms import rigid_terms, upsampled
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, Structure, View, candidates
-from pytest_twin.diagnosis.smoothing import smooth_state
+from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.diagnosis.start import free_starts
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator, Segment
@@ -144,12 +144,13 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
     segments = [replace(segment, position=position)]
     if not servo:
         segments = []
+        smooth, speed, _ = derivatives(time, position, START_WIDTH)
         for start in np.arange(0.0, SECONDS - 1e-9, WINDOW):
             inside = (time >= start - 1e-9) & (time <= start + WINDOW + 1e-9)
             q, v = smooth_state(time, position, float(start), START_WIDTH)
             segments.append(
                 replace(segment, start=float(start), time=time[inside], position=position[inside],
-                        initial_position=q, initial_velocity=v)
+                        initial_position=q, initial_velocity=v, history=(time, smooth, speed))
             )  # fmt: skip
     simulator = RowSimulator(segments, joints, threads=1)
     scales = joint_scales(simulator, nominal_replay(simulator))

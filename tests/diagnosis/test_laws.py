@@ -1,0 +1,91 @@
+"""Laws along a motion: only what differs from the laws at hand is worked out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+from test_first_order import ELBOW, ROBOT, SHOULDER, FloatArray, problem_of
+
+from pytest_twin.diagnosis.along import along
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
+from pytest_twin.diagnosis.laws import ActiveEffects, Laws
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.rigid_terms import rigid_terms
+from pytest_twin.effects import catalogue
+
+Variant = Mapping[Term, Sequence[float]]
+"""Terms and their parameters, in multiples of references."""
+
+DRAG: Variant = {Term("viscous_friction", SHOULDER): [0.3]}
+LATE: Variant = {Term("sensor_delay", ROBOT): [0.02], Term("command_delay", ELBOW): [0.02]}
+LAG: Variant = {Term("actuator_lag", ELBOW): [0.03]}
+SOFT: Variant = {Term("joint_elasticity", SHOULDER): [0.1, 0.01]}
+COUPLED: Variant = {Term("joint_coupling", ELBOW): [0.1], Term("actuator_lag", SHOULDER): [0.02]}
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return problem_of("position", DRAG_HIDDEN)
+
+
+DRAG_HIDDEN = {Term("viscous_friction", ELBOW): {"coefficient": 0.2}}
+
+
+def values(problem: Problem, variants: Sequence[Variant]) -> ActiveEffects:
+    hypotheses = []
+    for variant in variants:
+        h = EMPTY
+        for term, theta in variant.items():
+            h = h.with_term(term, np.array(theta))
+        hypotheses.append(h)
+    found = effect_values(hypotheses, len(problem.joints), problem.scales)
+    return [(catalogue()[e], v) for e, v in found.items()]
+
+
+def laws_of(problem: Problem) -> Laws:
+    motion = along(problem, EMPTY, problem.fit)
+    return Laws(problem.simulator, motion, rigid_terms(problem.simulator, motion, [])[0])
+
+
+def changed(
+    problem: Problem, laws: Laws, variants: Sequence[Variant], own: Variant
+) -> tuple[FloatArray, FloatArray]:
+    mine = values(problem, [own]) if own else []
+    base = laws.forces(mine, 1)
+    return laws.changes(values(problem, variants), len(variants), mine, base)
+
+
+@pytest.mark.parametrize(
+    "variant", [DRAG, LATE, LAG, SOFT, COUPLED], ids=lambda v: next(iter(v)).effect
+)
+def test_changes_are_differences_of_whole_evaluations(problem: Problem, variant: Variant) -> None:
+    laws = laws_of(problem)
+    # Beside others, for what one variant has must not reach the next.
+    variants = [DRAG, variant, {}]
+    total, drive = changed(problem, laws, variants, {})
+    alone, base = laws.forces(values(problem, [variant]), 1), laws.forces([], 1)
+    size = np.abs(base.drive).max()
+    assert np.abs(total[1]).max() > 1e-3 * size
+    assert total[1] == pytest.approx(alone.total[0] - base.total[0], abs=1e-9 * size)
+    assert drive[1] == pytest.approx(alone.drive[0] - base.drive[0], abs=1e-9 * size)
+    assert not total[2].any()
+
+
+def test_a_joint_whose_laws_are_those_at_hand_is_left_alone(problem: Problem) -> None:
+    laws = laws_of(problem)
+    total, _ = changed(problem, laws, [{**LAG, **DRAG}, {**LAG}], LAG)
+    assert total[0, :, :, SHOULDER].any()
+    assert not total[0, :, :, ELBOW].any()
+    assert not total[1].any()
+
+
+def test_a_law_that_is_given_up_is_a_change(problem: Problem) -> None:
+    laws = laws_of(problem)
+    without, _ = changed(problem, laws, [{}, DRAG], LAG)
+    with_it, _ = changed(problem, laws, [LAG], {})
+    # The one is sampled where a law remembers, the other is not: the same to second order.
+    size = np.abs(with_it).max()
+    assert np.linalg.norm(without[0] + with_it[0]) < 0.1 * np.linalg.norm(with_it[0])
+    assert without[1, :, :, ELBOW] == pytest.approx(without[0, :, :, ELBOW], abs=1e-9 * size)
