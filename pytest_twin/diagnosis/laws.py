@@ -333,8 +333,10 @@ class Laws:
         world.time, world.load = start, motion[2][0]
         self.simulator.roll_in(world, along.segments[lanes.segment], effects, lanes.joint)
         bounds = world.lower, world.upper, world.friction_level
-        # Commands are means over a step, so the motion is taken in its middle.
-        share = ((np.arange(parts) + 0.5) / parts)[None, :, None, None]
+        # Commands are means over a step, so the motion is taken in its middle; the motor behind a
+        # gear starts each step with the link, as it does when it is simulated.
+        middle = 0.5 if parts == 1 else 0.0
+        share = ((np.arange(parts) + middle) / parts)[None, :, None, None]
         slip_velocity = along.slip_velocity[lanes.joint]
         mean = np.empty((4, samples - 1, count, columns))
         per = max(1, _BLOCK // parts)

@@ -29,11 +29,12 @@ class ActuatorLag(Effect):
         held = world.state.get(self.id)
         if held is None:
             held = world.delivered.copy()
-        # Exact for an input that is held over the step; a zero time constant passes it through.
-        keep = np.exp(-world.timestep / np.maximum(lag, 1e-9))
-        held = world.delivered + keep * (held - world.delivered)
-        world.state[self.id] = held
-        world.delivered = held
+        # Exact for an input that is held over the step, and what it delivers is the mean over it; a
+        # zero time constant passes it through.
+        steps = world.timestep / np.maximum(lag, 1e-9)
+        behind = held - world.delivered
+        world.state[self.id] = world.delivered + np.exp(-steps) * behind
+        world.delivered = world.delivered - np.expm1(-steps) / steps * behind
 
 
 class RateLimit(Effect):
@@ -69,9 +70,10 @@ class RateLimit(Effect):
         if held is None:
             held = world.setpoint.copy()
         reach = world.timestep / np.maximum(values["inverse_rate"], 1e-9)
-        held = held + np.clip(world.setpoint - held, -reach, reach)
-        world.state[self.id] = held
-        world.setpoint = held
+        moved = np.clip(world.setpoint - held, -reach, reach)
+        world.state[self.id] = held + moved
+        # What lies in the middle of the step; without a limit, what is asked for.
+        world.setpoint = held + np.where(np.abs(moved) < reach, moved, 0.5 * moved)
 
 
 class TorqueConstant(Effect):

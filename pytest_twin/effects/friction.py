@@ -165,12 +165,14 @@ class PreslidingHysteresis(_DryFriction):
         bristle = world.state.get(self.id)
         if bristle is None:
             bristle = np.zeros_like(level)
-        # Exact for a velocity that is held over the step: z tends to its bound exponentially.
+        # Exact for a velocity that is held over the step: z tends to its bound exponentially. What
+        # acts is the mean over the step.
         travel = world.velocity * world.timestep
         bound = distance * np.sign(travel)
-        bristle = bound + (bristle - bound) * np.exp(-np.abs(travel) / distance)
-        world.state[self.id] = bristle
-        world.applied -= level * bristle / distance
+        share = np.maximum(np.abs(travel) / distance, 1e-12)
+        off = bristle - bound
+        world.state[self.id] = bound + off * np.exp(-share)
+        world.applied -= level * (bound - off * np.expm1(-share) / share) / distance
 
 
 class ThermalFriction(_DryFriction):
