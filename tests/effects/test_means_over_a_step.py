@@ -1,0 +1,61 @@
+"""A law that remembers acts with its mean over a step, whatever the step.
+
+Inputs are held over a coarse step; a step two hundred times finer, under the same inputs, is the
+reference.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import World
+
+FloatArray = NDArray[np.float64]
+
+STEP, STEPS, FINER = 0.01, 60, 200
+LAWS = {
+    "actuator_lag": {"time_constant": 0.02},
+    "rate_limit": {"inverse_rate": 1.0 / 3.0},
+    "presliding_hysteresis": {"coulomb": 0.4, "presliding_distance": 0.02},
+}
+
+
+def world(timestep: float) -> World:
+    one = np.zeros((1, 1))
+    return World(
+        time=np.zeros(1), timestep=timestep, position=one, velocity=one, setpoint=one, gain=one,
+        stiffness=one, damping=one, offset=one, lower=one - np.inf, upper=one + np.inf,
+        servo=np.array(["position"]), delivered=one, friction_level=one, applied=one, load=one,
+        motor_armature=one, motor_damping=one,
+    )  # fmt: skip
+
+
+def acted(effect: str, inputs: FloatArray, timestep: float) -> FloatArray:
+    """(steps,) what a law makes of inputs that are held over each step."""
+    law, at = catalogue()[effect], world(timestep)
+    values = {n: np.full((1, 1), v) for n, v in LAWS[effect].items()}
+    out = []
+    for x in inputs:
+        at.setpoint = at.delivered = at.velocity = np.full((1, 1), x)
+        at.applied = np.zeros((1, 1))
+        law.command(at, values)
+        law.drive(at, values)
+        law.force(at, values)
+        found = {"actuator_lag": at.delivered, "rate_limit": at.setpoint}.get(effect, at.applied)
+        out.append(float(found[0, 0]))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("effect", LAWS)
+def test_the_mean_of_finer_steps_is_what_acts(effect: str) -> None:
+    inputs = np.cumsum(np.random.default_rng(3).normal(0.0, 0.3, STEPS))
+    inputs[0] = 0.0
+    coarse = acted(effect, inputs, STEP)
+    fine = acted(effect, np.repeat(inputs, FINER), STEP / FINER).reshape(STEPS, FINER).mean(axis=1)
+    # A rate limit that reaches its setpoint within a step may do so anywhere in it.
+    allowed = 0.5 * STEP * 3.0 if effect == "rate_limit" else 2e-3 * np.abs(fine).max()
+    assert np.abs(coarse - fine).max() < allowed
+    assert np.abs(np.mean(coarse - fine)) < 5e-3 * np.abs(fine).max()
