@@ -3,36 +3,33 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pytest_twin.diagnosis.cost import Cost, cost
-from pytest_twin.diagnosis.findings import Explained, explain, finding_json, joint_unit
-from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
-from pytest_twin.diagnosis.patched import AppliedEffect, Patched
-from pytest_twin.diagnosis.patched_replay import fixed_values, stepped_beside, without_delays
-from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
+from pytest_twin.diagnosis.patched import Patched
+from pytest_twin.diagnosis.patched_replay import stepped_beside, without_delays
+from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.searched import Searched, pose, search
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
+from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 
 # A joint whose missing force stands out this much less than the clearest one only shows it.
 _CAUSE = 0.4
-# The floor, rad or m, of a joint whose encoder says nothing.
-_UNSEEN = 1e6
 # Share of the squared mismatch that may be left along the motion where a law of the catalogue is
-# worth a search in windows, and by simulation where that search explains what whole motions do not.
-_CLEAR, _MOSTLY = 0.05, 0.1
+# worth a search in windows.
+_CLEAR = 0.05
 _IN_WINDOWS = (
     f"predicted in windows of {WINDOW:g} s that start from what was measured: over whole "
     "recordings small errors of this motion grow (a servo that hunts, an arm that falls, a speed "
@@ -145,7 +142,7 @@ def diagnose(
         realization = without_delays(realization, inherited)
     progress(0.02)
     fixed = () if inherited is None else stepped_beside(inherited)
-    prepared, trials = _prepared(realization, trials, fixed, threads, notes)
+    prepared, trials = pose(realization, trials, fixed, threads, notes)
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
@@ -158,137 +155,31 @@ def diagnose(
         # Nobody knows how many rounds a search takes: every one does a part of what is left.
         progress(0.06 + 0.74 * (1.0 - 0.95**steps))
 
-    found = _searched(prepared, everything, Selection(prepared.problem, say))
+    found = search(prepared, trials, Selection(prepared.problem, say))
     problems = [prepared.problem]
     if found.astray:
-        windowed, _ = _prepared(realization, trials, fixed, threads, [], window=WINDOW)
+        windowed, kept = pose(realization, trials, fixed, threads, [], window=WINDOW)
         problems.append(windowed.problem)
-        other = _searched(windowed, everything, Selection(windowed.problem, say, _CLEAR))
+        other = search(windowed, kept, Selection(windowed.problem, say, _CLEAR))
         if other.supersedes(found):
             found = other
             notes.append(_IN_WINDOWS)
     progress(0.9)
     notes += found.explained.notes
-    left = _left(found, everything) if found.verdict in ("improved", "unexplained") else {}
+    left = _left(found) if found.verdict in ("improved", "unexplained") else {}
     if not len(prepared.problem.held_out):
         notes.append("errors and gains are of the recordings that were fitted")
     progress(0.94)
     return Diagnosis(
         found.verdict, found.explained, found.errors, left, tuple(notes), found.prepared,
-        found.selected, trials, found.before, found.after, cost(problems, since),
+        found.selected, found.trials, found.before, found.after, cost(problems, since),
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """What one search came to."""
-
-    prepared: Prepared
-    selected: Selected
-    explained: Explained
-    before: FloatArray
-    after: FloatArray
-    errors: Mapping[str, JointError]
-    verdict: Verdict
-
-    @property
-    def worst(self) -> float:
-        """Share of the squared mismatch that is left at the joint that keeps most."""
-        return max((e.fraction for e in self.errors.values() if not e.explained), default=0.0)
-
-    @property
-    def astray(self) -> bool:
-        """Whether whole motions were simulated and did not come to what was recorded."""
-        simulator = self.prepared.problem.simulator
-        free = not simulator.segments[0].amid and not simulator.contact.world.size
-        return free and self.verdict in ("improved", "unexplained")
-
-    def supersedes(self, other: _Found) -> bool:
-        """Whether this explains what the other does not."""
-        if not self.explained.findings:
-            return False
-        return self.verdict == "explained" or self.worst <= _MOSTLY < other.worst
-
-
-def _searched(prepared: Prepared, trials: Sequence[Trial], selection: Selection) -> _Found:
-    problem = prepared.problem
-    selected = selection.run()
-    explained = explain(prepared, selected, trials)
-    everywhere = np.arange(len(problem.simulator.segments))
-    problem.refine_at(EMPTY)
-    before = problem.residuals([EMPTY], everywhere)[0]
-    problem.refine_at(explained.hypothesis)
-    after = problem.residuals([explained.hypothesis], everywhere)[0]
-    errors = _errors(prepared, before, after)
-    word = verdict(errors, explained.findings)
-    return _Found(prepared, selected, explained, before, after, errors, word)
-
-
-def _prepared(
-    realization: Realization,
-    trials: TrialSet,
-    fixed: tuple[AppliedEffect, ...],
-    threads: int,
-    notes: list[str],
-    window: float | None = None,
-) -> tuple[Prepared, TrialSet]:
-    """The problem, without recordings on which the model itself diverges.
-
-    Raises:
-        SimulationError: it diverges on all of them.
-    """
-    while True:
-        prepared = prepare(realization, trials.fit, trials.held_out, threads=threads, window=window)
-        problem = prepared.problem
-        if fixed:
-            problem.simulator.fixed = fixed_values(fixed, problem.joints, 1)
-            if problem.refined is not None:
-                problem.refined.fixed = problem.simulator.fixed
-            problem.refine_at(EMPTY)
-        everything = (*trials.fit, *trials.held_out)
-        everywhere = np.arange(len(problem.simulator.segments))
-        predicted = problem.predict([EMPTY], everywhere)[0]
-        lost = {
-            prepared.segment_trial[s]
-            for s, p in enumerate(predicted)
-            if not np.isfinite(p.position).all()
-        }
-        if not lost:
-            for joint in trials.unseen:
-                # So far off the floor nothing stands out of it, and no fit heeds it.
-                problem.floor[problem.joints.index(joint)] = _UNSEEN
-            return prepared, trials
-        for i in sorted(lost):
-            notes.append(f"left out: {everything[i].path}: the model as it came diverges there")
-        fit = tuple(t for i, t in enumerate(everything[: len(trials.fit)]) if i not in lost)
-        aside = tuple(
-            t for i, t in enumerate(trials.held_out, start=len(trials.fit)) if i not in lost
-        )
-        if not fit:
-            raise SimulationError(
-                "the model as it came diverges under the recorded commands",
-                path=everything[min(lost)].path,
-                expected="a model that can be stepped through at least one recording",
-            )
-        trials = replace(trials, fit=fit, held_out=aside)
-
-
-def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[str, JointError]:
-    problem = prepared.problem
-    inside = problem.in_test
-    found = {}
-    for j, joint in enumerate(problem.joints):
-        if problem.floor[j] >= _UNSEEN:
-            continue
-        rms = [float(np.sqrt(np.mean(r[inside, j] ** 2))) for r in (before, after)]
-        floor, unit = float(problem.floor[j]), joint_unit(problem, j)
-        found[joint] = JointError(rms[0], rms[1], floor, unit)
-    return found
-
-
-def _left(diagnosed: _Found, trials: tuple[Trial, ...]) -> dict[str, Left]:
+def _left(diagnosed: Searched) -> dict[str, Left]:
     """The joints whose own force is missing, the clearest first."""
     prepared, after, errors = diagnosed.prepared, diagnosed.after, diagnosed.errors
+    trials = (*diagnosed.trials.fit, *diagnosed.trials.held_out)
     problem = prepared.problem
     force = missing_force(problem, after, prepared.floor_parts[NOISE])
     strength = force.strength

@@ -1,0 +1,143 @@
+"""One search: its problem, what it came to, and whether it explains what another does not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.patched import AppliedEffect
+from pytest_twin.diagnosis.patched_replay import fixed_values
+from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.select import Selection
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
+from pytest_twin.effects.base import FloatArray
+from pytest_twin.errors import SimulationError
+from pytest_twin.realization import Realization
+
+# The floor, rad or m, of a joint whose encoder says nothing.
+_UNSEEN = 1e6
+# Share of the squared mismatch that may be left where a search explains what another does not.
+_MOSTLY = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """What one search came to.
+
+    Attributes:
+        prepared, trials: the problem and the recordings that it is of.
+        selected, explained: what was chosen, and what of it stands.
+        before, after: (samples, signals) residuals over all segments.
+        errors: joint -> prediction errors on held-out recordings, or on all without any.
+        verdict: in one word.
+    """
+
+    prepared: Prepared
+    trials: TrialSet
+    selected: Selected
+    explained: Explained
+    before: FloatArray
+    after: FloatArray
+    errors: Mapping[str, JointError]
+    verdict: Verdict
+
+    @property
+    def worst(self) -> float:
+        """Share of the squared mismatch that is left at the joint that keeps most."""
+        return max((e.fraction for e in self.errors.values() if not e.explained), default=0.0)
+
+    @property
+    def astray(self) -> bool:
+        """Whether whole motions were simulated and did not come to what was recorded."""
+        simulator = self.prepared.problem.simulator
+        free = not simulator.segments[0].amid and not simulator.contact.world.size
+        return free and self.verdict in ("improved", "unexplained")
+
+    def supersedes(self, other: Searched) -> bool:
+        """Whether this explains what the other does not."""
+        if not self.explained.findings:
+            return False
+        return self.verdict == "explained" or self.worst <= _MOSTLY < other.worst
+
+
+def search(prepared: Prepared, trials: TrialSet, selection: Selection) -> Searched:
+    """Search a problem, and judge what is found."""
+    problem = prepared.problem
+    selected = selection.run()
+    explained = explain(prepared, selected, (*trials.fit, *trials.held_out))
+    everywhere = np.arange(len(problem.simulator.segments))
+    problem.refine_at(EMPTY)
+    before = problem.residuals([EMPTY], everywhere)[0]
+    problem.refine_at(explained.hypothesis)
+    after = problem.residuals([explained.hypothesis], everywhere)[0]
+    errors = _errors(prepared, before, after)
+    word = verdict(errors, explained.findings)
+    return Searched(prepared, trials, selected, explained, before, after, errors, word)
+
+
+def pose(
+    realization: Realization,
+    trials: TrialSet,
+    fixed: tuple[AppliedEffect, ...],
+    threads: int,
+    notes: list[str],
+    window: float | None = None,
+) -> tuple[Prepared, TrialSet]:
+    """The problem, without recordings on which the model itself diverges.
+
+    Raises:
+        SimulationError: it diverges on all of them.
+    """
+    while True:
+        prepared = prepare(realization, trials.fit, trials.held_out, threads=threads, window=window)
+        problem = prepared.problem
+        if fixed:
+            problem.simulator.fixed = fixed_values(fixed, problem.joints, 1)
+            if problem.refined is not None:
+                problem.refined.fixed = problem.simulator.fixed
+            problem.refine_at(EMPTY)
+        everything = (*trials.fit, *trials.held_out)
+        everywhere = np.arange(len(problem.simulator.segments))
+        predicted = problem.predict([EMPTY], everywhere)[0]
+        lost = {
+            prepared.segment_trial[s]
+            for s, p in enumerate(predicted)
+            if not np.isfinite(p.position).all()
+        }
+        if not lost:
+            for joint in trials.unseen:
+                # So far off the floor nothing stands out of it, and no fit heeds it.
+                problem.floor[problem.joints.index(joint)] = _UNSEEN
+            return prepared, trials
+        for i in sorted(lost):
+            notes.append(f"left out: {everything[i].path}: the model as it came diverges there")
+        fit = tuple(t for i, t in enumerate(everything[: len(trials.fit)]) if i not in lost)
+        aside = tuple(
+            t for i, t in enumerate(trials.held_out, start=len(trials.fit)) if i not in lost
+        )
+        if not fit:
+            raise SimulationError(
+                "the model as it came diverges under the recorded commands",
+                path=everything[min(lost)].path,
+                expected="a model that can be stepped through at least one recording",
+            )
+        trials = replace(trials, fit=fit, held_out=aside)
+
+
+def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[str, JointError]:
+    problem = prepared.problem
+    inside = problem.in_test
+    found = {}
+    for j, joint in enumerate(problem.joints):
+        if problem.floor[j] >= _UNSEEN:
+            continue
+        rms = [float(np.sqrt(np.mean(r[inside, j] ** 2))) for r in (before, after)]
+        floor, unit = float(problem.floor[j]), joint_unit(problem, j)
+        found[joint] = JointError(rms[0], rms[1], floor, unit)
+    return found
