@@ -103,6 +103,7 @@ def read_trials(
                 )
         trials = [t for t in trials if t.command_mode == kept]
         aside = [t for t in aside if t.command_mode == kept]
+    _leave_out_lacking(trials, aside, notes)
     unseen = _unseen(trials, aside, notes)
     if not held_out:
         trials, aside, said = _by_role(trials)
@@ -136,6 +137,26 @@ def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
         f"no role is given: whole recordings were split, held out: {_names(aside)} "
         "(--held-out or metadata 'role' decides otherwise)"
     )  # fmt: skip
+
+
+def _leave_out_lacking(trials: list[Trial], aside: list[Trial], notes: list[str]) -> None:
+    """Leave out recordings without a joint that most others have, where enough of these remain.
+
+    Where that joint was, nobody can tell, and it moves the rest of the robot. Where too few remain
+    the joint is left out instead.
+    """
+    everything = [*trials, *aside]
+    joints = dict.fromkeys(j for t in everything for j in t.joints)
+    usual = [j for j in joints if 2 * sum(j in t.joints for t in everything) > len(everything)]
+    whole_fit = [t for t in trials if set(usual) <= set(t.joints)]
+    whole_aside = [t for t in aside if set(usual) <= set(t.joints)]
+    if not whole_fit or (aside and not whole_aside):
+        return
+    for t in everything:
+        lacking = [j for j in usual if j not in t.joints]
+        if lacking:
+            notes.append(f"left out: {t.path}: it lacks {', '.join(lacking)}, which others have")
+    trials[:], aside[:] = whole_fit, whole_aside
 
 
 def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozenset[str]:

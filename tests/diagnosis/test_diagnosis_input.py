@@ -199,6 +199,16 @@ def test_a_joint_that_one_recording_lacks_is_left_out(bench: Bench) -> None:
     assert any("'right' is left out: one.mcap lack" in note for note in found.notes)
 
 
+def test_a_recording_that_lacks_a_joint_is_left_out_where_most_have_it(bench: Bench) -> None:
+    whole = [bench.put(f"whole{k}.mcap") for k in range(2)]
+    one = bench.put("one.mcap", joints=("left",))
+    trials = bench.read(*whole, one)
+    assert names((*trials.fit, *trials.held_out)) == ["whole0.mcap", "whole1.mcap"]
+    assert any("one.mcap: it lacks right, which others have" in note for note in trials.notes)
+    alone = bench.read(*whole, held_out=(one,))
+    assert names(alone.held_out) == ["one.mcap"]
+
+
 def test_unusable_input_is_one_line_and_leaves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
