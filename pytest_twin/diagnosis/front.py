@@ -93,7 +93,7 @@ class Foremost:
 
 
 def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | None:
-    """The best structures along the motion, None without any.
+    """The best structures along the motion, None without candidates.
 
     Args:
         contest: of the search.
@@ -109,7 +109,8 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
         lambda before, after: contest.worth_a_name(before, after, whole),
     ).levels(Lens(look.view, look.answers))  # fmt: skip
     if not levels:
-        return None
+        # No slope leads anywhere: what is simulated may all the same.
+        return Foremost([], np.mean(look.view.residual**2, axis=0), [])
     # Shapes of single terms are known as well as their grids are: more of them get a chance.
     chosen = [
         structure
@@ -128,11 +129,11 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
 def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hypothesis]:
     """Structures that are worth a simulation: where small deviations say little, others too."""
     starts, left = found.starts, found.left
-    if _bent(look, left, clear=starts[0] in found.singles):
+    if _bent(look, left, clear=bool(starts) and starts[0] in found.singles):
         scanned = _scanned(problem, best, look, found.singles, left)
         alike = {h.terms for h in scanned}
         starts = [*(h for h in starts if h.terms not in alike), *scanned]
-    if look.linear is None:
+    if look.linear is None and starts:
         starts = _promising(problem, starts, left)
     return starts
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +22,10 @@ _WORSE = 1.05
 _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.35, 0.25
 # A name that rivals could replace has to take this share of the mismatch; one that they would
-# replace, had there been time to simulate them, is none beside others.
+# replace, had there been time to simulate them, is none beside others, and one that is less likely
+# than they are together is none where its joint stays unexplained.
 _UNSURE, _SLIGHT = 0.7, 0.01
-_UNLIKELY = 0.02
+_UNLIKELY, _EVEN = 0.02, 0.5
 # What could be absent, by its own interval, has to take off this many times as much as others.
 _ABSENT_BAR = 2.0
 
@@ -110,15 +112,18 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             continue
         if judged:
             return Pruned(fitted, rests, notes)
-        stretched = _stretched(problem, fitted, half, before, base)
+        likely = {t: c >= _EVEN for t, c in zip(terms, chances, strict=True)}
+        stretched = _stretched(problem, fitted, half, before, base, likely)
         if stretched:
             rest = fitted.hypothesis
             for t in stretched:
                 rest = rest.without(t)
+                why = (
+                    "stand at a physical bound, or could be absent" if likely[t] else "be likelier"
+                )
                 notes.append(
-                    f"near in the catalogue is {label(problem, t)}, but it would have to stand at "
-                    "a physical bound, or could be absent, and does not explain all; it is not "
-                    "claimed"
+                    f"near in the catalogue is {label(problem, t)}, but it would have to {why}, "
+                    "and does not explain all; it is not claimed"
                 )
             fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
             continue
@@ -146,9 +151,16 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
 
 
 def _stretched(
-    problem: Problem, fitted: Fitted, half: FloatArray, before: FloatArray, after: FloatArray
+    problem: Problem,
+    fitted: Fitted,
+    half: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    likely: Mapping[Term, bool],
 ) -> list[Term]:
-    """Terms at a physical bound, or perhaps absent, at joints that stay unexplained with them."""
+    """Terms at a physical bound, perhaps absent, or not likely, at joints that stay unexplained
+    with them.
+    """
     hypothesis, joints = fitted.hypothesis, len(problem.joints)
     explained = np.array([
         JointError(float(b), float(a), 1.0, "").explained
@@ -157,7 +169,7 @@ def _stretched(
     return [
         t for t in hypothesis.terms
         if not (explained.all() if t.joint < 0 else explained[t.joint])
-        and (_perhaps_absent(fitted, t, half) or at_bound(hypothesis, t))
+        and (not likely[t] or _perhaps_absent(fitted, t, half) or at_bound(hypothesis, t))
     ]  # fmt: skip
 
 

@@ -157,6 +157,8 @@ class Selection:
         if found is None or self._hopeless(best, look, found):
             return []
         starts, left = front(self.problem, best, look, found), found.left
+        if not starts:
+            return []
         # What the step costs differs between the model as it came and what explains the rest; of
         # that, the simplest is the least to be wrong.
         self.problem.refine_at(min(starts, key=lambda h: len(h.terms)))
