@@ -17,6 +17,7 @@ from pytest_twin.report.text import number, printable, quantity
 
 MAX_FIGURES = 12
 """Joints that are drawn; the worst mismatch first."""
+_MOST_SPANS = 8
 
 _VERDICT = {
     "no_mismatch": "No mismatch: nothing stands above the floor",
@@ -98,7 +99,7 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
         "sentence": finding_sentence(finding),
         "alternatives": [{**a, "name": _name(a)} for a in finding["alternatives"]],
         "correlated": finding.get("correlated", []),
-        "windows": [(n, _spans(w)) for n, w in finding["where"]["windows"].items()],
+        "windows": [(n, spans_said(w)) for n, w in finding["where"]["windows"].items()],
         "law": law,
         "source": source,
     }
@@ -120,8 +121,14 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _spans(windows: Sequence[Sequence[float]]) -> str:
-    return ", ".join(f"{number(a)} to {number(b)}" for a, b in windows)
+def spans_said(windows: Sequence[Sequence[float]]) -> str:
+    """Stretches of a recording; of many the longest, in their order."""
+    longest = sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_SPANS]
+    said = ", ".join(
+        f"{number(start)} to {number(end)}" for start, end in sorted((w[0], w[1]) for w in longest)
+    )
+    more = len(windows) - len(longest)
+    return f"{said} s, and {more} shorter" if more else f"{said} s"
 
 
 def _data_uri(svg: bytes) -> str:
@@ -142,5 +149,5 @@ def _template() -> jinja2.Template:
         lstrip_blocks=True,
         loader=jinja2.PackageLoader("pytest_twin.report", "."),
     )
-    environment.filters.update(number=number, quantity=quantity, percent=_percent, spans=_spans)
+    environment.filters.update(number=number, quantity=quantity, percent=_percent, spans=spans_said)
     return environment.get_template("diagnosis.html.j2")
