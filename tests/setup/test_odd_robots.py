@@ -81,6 +81,8 @@ def test_an_interrupt_leaves_the_folder_as_it_was(stage: str, tmp_path: Path) ->
         [str(BIN / "pytest-twin"), "init", "robot.xml"],
         cwd=folder, env=environment(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True, start_new_session=True,
+        # A test run in the background of a shell ignores interrupts, and so would its children.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     sign = folder / "golden" / "fk" if stage == "golden" else folder / stage
     end = time.monotonic() + 120
