@@ -208,7 +208,9 @@ def _scanned(
     terms += [t for t in _gears(problem, left) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
     whole = np.mean(look.view.residual**2, axis=0)
-    limits = [t for t in _limits(problem, whole) if t not in seen]
+    # Once, around the model as it came: they are many replays, and what is left later is less far.
+    limits = [] if best.hypothesis.terms else _limits(problem, whole)
+    limits = [t for t in limits if t not in seen]
     rows += [best.hypothesis.with_term(t, start) for t in limits for start, _ in grid(t)[::2]]
     rows += singles
     needles = bool((whole > (_NEEDLES * look.view.floor) ** 2).any())
