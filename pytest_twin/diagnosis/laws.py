@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.along import Along
 from pytest_twin.diagnosis.rigid_terms import Rigid, upsampled
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
 from pytest_twin.effects.roll_in import act
-from pytest_twin.effects.rows import OF_ROWS, RowSimulator, hooks_between_steps
+from pytest_twin.effects.rows import OF_ROWS, RowSimulator, hooks_between_steps, there
 
 _MOST_NUMBERS = 2_000_000
 _BLOCK = 64
@@ -34,7 +34,8 @@ ActiveEffects = Sequence[tuple[Effect, Values]]
 
 @dataclass(frozen=True, slots=True)
 class Forces:
-    """What acts along a motion, (variants, segments, samples, joints) N*m or N.
+    """What acts along a motion, (variants, segments, samples, joints) N*m or N; of lanes, (lanes,
+    samples, columns), or one sample for all where nothing changes in time.
 
     Attributes:
         total: all that is not rigid-body: drive, friction, springs, pushes.
@@ -113,20 +114,6 @@ class _Joint:
     soft: FloatArray
 
 
-@dataclass(slots=True)
-class _Found:
-    """Of lanes: (lanes, samples, columns) in time, (lanes, columns) else."""
-
-    total: FloatArray
-    drive: FloatArray
-    dry: FloatArray
-    level: FloatArray
-    stiffness: FloatArray
-    damping: FloatArray
-    passive_stiffness: FloatArray
-    passive_damping: FloatArray
-
-
 class Laws:
     """Evaluates laws along one motion."""
 
@@ -151,9 +138,7 @@ class Laws:
         for lanes, found in self._found(effects, _pace(effects, (copies, joints)), everything):
             at = (lanes.copy[:, None], lanes.segment[:, None], slice(None), lanes.joint)
             for field in fields(Forces):
-                value = getattr(found, field.name)
-                value = np.moveaxis(value, 1, 2) if value.ndim == 3 else value[:, :, None]
-                getattr(out, field.name)[at] = value
+                getattr(out, field.name)[at] = np.moveaxis(getattr(found, field.name), 1, 2)
         return out
 
     def changes(
@@ -185,13 +170,13 @@ class Laws:
 
     def _found(
         self, effects: ActiveEffects, pace: NDArray[np.int64], which: NDArray[np.bool_]
-    ) -> Iterator[tuple[_Lanes, _Found]]:
+    ) -> Iterator[tuple[_Lanes, Forces]]:
         """Forces of (copies, joints) joints ``which``, those of one pace together."""
         segments, samples, joints = self.along.position.shape
         coupled = np.zeros(len(which), dtype=bool)
         for effect, v in effects:
             if effect.reads_other_joints:
-                coupled |= _there(effect, v).any(axis=1)
+                coupled |= there(effect, v).any(axis=1)
         coupled &= which.any(axis=1)
         together = np.where(coupled, pace.max(axis=1), -1)
         alone = np.where(which & ~coupled[:, None], pace, -1)
@@ -204,10 +189,10 @@ class Laws:
                     for lanes in _Lanes.of(some, columns, segments).parts(samples):
                         yield lanes, self._of_lanes(effects, lanes, p)
 
-    def _of_lanes(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> _Found:
+    def _of_lanes(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> Forces:
         along = self.along
         active = [(e, {n: lanes.of_copy(x) for n, x in v.items()}) for e, v in effects]
-        each = [(e, v) for e, v in active if _there(e, v).any()]
+        each = [(e, v) for e, v in active if there(e, v).any()]
         world = self._world(lanes)
         joint = self._joint(each, world, lanes)
         for effect, v in each:
@@ -219,8 +204,8 @@ class Laws:
             # Gears are stiff: they need the model's own step. A sample will do for the rest.
             out = self._stepwise(each, world, joint, lanes, along.steps if pace == _STEPS else 1)
         total, drive, dry, level = out
-        passive = joint.spring + joint.model_spring
-        return _Found(total, drive, dry, level, stiffness, damping, passive, joint.damping)
+        constant = (stiffness, damping, joint.spring + joint.model_spring, joint.damping)
+        return Forces(total, drive, dry, level, *(x[:, None] for x in constant))
 
     def _world(self, lanes: _Lanes) -> World:
         world = self.simulator.world(self.along.segments)
@@ -367,7 +352,6 @@ class Laws:
             )  # fmt: skip
             for m, x in zip(mean, found, strict=True):
                 m[first:last] = x.reshape(last - first, parts, count, columns).mean(axis=1)
-        world.lower, world.upper, world.friction_level = bounds
         out = np.empty((4, count, samples, columns))
         mean = mean.swapaxes(1, 2)
         # Means over the sample after each stamp, moved to the stamps.
@@ -401,20 +385,13 @@ class Laws:
         return total, drive, dry, level
 
 
-def _there(effect: Effect, values: Values) -> NDArray[np.bool_]:
-    """Where an effect acts: a switch that is not neutral."""
-    switches = [p for p in effect.parameters if p.neutral is not None]
-    found: NDArray[np.bool_] = np.any([values[p.name] != p.neutral for p in switches], axis=0)
-    return found
-
-
 def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
     """How the laws of every (copies, joints) joint have to be stepped."""
     out = np.full(shape, _AT_ONCE)
     for effect, v in effects:
         if effect.remembers:
             mine = _STEPS if effect.overrides("transmit") else _SAMPLES
-            out = np.maximum(out, np.where(_there(effect, v), mine, _AT_ONCE))
+            out = np.maximum(out, np.where(there(effect, v), mine, _AT_ONCE))
     return out
 
 
@@ -425,14 +402,14 @@ def _unlike(
     out = np.zeros(shape, dtype=bool)
     held = {e.id: v for e, v in own}
     for effect, v in effects:
-        there = _there(effect, v)
+        acts = there(effect, v)
         mine = held.pop(effect.id, None)
         if mine is None:
-            out |= there
+            out |= acts
         else:
             changed = np.any([x != mine[n] for n, x in v.items()], axis=0)
-            out |= changed & (there | _there(effect, mine))
+            out |= changed & (acts | there(effect, mine))
     for effect, _ in own:
         if effect.id in held:
-            out |= _there(effect, held[effect.id])
+            out |= there(effect, held[effect.id])
     return out

@@ -508,11 +508,11 @@ class RowSimulator:
             gear = self.gear[driven]
             gain = expand("actuator_gainprm")
             bias = expand("actuator_biasprm")
-            there = ~soft[:, driven]
-            gain[:, act, 0] = there * world.gain[:, driven] / (gear * self.scale[driven])
-            bias[:, act, 0] = there * world.offset[:, driven] / gear
-            bias[:, act, 1] = there * -world.stiffness[:, driven] / gear**2
-            bias[:, act, 2] = there * -world.damping[:, driven] / gear**2
+            rigid = ~soft[:, driven]
+            gain[:, act, 0] = rigid * world.gain[:, driven] / (gear * self.scale[driven])
+            bias[:, act, 0] = rigid * world.offset[:, driven] / gear
+            bias[:, act, 1] = rigid * -world.stiffness[:, driven] / gear**2
+            bias[:, act, 2] = rigid * -world.damping[:, driven] / gear**2
         moving = _any_hook(effects, "servo")
         bounds_changed = (bounds[0] != world.lower).any() or (bounds[1] != world.upper).any()
         self._range = None
@@ -751,14 +751,13 @@ def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectVa
             out[effect] = {n: np.repeat(v, rows, axis=0) for n, v in own.items()}
             continue
         parameters = catalogue()[effect].parameters
-        switches = [p for p in parameters if p.neutral is not None]
-        there = np.any([own[p.name] != p.neutral for p in switches], axis=0)
+        acts = there(catalogue()[effect], own)
         for p in parameters:
             theirs = out[effect][p.name]
             if p.neutral is not None:
                 out[effect][p.name] = theirs + own[p.name] - p.neutral
             else:
-                out[effect][p.name] = np.where(there, own[p.name], theirs)
+                out[effect][p.name] = np.where(acts, own[p.name], theirs)
     return out
 
 
@@ -775,9 +774,7 @@ def _between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
     for name, v in values.items():
         effect = catalogue()[name]
         if effect.overrides(*BETWEEN_STEPS):
-            for p in effect.parameters:
-                if p.neutral is not None:
-                    found |= (v[p.name] != p.neutral).any(axis=1)
+            found |= there(effect, v).any(axis=1)
     return found
 
 
@@ -787,11 +784,12 @@ def _any_hook(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:
 
 def _acting(values: EffectValues) -> list[tuple[Effect, Values]]:
     """The effects that some row has."""
-    return [(catalogue()[e], v) for e, v in values.items() if _acts(catalogue()[e], v)]
+    effects = [(catalogue()[e], v) for e, v in values.items()]
+    return [(effect, v) for effect, v in effects if there(effect, v).any()]
 
 
-def _acts(effect: Effect, values: Values) -> bool:
-    """Whether any row has the effect: a parameter off its neutral value."""
-    return any(
-        p.neutral is not None and (values[p.name] != p.neutral).any() for p in effect.parameters
-    )
+def there(effect: Effect, values: Values) -> NDArray[np.bool_]:
+    """(rows, joints) where an effect acts: a switch that is not neutral."""
+    switches = [p for p in effect.parameters if p.neutral is not None]
+    found: NDArray[np.bool_] = np.any([values[p.name] != p.neutral for p in switches], axis=0)
+    return found
