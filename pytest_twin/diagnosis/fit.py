@@ -162,12 +162,14 @@ def propose(
 ) -> Hypothesis:
     """A damped Gauss-Newton step inside the bounds; parameters at a bound that pull out stay.
 
-    It is taken in the coordinates of each law.
+    It is taken in the coordinates of each law. Where slopes overflow it goes nowhere.
     """
     lower, upper = h.bounds
     a = (jacobian * weights[:, None]).reshape(-1, h.theta.size) @ _chart(h)
     b = np.nan_to_num(residual * weights).ravel()
     normal, gradient = a.T @ a, a.T @ b
+    if not np.isfinite(normal).all():
+        return h
     free = np.ones(h.theta.size, dtype=bool)
     theta = h.theta.copy()
     for _ in range(h.theta.size):

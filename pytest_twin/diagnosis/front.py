@@ -18,10 +18,18 @@ from pytest_twin.diagnosis.fit import weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Linear, answered, bins, grid, linearized
+from pytest_twin.diagnosis.responses import (
+    Linear,
+    answered,
+    bins,
+    grid,
+    linearized,
+    simulated,
+)
 from pytest_twin.diagnosis.rivals import EARNS, Rival, described
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates
 from pytest_twin.diagnosis.sharpen import sharpened
+from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
 
 Say = Callable[[str], None]
@@ -45,7 +53,7 @@ class Look:
     """A fit seen to first order.
 
     Attributes:
-        linear: laws along the measured motion; None where the robot meets something.
+        linear: laws along the measured motion; None where candidates were simulated.
         view: what is left of the fit, and what may give way.
         answers: responses of the candidates.
     """
@@ -53,6 +61,30 @@ class Look:
     linear: Linear | None
     view: View
     answers: Answers
+
+
+def look_ahead(problem: Problem, best: Rival) -> Look:
+    """As :func:`look_around`, for what may be added.
+
+    Behind a gear that was named the motor moves apart from the link, as a law that would be added
+    moves it: where such a joint still stands above the floor, its candidates are simulated.
+    """
+    look = look_around(problem, best)
+    joints = _behind_gears(best, look)
+    if not joints or look.linear is None:
+        return look
+    near = [t for t in candidates(problem) if t.joint in joints and t not in best.hypothesis.terms]
+    left = bins(problem, problem.fit).mean(best.fitted.residual)
+    found = [r for r in look.answers.responses if r.term.joint not in joints]
+    found += simulated(problem, near, problem.fit, best.hypothesis, left)
+    return Look(None, view_of(problem, best, left), Answers(found))
+
+
+def _behind_gears(best: Rival, look: Look) -> set[int]:
+    """Joints whose gear was named and that still stand above the floor."""
+    stands = np.mean(look.view.residual**2, axis=0) > (STANDS_OUT * look.view.floor) ** 2
+    gears = {t.joint for t in best.hypothesis.terms if t.law.overrides("separates")}
+    return {j for j in gears if stands[j]}
 
 
 def look_around(problem: Problem, best: Rival) -> Look:
@@ -131,8 +163,10 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
     starts, left = found.starts, found.left
     if _bent(look, left, clear=bool(starts) and starts[0] in found.singles):
         scanned = _scanned(problem, best, look, found.singles, left)
-        alike = {h.terms for h in scanned}
-        starts = [*(h for h in starts if h.terms not in alike), *scanned]
+    else:
+        scanned = _yielding(problem, best, starts, left)
+    alike = {h.terms for h in scanned}
+    starts = [*(h for h in starts if h.terms not in alike), *scanned]
     if look.linear is None and starts:
         starts = _promising(problem, starts, left)
     return starts
@@ -205,7 +239,7 @@ def _scanned(
     """The best of what single terms do as they are and at all starting sizes, by simulation."""
     terms = [h.terms[-1] for h in singles]
     seen = {*terms, *best.hypothesis.terms}
-    terms += [t for t in _gears(problem, left) if t not in seen]
+    terms += [t for t in _gears(problem, left, _FIRST_ORDER) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
     whole = np.mean(look.view.residual**2, axis=0)
     # Once, around the model as it came: they are many replays, and what is left later is less far.
@@ -281,16 +315,31 @@ def _limits(problem: Problem, whole: FloatArray) -> list[Term]:
     ]  # fmt: skip
 
 
-def _gears(problem: Problem, left: FloatArray) -> list[Term]:
-    """Transmissions that may give where much is left: they read the measured motion back, and
-    say along it little of what they do.
+def _gears(problem: Problem, left: FloatArray, floors: float) -> list[Term]:
+    """Transmissions that may give where more than so many floors are left: they read the measured
+    motion back, and say along it little of what they do.
     """
     joints = len(problem.joints)
-    far = left[:joints] > (_FIRST_ORDER * problem.floor) ** 2
+    far = left[:joints] > (floors * problem.floor) ** 2
     return [
         t for t in candidates(problem)
         if t.law.overrides("separates") and far[t.joint]
     ]  # fmt: skip
+
+
+def _yielding(
+    problem: Problem, best: Rival, starts: Sequence[Hypothesis], left: FloatArray
+) -> list[Hypothesis]:
+    """The transmission that takes most off what stands above the floor by simulation, if any."""
+    own = best.hypothesis.terms
+    seen = {*own, *(h.terms[-1] for h in starts if len(h.terms) == len(own) + 1)}
+    gears = [t for t in _gears(problem, left, STANDS_OUT) if t not in seen]
+    rows = [best.hypothesis.with_term(t, start) for t in gears for start, _ in grid(t)]
+    if not rows:
+        return []
+    bare, *costs = _costs(problem, [best.hypothesis, *rows], left)
+    least = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
+    return [rows[least]] if costs[least] < bare else []
 
 
 def evidence_along(view: View, polished: Sequence[Polished], name_price: float) -> FloatArray:

@@ -239,11 +239,13 @@ class Laws:
         own = of([m.dof_armature[dof] for m in models])
         world.motor_armature = own + changed.armature
         world.motor_damping = changed.damping
+        world.motor_constant = np.where(soft, changed.motor_force, 0.0)
         rest = of([m.qpos_spring[simulator.qpos_index] for m in models])
         springs = of([m.jnt_stiffness[simulator.joint_ids] for m in models])
         return _Joint(
-            changed.damping, changed.armature, own, changed.constant_force, changed.stiffness,
-            springs, rest, soft,
+            changed.damping, changed.armature, own,
+            changed.constant_force + np.where(soft, 0.0, changed.motor_force),
+            changed.stiffness, springs, rest, soft,
         )  # fmt: skip
 
     def _commands(self, effects: ActiveEffects, lanes: _Lanes, count: int) -> FloatArray:
@@ -343,8 +345,6 @@ class Laws:
                 world.load, world.setpoint, world.applied = load[i], held[k], applied[i]
                 world.lower, world.upper, world.friction_level = bounds
                 act(world, hooks)
-                for effect, v in hooks["transmit"]:
-                    effect.transmit(world, v)
                 drive[i], level[i] = world.delivered, world.friction_level
             found = self._closed(
                 joint, velocity, acceleration, required, drive[:steps], applied,
@@ -390,7 +390,7 @@ def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
     out = np.full(shape, _AT_ONCE)
     for effect, v in effects:
         if effect.remembers:
-            mine = _STEPS if effect.overrides("transmit") else _SAMPLES
+            mine = _STEPS if effect.overrides("gear") else _SAMPLES
             out = np.maximum(out, np.where(there(effect, v), mine, _AT_ONCE))
     return out
 

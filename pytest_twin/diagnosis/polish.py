@@ -54,6 +54,7 @@ def polish(
             weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
             here = view.residual - f.residual
             slope = np.stack([(next(moved) - here) / s for s in steps], axis=-1)
+            slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
             weights.append(weight)
             tried += [propose(f.hypothesis, f.residual, slope, weight, d) for d in _DAMPINGS]
         left = [view.residual - d for d in _differences(linear, tried)]
@@ -77,7 +78,7 @@ def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Float
         effects = [t.law for t in h.terms]
         key = (
             any(e.remembers for e in effects),
-            any(e.overrides("transmit") for e in effects),
+            any(e.overrides("gear") for e in effects),
         )
         groups.setdefault(key, []).append(i)
     out: dict[int, FloatArray] = {}

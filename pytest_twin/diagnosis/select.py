@@ -21,6 +21,7 @@ from pytest_twin.diagnosis.front import (
     evidence_along,
     foremost,
     front,
+    look_ahead,
     look_around,
     view_of,
 )
@@ -126,7 +127,7 @@ class Selection:
         A law that reads the measured motion back (a softer drive, a gear that gives) may explain
         along it what it does not when it is simulated: such terms leave, and the search goes on.
         """
-        look = look_around(self.problem, best)
+        look = look_ahead(self.problem, best)
         for _ in range(self.attempts):
             rivals = [] if self._spent(best) else self._tried(best, look)
             if not rivals:

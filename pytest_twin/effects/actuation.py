@@ -165,7 +165,7 @@ class TorqueSpeedLimit(Effect):
     def servo(self, world: World, values: Values) -> None:
         inverse = values["inverse_no_load_speed"]
         stall = np.where(inverse > 0.0, values["stall"], np.inf)
-        used = inverse * world.velocity
+        used = inverse * world.motor_velocity
         world.upper = np.minimum(world.upper, stall * np.clip(1.0 - used, 0.0, 1.0))
         world.lower = np.maximum(world.lower, -stall * np.clip(1.0 + used, 0.0, 1.0))
 
@@ -185,7 +185,7 @@ class DeadZone(Effect):
 
     def servo(self, world: World, values: Values) -> None:
         width = values["width"]
-        error = world.setpoint - np.where(world.servo == "position", world.position, 0.0)
+        error = world.setpoint - np.where(world.servo == "position", world.motor_position, 0.0)
         world.setpoint = world.setpoint - np.clip(error, -width, width)
 
 
@@ -215,8 +215,8 @@ class Cogging(Effect):
     }
 
     def force(self, world: World, values: Values) -> None:
-        angle = values["harmonic"] * world.position
-        world.applied += values["sine"] * np.sin(angle) + values["cosine"] * np.cos(angle)
+        angle = values["harmonic"] * world.motor_position
+        world.push_motor(values["sine"] * np.sin(angle) + values["cosine"] * np.cos(angle))
 
 
 class ControllerGain(Effect):

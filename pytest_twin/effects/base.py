@@ -15,6 +15,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.effects.motor_side import Gear, MotorSide
+
 FloatArray = NDArray[np.float64]
 Values = Mapping[str, FloatArray]
 """Parameter name -> (rows, joints) values in SI units; neutral where the effect is absent."""
@@ -126,8 +128,10 @@ class World:
         friction_level: dry friction that the solver may use up to, N*m or N.
         applied: added generalized force, N*m or N.
         load: gravity and Coriolis effort that the drive carries, N*m or N.
-        motor_armature, motor_damping: of the motor side, where a transmission gives: there
-            the link has no armature, damping, dry friction or drive of its own.
+        motor_armature, motor_damping, motor_constant: of the motor's side, where a gear gives:
+            there the link has no armature, damping, dry friction or drive of its own. The last is
+            effort that always acts on the motor, N*m or N.
+        motor: its side of the gears; None where all are rigid.
         state: memory of effects between steps, by effect id.
     """
 
@@ -149,7 +153,26 @@ class World:
     load: FloatArray
     motor_armature: FloatArray
     motor_damping: FloatArray
+    motor_constant: FloatArray
+    motor: MotorSide | None = None
     state: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def motor_position(self) -> FloatArray:
+        """Of the motors, seen from the links."""
+        return self.position if self.motor is None else self.motor.angle
+
+    @property
+    def motor_velocity(self) -> FloatArray:
+        """Of the motors, seen from the links."""
+        return self.velocity if self.motor is None else self.motor.speed
+
+    def push_motor(self, effort: FloatArray) -> None:
+        """Add effort on the motor's side of the gears, N*m or N at the joint."""
+        if self.motor is None:
+            self.applied += effort
+        else:
+            self.motor.applied += effort
 
     def asked(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """What the drive's law asks for at a state of its motor, (rows, joints), without bounds."""
@@ -165,9 +188,10 @@ class Effect:
     """One effect. Subclasses state the class attributes and override the hooks that they need.
 
     ``fields`` and ``gains`` run once before the first step; ``command``, ``servo``, ``drive``,
-    ``friction``, ``force`` and ``transmit`` at every step, in this order (an effect without them
-    costs nothing between steps); ``command_delay``, ``sample_time`` and ``sense`` on whole
-    trajectories. A hook must leave the world as it found it where every parameter is neutral.
+    ``friction`` and ``force`` at every step, in this order (an effect without them costs nothing
+    between steps); ``gear`` once before the first of them; ``command_delay``, ``sample_time`` and
+    ``sense`` on whole trajectories. A hook must leave the world as it found it where every
+    parameter is neutral.
 
     Class attributes:
         id: name in the contract's table.
@@ -244,14 +268,14 @@ class Effect:
         """Change ``world.friction_level``."""
 
     def force(self, world: World, values: Values) -> None:
-        """Add to ``world.applied``."""
+        """Add to ``world.applied``, or push the motor."""
 
     def separates(self, values: Values) -> NDArray[np.bool_] | None:
         """(rows, joints) where motor and link move apart, or None."""
         return None
 
-    def transmit(self, world: World, values: Values) -> None:
-        """Move the motor side and add to ``world.applied`` what reaches the link."""
+    def gear(self, gear: Gear, world: World, values: Values) -> None:
+        """Change what stands between motor and link; once, before the first step."""
 
     def sense(
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
@@ -279,6 +303,7 @@ class ModelFields:
         armature: reflected inertia of the drive, kg*m^2 or kg.
         friction: dry friction of the model, N*m or N.
         constant_force: generalized force that is always there, N*m or N.
+        motor_force: the same, on the motor's side of a gear that gives.
         stiffness: passive spring about the model's own rest, N*m/rad or N/m.
         gravity: (rows, 3) m/s^2, world frame.
         added_mass: (rows, joints) kg, on the link that the joint moves.
@@ -294,6 +319,7 @@ class ModelFields:
     armature: FloatArray
     friction: FloatArray
     constant_force: FloatArray
+    motor_force: FloatArray
     stiffness: FloatArray
     gravity: FloatArray
     added_mass: FloatArray
@@ -313,6 +339,7 @@ class ModelFields:
             armature=np.zeros(none),
             friction=np.zeros(none),
             constant_force=np.zeros(none),
+            motor_force=np.zeros(none),
             stiffness=np.zeros(none),
             gravity=gravity,
             added_mass=np.zeros(none),

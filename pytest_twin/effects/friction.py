@@ -91,7 +91,7 @@ class AsymmetricFriction(_DryFriction):
 
     def fields(self, fields: ModelFields, values: Values) -> None:
         fields.friction += values["coulomb"]
-        fields.constant_force -= values["offset"]
+        fields.motor_force -= values["offset"]
 
 
 class StribeckFriction(_DryFriction):
@@ -115,7 +115,9 @@ class StribeckFriction(_DryFriction):
     }
 
     def friction(self, world: World, values: Values) -> None:
-        fall = np.exp(-((world.velocity / np.maximum(values["stribeck_velocity"], 1e-9)) ** 2))
+        fall = np.exp(
+            -((world.motor_velocity / np.maximum(values["stribeck_velocity"], 1e-9)) ** 2)
+        )
         world.friction_level = (
             world.friction_level + values["coulomb"] + values["stiction_excess"] * fall
         )
@@ -167,12 +169,12 @@ class PreslidingHysteresis(_DryFriction):
             bristle = np.zeros_like(level)
         # Exact for a velocity that is held over the step: z tends to its bound exponentially. What
         # acts is the mean over the step.
-        travel = world.velocity * world.timestep
+        travel = world.motor_velocity * world.timestep
         bound = distance * np.sign(travel)
         share = np.maximum(np.abs(travel) / distance, 1e-12)
         off = bristle - bound
         world.state[self.id] = bound + off * np.exp(-share)
-        world.applied -= level * (bound - off * np.expm1(-share) / share) / distance
+        world.push_motor(-level * (bound - off * np.expm1(-share) / share) / distance)
 
 
 class ThermalFriction(_DryFriction):
@@ -237,4 +239,5 @@ class QuadraticDrag(Effect):
     confused_with: ClassVar = {"viscous_friction": "speeds a factor of four apart"}
 
     def force(self, world: World, values: Values) -> None:
-        world.applied -= values["coefficient"] * world.velocity * np.abs(world.velocity)
+        speed = world.motor_velocity
+        world.push_motor(-values["coefficient"] * speed * np.abs(speed))

@@ -47,7 +47,7 @@ class TorqueRolloff(Effect):
 
     def drive(self, world: World, values: Values) -> None:
         bent = values["inverse_knee"]
-        taken = np.where(bent > 0.0, values["back_emf"] * world.velocity, 0.0)
+        taken = np.where(bent > 0.0, values["back_emf"] * world.motor_velocity, 0.0)
         ideal = world.delivered - taken
         world.delivered = ideal / (1.0 + np.abs(ideal) * bent) + taken
         world.state[_TAKEN] = taken
@@ -96,7 +96,7 @@ class WatchdogTimeout(Effect):
     def drive(self, world: World, values: Values) -> None:
         _, still = world.state[self.id]
         gone = still * values["inverse_timeout"] > 1.0
-        undamped = values["back_emf"] * world.velocity
+        undamped = values["back_emf"] * world.motor_velocity
         world.delivered = np.where(gone, undamped, world.delivered)
         world.state[_TAKEN] = np.where(gone, undamped, world.state.get(_TAKEN, 0.0))
 
@@ -126,12 +126,9 @@ class MotorLoadFriction(Effect):
         "stribeck_friction": "two loads at the same speeds",
     }
 
-    def drive(self, world: World, values: Values) -> None:
-        """Asks for ``world.delivered``, which is known only where some effect changes it."""
-
     def friction(self, world: World, values: Values) -> None:
         reach = np.maximum(values["stribeck_velocity"], 1e-9)
-        fall = np.exp(-np.abs(world.velocity) / reach)
+        fall = np.exp(-np.abs(world.motor_velocity) / reach)
         share = values["coefficient"] + values["stiction_excess"] * fall
         motor = world.delivered - world.state.get(_TAKEN, 0.0)
         world.friction_level = world.friction_level + share * np.abs(motor)

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pytest_twin.effects.base import Effect, FloatArray, Values, World
+from pytest_twin.effects.motor_side import Gear, MotorSide
 
 LEAD = 0.2
 """s; motors behind gears and current loops forget sooner."""
@@ -19,20 +20,49 @@ LEAD = 0.2
 Hooks = Mapping[str, Sequence[tuple[Effect, Values]]]
 
 
-def act(world: World, hooks: Hooks) -> None:
-    """Every law of one step up to the transmission, at the setpoint and the motion at hand."""
+def act(world: World, hooks: Hooks) -> FloatArray:
+    """Every law of one step, at the setpoint and the motion at hand.
+
+    Returns:
+        (rows, joints) what the drives' own laws give within their bounds, before effects of the
+        drive; ``world.delivered`` is after them.
+    """
+    geared = hooks["gear"]
+    if geared:
+        if world.motor is None:
+            world.motor = _motor_side(world, geared)
+        world.motor.meet(world.position, world.velocity)
     for effect, v in hooks["command"]:
         effect.command(world, v)
     for effect, v in hooks["servo"]:
         effect.servo(world, v)
-    law = world.asked(world.position, world.velocity)
-    world.delivered = np.minimum(np.maximum(law, world.lower), world.upper)
+    law = world.asked(world.motor_position, world.motor_velocity)
+    native: FloatArray = np.minimum(np.maximum(law, world.lower), world.upper)
+    world.delivered = native
     for effect, v in hooks["drive"]:
         effect.drive(world, v)
     for effect, v in hooks["friction"]:
         effect.friction(world, v)
     for effect, v in hooks["force"]:
         effect.force(world, v)
+    if world.motor is not None:
+        world.applied += world.motor.step(
+            world.position, world.velocity, world.delivered, free=native == law,
+            servo_damping=world.damping, friction_level=world.friction_level,
+            timestep=world.timestep,
+        )  # fmt: skip
+    return native
+
+
+def _motor_side(world: World, geared: Sequence[tuple[Effect, Values]]) -> MotorSide:
+    gear = Gear.stiff(world.motor_armature, world.timestep)
+    for effect, v in geared:
+        effect.gear(gear, world, v)
+    return MotorSide.at_rest(
+        gear, world.position, world.velocity, world.load, armature=world.motor_armature,
+        damping=world.motor_damping, constant=world.motor_constant,
+        servo=world.damping + world.stiffness * world.timestep, timestep=world.timestep,
+    )  # fmt: skip
 
 
 def roll_in(
@@ -55,8 +85,6 @@ def roll_in(
         world.applied = np.zeros_like(world.applied)
         world.friction_level = kept["friction_level"]
         act(world, hooks)
-        for effect, v in hooks["transmit"]:
-            effect.transmit(world, v)
         world.lower, world.upper = kept["lower"], kept["upper"]
     for name, value in kept.items():
         setattr(world, name, value)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
-from pytest_twin.effects.roll_in import LEAD, roll_in
+from pytest_twin.effects.roll_in import LEAD, act, roll_in
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
@@ -34,10 +34,11 @@ _WORTH_THREADS = 64
 OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
+    "motor_constant",
 )  # fmt: skip
 _LAW = ("gain", "stiffness", "damping", "offset")
 _UNBOUNDED = 1e9
-BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "transmit")
+BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "gear")
 
 
 @dataclass(frozen=True, slots=True)
@@ -421,6 +422,7 @@ class RowSimulator:
             load=np.zeros(count),
             motor_armature=np.zeros(count),
             motor_damping=np.zeros(count),
+            motor_constant=np.zeros(count),
         )
         bare = (self.servo == "effort") & ~driven
         world.gain[:, bare] = 1.0
@@ -519,7 +521,8 @@ class RowSimulator:
         if (several or moving or bounds_changed) and driven.any():
             self._range = expand("actuator_forcerange")
             self._write_bounds(world)
-        self._constant = fields.constant_force
+        self._constant = fields.constant_force + np.where(soft, 0.0, fields.motor_force)
+        world.motor_constant = np.where(soft, fields.motor_force, 0.0)
         if any(effect.family == "contact" for effect, _ in effects):
             self.contact.write(expand, fields, least_time_constant(models[0], self.timestep))
         # A geom that moves takes its frame and its body's bounding volume along.
@@ -613,7 +616,7 @@ class RowSimulator:
         batch.forward()
         level = world.friction_level
         start = world.time
-        loaded = bool(hooks["friction"] or hooks["transmit"])
+        loaded = bool(hooks["friction"] or hooks["gear"])
         if loaded:
             world.load = bias[:, at_dof]
         self.roll_in(world, rows, effects)
@@ -630,44 +633,29 @@ class RowSimulator:
             world.setpoint = commanded[k]
             pushed[:] = self._constant
             world.applied = pushed
-            for effect, p in hooks["command"]:
-                effect.command(world, p)
-            if hooks["servo"]:
-                bounds = world.lower, world.upper
-                for effect, p in hooks["servo"]:
-                    effect.servo(world, p)
-                if self._range is not None:
-                    self._write_bounds(world)
-            if hooks["drive"]:
-                law = world.asked(world.position, world.velocity)
-                native = np.minimum(np.maximum(law, world.lower), world.upper)
-                world.delivered = native
-                for effect, p in hooks["drive"]:
-                    effect.drive(world, p)
-                added = world.delivered - native
-                world.applied += added
-                effort[k] = added
             if loaded:
                 world.friction_level = level
                 world.load = bias[:, at_dof]
+            bounds = world.lower, world.upper
+            native = act(world, hooks)
+            if hooks["servo"]:
+                if self._range is not None:
+                    self._write_bounds(world)
+                world.lower, world.upper = bounds
             if hooks["friction"]:
-                for effect, p in hooks["friction"]:
-                    effect.friction(world, p)
                 assert self._friction is not None
                 self._friction[:, at_dof] = np.where(
                     self._soft, 0.0, np.maximum(world.friction_level, 0.0)
                 )
-            for effect, p in hooks["force"]:
-                effect.force(world, p)
+            if hooks["drive"] or hooks["gear"]:
+                # A rigid joint's engine gives what the law asks for; a motor apart has no engine.
+                added = world.delivered - native
+                world.applied += np.where(self._soft, 0.0, added)
+                effort[k] = np.where(self._soft, world.delivered, added)
             if by_hand:
-                world.applied[:, bare] += np.where(
-                    self._soft[:, bare], 0.0, world.setpoint[:, bare]
-                )
-                effort[k][:, bare] += world.setpoint[:, bare]
-            for effect, p in hooks["transmit"]:
-                effect.transmit(world, p)
-            if hooks["servo"]:
-                world.lower, world.upper = bounds
+                by_command = np.where(self._soft, 0.0, world.setpoint)[:, bare]
+                world.applied[:, bare] += by_command
+                effort[k][:, bare] += by_command
             applied[:, at_dof] = world.applied
             ctrl[:, control] = world.setpoint[:, at_driven] * scale
 

@@ -1,0 +1,110 @@
+"""Behind a gear that gives, drive and friction act on the motor: against two masses in closed form.
+
+The reference integrates motor and link as two equations of motion at tight tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from pytest_twin.effects.rows import RowSimulator, Segment
+
+FloatArray = NDArray[np.float64]
+
+STEP, SECONDS = 0.00025, 1.5
+INERTIA, MASS, ARM, ARMATURE, DAMPING = 0.03, 0.5, 0.2, 0.01, 0.05
+KP, KV, STIFFNESS, TIME = 30.0, 0.8, 60.0, 0.01
+MODEL = (
+    f'<mujoco><option timestep="{STEP}" integrator="implicitfast"/><worldbody><body>'
+    f'<inertial pos="0 0 -{ARM}" mass="{MASS}" diaginertia="0.01 0.01 0.01"/>'
+    f'<joint name="j" axis="0 -1 0" armature="{ARMATURE}" damping="{DAMPING}"/></body></worldbody>'
+    "<actuator>{drive}</actuator></mujoco>"
+)
+DRIVES = {
+    "position": f'<position joint="j" kp="{KP}" kv="{KV}"/>',
+    "effort": '<motor joint="j"/>',
+}
+LAWS: dict[str, Mapping[str, float]] = {
+    "torque_constant": {"relative_error": 0.2},
+    "torque_rolloff": {"inverse_knee": 0.2, "back_emf": 0.0},
+    "asymmetric_friction": {"coulomb": 0.0, "offset": 0.6},
+    "cogging": {"sine": 0.3, "cosine": 0.1, "harmonic": 7.0},
+    "quadratic_drag": {"coefficient": 0.2},
+    "viscous_friction": {"coefficient": 0.3},
+}
+
+
+def motor_effort(law: str, drive: float, angle: float, speed: float) -> tuple[float, float]:
+    """What the drive delivers, and what acts on the motor in all, by each law's formula."""
+    p = LAWS.get(law, {})
+    if law == "torque_constant":
+        drive *= 1.0 + p["relative_error"]
+    if law == "torque_rolloff":
+        drive /= 1.0 + abs(drive) * p["inverse_knee"]
+    others = {
+        "asymmetric_friction": lambda: -p["offset"],
+        "cogging": lambda: p["sine"] * np.sin(7 * angle) + p["cosine"] * np.cos(7 * angle),
+        "quadratic_drag": lambda: -p["coefficient"] * speed * abs(speed),
+        "viscous_friction": lambda: -p["coefficient"] * speed,
+    }
+    return drive, drive - DAMPING * speed + others.get(law, lambda: 0.0)()
+
+
+def reference(law: str, mode: str, command: Callable[[float], float]) -> tuple[FloatArray, ...]:
+    """(samples,) link position and delivered effort at every step."""
+    link_inertia = 0.01 + MASS * ARM**2
+
+    def delivered(t: float, angle: float, speed: float) -> tuple[float, float]:
+        asked = command(t) if mode == "effort" else KP * (command(t) - angle) - KV * speed
+        return motor_effort(law, asked, angle, speed)
+
+    def slope(t: float, x: FloatArray) -> list[float]:
+        q, v, angle, speed = x
+        through = STIFFNESS * (angle - q) + TIME * STIFFNESS * (speed - v)
+        gravity = -MASS * 9.81 * ARM * np.sin(q)
+        pushed = delivered(t, angle, speed)[1]
+        return [v, (gravity + through) / link_inertia, speed, (pushed - through) / ARMATURE]
+
+    times = STEP * np.arange(round(SECONDS / STEP))
+    found = solve_ivp(
+        slope, (0.0, SECONDS), np.zeros(4), t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.01
+    )
+    effort = [delivered(t, a, s)[0] for t, a, s in zip(times, found.y[2], found.y[3], strict=True)]
+    return found.y[0], np.array(effort)
+
+
+def simulated(law: str, mode: str, command: Callable[[float], float]) -> tuple[FloatArray, ...]:
+    time: FloatArray = STEP * np.arange(round(SECONDS / STEP), dtype=np.float64)
+    n = len(time)
+    segment = Segment(
+        trial=0, model=mujoco.MjModel.from_xml_string(MODEL.format(drive=DRIVES[mode])), mode=mode,
+        start=0.0, time=time, position=np.zeros((n, 1)), velocity=None, effort=None,
+        command_time=time, command=np.array([[command(t)] for t in time]),
+        initial_position=np.zeros(1), initial_velocity=np.zeros(1),
+    )  # fmt: skip
+    hidden = {"joint_elasticity": {"compliance": 1.0 / STIFFNESS, "damping_time": TIME}}
+    if law in LAWS:
+        hidden[law] = dict(LAWS[law])
+    values = {e: {k: np.full((1, 1), v) for k, v in p.items()} for e, p in hidden.items()}
+    found = RowSimulator([segment], ("j",), threads=1).simulate(np.array([0]), values)[0]
+    return found.position[:, 0], found.effort[:, 0]
+
+
+@pytest.mark.parametrize("mode", DRIVES)
+@pytest.mark.parametrize("law", ["none", *LAWS])
+def test_motor_and_link_move_as_two_masses(law: str, mode: str) -> None:
+    size = 1.5 if mode == "effort" else 0.5
+
+    def command(t: float) -> float:
+        return float(size * np.sin(2.0 * np.pi * 1.1 * t))
+
+    (q, effort), (want_q, want_effort) = (f(law, mode, command) for f in (simulated, reference))
+    # An integrator of first order at a quarter of a millisecond.
+    assert np.abs(q - want_q).max() < 0.003 * np.ptp(want_q)
+    assert np.abs(effort - want_effort)[1:].max() < 0.02 * np.ptp(want_effort)
