@@ -174,6 +174,13 @@ class World:
         else:
             self.motor.applied += effort
 
+    def drag_motor(self, damping: FloatArray) -> None:
+        """Resist the motors' speed in this step, N*m s/rad or N s/m at the joint."""
+        if self.motor is None:
+            self.applied -= damping * self.velocity
+        else:
+            self.motor.drag += damping
+
     def asked(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """What the drive's law asks for at a state of its motor, (rows, joints), without bounds."""
         return (

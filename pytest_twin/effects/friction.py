@@ -239,5 +239,4 @@ class QuadraticDrag(Effect):
     confused_with: ClassVar = {"viscous_friction": "speeds a factor of four apart"}
 
     def force(self, world: World, values: Values) -> None:
-        speed = world.motor_velocity
-        world.push_motor(-values["coefficient"] * speed * np.abs(speed))
+        world.drag_motor(values["coefficient"] * np.abs(world.motor_velocity))

@@ -13,6 +13,11 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+_RING = 0.6
+"""Damping of teeth, in units of the root of stiffness times inertia."""
+_STIFFEST = 0.5
+"""Stiffest gear, in units of inertia over a step squared."""
+
 
 @dataclass(slots=True)
 class Gear:
@@ -30,11 +35,38 @@ class Gear:
     gap: FloatArray
 
     @classmethod
-    def stiff(cls, armature: FloatArray, timestep: float) -> Gear:
-        """Teeth as stiff as the step resolves: their deflection is small beside any gap."""
-        stiffness = 0.05 * np.maximum(armature, 1e-9) / timestep**2
-        damping = 0.6 * np.sqrt(stiffness * np.maximum(armature, 1e-9))
-        return cls(np.zeros(armature.shape, dtype=bool), stiffness, damping, np.zeros_like(damping))
+    def rigid(cls, like: FloatArray) -> Gear:
+        """Nothing that gives, for (rows, joints) joints like these."""
+        none = np.zeros(like.shape)
+        return cls(none != 0.0, none.copy(), none.copy(), none.copy())
+
+    def give(
+        self, acts: NDArray[np.bool_], compliance: FloatArray, damping_time: FloatArray | None,
+        armature: FloatArray, timestep: float,
+    ) -> None:  # fmt: skip
+        """Yield by a compliance in series with what yields already.
+
+        Args:
+            acts: where.
+            compliance: rad/(N*m) or m/N.
+            damping_time: s, damping over stiffness; by default so much that the motor hardly rings.
+            armature: of the motor, kg*m^2 or kg: teeth are no stiffer than a step resolves.
+            timestep: s.
+        """
+        inertia = np.maximum(armature, 1e-9)
+        before = np.where(self.stiffness > 0.0, 1.0 / np.maximum(self.stiffness, 1e-12), 0.0)
+        stiffness = np.minimum(
+            1.0 / np.maximum(compliance + before, 1e-12), _STIFFEST * inertia / timestep**2
+        )
+        if damping_time is None:
+            damping = np.where(
+                self.damping > 0.0, self.damping, _RING * np.sqrt(stiffness * inertia)
+            )
+        else:
+            damping = damping_time * stiffness
+        self.apart = self.apart | acts
+        self.stiffness = np.where(acts, stiffness, self.stiffness)
+        self.damping = np.where(acts, damping, self.damping)
 
 
 @dataclass(slots=True)
@@ -46,6 +78,7 @@ class MotorSide:
         angle, speed: of the motor, seen from the link.
         constant: effort that always acts on it.
         applied: effort on it in this step beside the drive's.
+        drag: in this step effort against it for each unit of its speed.
         stiffness: of the teeth.
         gear: effort that the teeth add over a step for each unit of speed between both sides.
         half_gap: play to either side, None where there is none anywhere.
@@ -58,6 +91,7 @@ class MotorSide:
     speed: FloatArray
     constant: FloatArray
     applied: FloatArray
+    drag: FloatArray
     stiffness: FloatArray
     gear: FloatArray
     half_gap: FloatArray | None
@@ -99,15 +133,15 @@ class MotorSide:
         inert = momentum + damping
         return cls(
             gear.apart, position + np.where(gear.apart, stretch, 0.0), velocity.copy(), constant,
-            constant, stiffness, pull, gear.gap / 2.0 if play else None, momentum,
-            inert if play else inert + pull, servo,
+            constant, np.zeros_like(constant), stiffness, pull, gear.gap / 2.0 if play else None,
+            momentum, inert if play else inert + pull, servo,
         )  # fmt: skip
 
     def meet(self, position: FloatArray, velocity: FloatArray) -> None:
         """Begin a step: without a gear that gives the motor is where the link is."""
         self.angle = np.where(self.apart, self.angle, position)
         self.speed = np.where(self.apart, self.speed, velocity)
-        self.applied = self.constant.copy()
+        self.applied, self.drag = self.constant.copy(), np.zeros_like(self.constant)
 
     def step(
         self,
@@ -135,7 +169,7 @@ class MotorSide:
             beside its drive.
         """
         deflection = self.angle - position
-        inert, gear = self.inert + self.servo * free, self.gear
+        inert, gear = self.inert + self.servo * free + self.drag, self.gear
         half = self.half_gap
         if half is not None:
             deflection = deflection - np.minimum(np.maximum(deflection, -half), half)
@@ -155,4 +189,4 @@ class MotorSide:
             flat = half == 0.0
             transmitted = np.where(flat, transmitted, flank * np.maximum(flank * transmitted, 0.0))
         self.angle, self.speed = self.angle + timestep * moving, moving
-        return np.where(self.apart, transmitted, self.applied)
+        return np.where(self.apart, transmitted, self.applied - self.drag * velocity)

@@ -55,7 +55,7 @@ def act(world: World, hooks: Hooks) -> FloatArray:
 
 
 def _motor_side(world: World, geared: Sequence[tuple[Effect, Values]]) -> MotorSide:
-    gear = Gear.stiff(world.motor_armature, world.timestep)
+    gear = Gear.rigid(world.motor_armature)
     for effect, v in geared:
         effect.gear(gear, world, v)
     return MotorSide.at_rest(

@@ -72,8 +72,10 @@ class Backlash(Effect):
         return values["gap"] > 0.0
 
     def gear(self, gear: Gear, world: World, values: Values) -> None:
-        gear.apart |= values["gap"] > 0.0
-        gear.gap += values["gap"]
+        gear.gap = gear.gap + values["gap"]
+        # Teeth as stiff as the step resolves: their deflection is small beside the gap.
+        none = np.zeros_like(values["gap"])
+        gear.give(values["gap"] > 0.0, none, None, world.motor_armature, world.timestep)
 
 
 class JointElasticity(Effect):
@@ -104,9 +106,8 @@ class JointElasticity(Effect):
         return values["compliance"] > 0.0
 
     def gear(self, gear: Gear, world: World, values: Values) -> None:
-        acts = values["compliance"] > 0.0
-        gear.apart |= acts
-        stiffest = 0.5 * np.maximum(world.motor_armature, 1e-9) / world.timestep**2
-        stiffness = np.minimum(1.0 / np.maximum(values["compliance"], 1e-12), stiffest)
-        gear.stiffness = np.where(acts, stiffness, gear.stiffness)
-        gear.damping = np.where(acts, values["damping_time"] * stiffness, gear.damping)
+        compliance = values["compliance"]
+        gear.give(
+            compliance > 0.0, compliance, values["damping_time"],
+            world.motor_armature, world.timestep,
+        )  # fmt: skip
