@@ -211,6 +211,8 @@ class Effect:
         confused_with: effect id -> the experiment that tells the two apart.
         modes: command modes under which it can act.
         remembers: whether a hook keeps a state between steps.
+        remembers_path: whether what its ``force`` keeps fades with the way that the joint goes, not
+            with time.
         reads_other_joints: whether a hook of a joint reads what another joint's drive does.
     """
 
@@ -223,6 +225,7 @@ class Effect:
     confused_with: ClassVar[Mapping[str, str]] = {}
     modes: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
     remembers: ClassVar[bool] = False
+    remembers_path: ClassVar[bool] = False
     reads_other_joints: ClassVar[bool] = False
 
     def overrides(self, *hooks: str) -> bool:

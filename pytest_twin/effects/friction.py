@@ -155,6 +155,7 @@ class PreslidingHysteresis(_DryFriction):
         ),
     )
     remembers = True
+    remembers_path = True
     confused_with: ClassVar = {
         "coulomb_friction": "symmetric reversals smaller than the break-away",
         "joint_spring": "both directions: a spring has no loop",

@@ -16,6 +16,8 @@ from pytest_twin.effects.motor_side import Gear, MotorSide
 
 LEAD = 0.2
 """s; motors behind gears and current loops forget sooner."""
+PATH_STEP = 0.01
+"""s; longest step along a path."""
 
 Hooks = Mapping[str, Sequence[tuple[Effect, Values]]]
 
@@ -63,6 +65,25 @@ def _motor_side(world: World, geared: Sequence[tuple[Effect, Values]]) -> MotorS
         damping=world.motor_damping, constant=world.motor_constant,
         servo=world.damping + world.stiffness * world.timestep, timestep=world.timestep,
     )  # fmt: skip
+
+
+def follow(world: World, effects: Sequence[tuple[Effect, Values]], path: FloatArray) -> None:
+    """Let forces that fade with the way that joints go see the way up to the lead.
+
+    Args:
+        world: rows at their start.
+        effects: those whose memory fades with the way.
+        path: (steps, rows, joints) rad or m that joints go in each step, the last ending at the
+            lead.
+    """
+    kept = {n: getattr(world, n) for n in ("velocity", "applied", "timestep")}
+    world.timestep = PATH_STEP
+    for moved in path:
+        world.velocity, world.applied = moved / PATH_STEP, np.zeros_like(moved)
+        for effect, v in effects:
+            effect.force(world, v)
+    for name, value in kept.items():
+        setattr(world, name, value)
 
 
 def roll_in(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
-from pytest_twin.effects.roll_in import LEAD, act, roll_in
+from pytest_twin.effects.roll_in import LEAD, PATH_STEP, act, follow, roll_in
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
@@ -366,7 +366,25 @@ class RowSimulator:
             if effect.overrides("unsense"):
                 for k in range(steps):
                     motion[0, k], motion[1, k] = effect.unsense(motion[0, k], motion[1, k], v)
+        far = [(e, v) for e, v in effects if e.remembers_path]
+        if far:
+            follow(world, far, self._paths(which)[:, of[:, None], joints])
         roll_in(world, hooks_between_steps(effects), motion[0], motion[1], np.nan_to_num(command))
+
+    def _paths(self, rows: NDArray[np.int64]) -> FloatArray:
+        """(steps, rows, joints) that joints went in each step before the lead of windows; nowhere
+        before the trial began.
+        """
+        longest = max(self.segments[r].start for r in rows) - LEAD
+        steps = max(0, int(np.ceil(longest / PATH_STEP)))
+        out = np.zeros((steps, len(rows), len(self.joints)))
+        for i, r in enumerate(rows):
+            history = self.segments[r].history
+            assert history is not None
+            stamps = self.segments[r].start - LEAD - PATH_STEP * np.arange(steps, -1, -1)
+            for j in range(len(self.joints)):
+                out[:, i, j] = np.diff(np.interp(stamps, history[0], history[1][:, j]))
+        return out
 
     def behind(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], columns: int

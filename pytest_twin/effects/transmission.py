@@ -58,10 +58,17 @@ class Backlash(Effect):
 
     id = "backlash"
     family = "transmission"
-    law = "effort passes where |motor - link| > gap / 2"
+    law = "effort passes where |motor - link| > gap / 2, through teeth that yield a little"
     source = "Nordin, Gutman, Automatica 38 (2002): controlling systems with backlash"
     remembers = True
-    parameters = (Parameter("gap", "position", 0.0, 0.0, 0.4, (0.01, 0.025, 0.06)),)
+    parameters = (
+        Parameter("gap", "position", 0.0, 0.0, 0.4, (0.01, 0.025, 0.06)),
+        # Teeth are stiff beside what moves them: the parameter is the reciprocal.
+        Parameter(
+            "tooth_compliance", "one", None, 1e-4, 0.02, (0.002,), "compliance",
+            ("tooth_stiffness", "stiffness"),
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
         "dead_zone": "hold the link by hand: only backlash lets it move freely",
         "coulomb_friction": "hold the link by hand",
@@ -73,9 +80,10 @@ class Backlash(Effect):
 
     def gear(self, gear: Gear, world: World, values: Values) -> None:
         gear.gap = gear.gap + values["gap"]
-        # Teeth as stiff as the step resolves: their deflection is small beside the gap.
-        none = np.zeros_like(values["gap"])
-        gear.give(values["gap"] > 0.0, none, None, world.motor_armature, world.timestep)
+        gear.give(
+            values["gap"] > 0.0, values["tooth_compliance"], None,
+            world.motor_armature, world.timestep,
+        )  # fmt: skip
 
 
 class JointElasticity(Effect):
