@@ -30,9 +30,10 @@ _ROUGH_ROUNDS = 2
 # what needs more has no law in the catalogue.
 _MOST_REPLAYS, _MORE_REPLAYS, _ALL_REPLAYS = 300, 50, 450
 # A name must take away this share of what still stands above the floor at some joint, and this
-# share of what the nominal model left there: less is the simulator's own imperfection.
+# share of what the nominal model left there, of so many floors at most: less is the simulator's own
+# imperfection.
 _SHARE_OF_REST = 0.1
-_SHARE_OF_ALL = 0.003
+_SHARE_OF_ALL, _MOST_FLOORS = 0.003, 100.0
 
 
 class Contest:
@@ -115,7 +116,7 @@ class Contest:
         floor = self.problem.signal_floor**2
         gone = before - after
         rest = np.maximum(before - floor, 0.2 * floor)
-        all_of_it = np.maximum(whole - floor, 0.2 * floor)
+        all_of_it = np.clip(whole - floor, 0.2 * floor, _MOST_FLOORS**2 * floor)
         return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * all_of_it)).any())
 
     def heats(self, starts: Sequence[Hypothesis], weights: FloatArray, best: Rival) -> list[Rival]:

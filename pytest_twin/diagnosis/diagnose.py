@@ -155,15 +155,17 @@ def diagnose(
         # Nobody knows how many rounds a search takes: every one does a part of what is left.
         progress(0.06 + 0.74 * (1.0 - 0.95**steps))
 
-    found = search(prepared, trials, Selection(prepared.problem, say))
-    problems = [prepared.problem]
-    if found.astray:
-        windowed, kept = pose(realization, trials, fixed, threads, [], window=WINDOW)
-        problems.append(windowed.problem)
-        other = search(windowed, kept, Selection(windowed.problem, say, _CLEAR))
-        if other.supersedes(found):
-            found = other
-            notes.append(_IN_WINDOWS)
+    # Candidates that run away overflow; what is not finite is ranked last.
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = search(prepared, trials, Selection(prepared.problem, say))
+        problems = [prepared.problem]
+        if found.astray:
+            windowed, kept = pose(realization, trials, fixed, threads, [], window=WINDOW)
+            problems.append(windowed.problem)
+            other = search(windowed, kept, Selection(windowed.problem, say, _CLEAR))
+            if other.supersedes(found):
+                found = other
+                notes.append(_IN_WINDOWS)
     progress(0.9)
     notes += found.explained.notes
     left = _left(found) if found.verdict in ("improved", "unexplained") else {}

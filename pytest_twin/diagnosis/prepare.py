@@ -32,7 +32,7 @@ _WILD, _WILD_SHARE, _FEWEST = 30.0, 0.002, 20
 NOISE = "sensor noise and quantization"
 # As measured on an arm whose tip taps on a table, and on arms whose drives are sent efforts:
 # impacts and the jumps of a command fall between steps.
-_LEFT_OF_IMPACTS, _LEFT_OF_JUMPS = 0.35, 0.5
+_LEFT_OF_IMPACTS, _LEFT_OF_JUMPS = 0.35, 0.25
 
 
 @dataclass(frozen=True, slots=True)
