@@ -65,7 +65,7 @@ class Backlash(Effect):
         Parameter("gap", "position", 0.0, 0.0, 0.4, (0.01, 0.025, 0.06)),
         # Teeth are stiff beside what moves them: the parameter is the reciprocal.
         Parameter(
-            "tooth_compliance", "one", None, 1e-4, 0.02, (0.002,), "compliance",
+            "tooth_compliance", "one", None, 0.0, 0.02, (0.002,), "compliance",
             ("tooth_stiffness", "stiffness"),
         ),
     )  # fmt: skip
