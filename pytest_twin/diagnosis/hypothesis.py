@@ -69,15 +69,18 @@ class Hypothesis:
         return Hypothesis(tuple(t for t in self.terms if t != term), self.theta[kept])
 
     def absorbed(self, gone: Term, into: Term) -> Hypothesis | None:
-        """Without ``gone``, its parameters added to those of ``into`` that are the same physics."""
+        """Without ``gone``, its parameters added to those of ``into`` that are the same physics, as
+        far as their bounds go.
+        """
         same = into.law.holds(gone.effect)
         if not same:
             return None
         theta, mine, other = self.theta.copy(), self.slice_of(into), self.slice_of(gone)
         names = [p.name for p in into.parameters]
         for k, p in enumerate(gone.parameters):
-            theta[mine.start + names.index(same[p.name])] += theta[other.start + k]
-        return self.with_theta(theta).without(gone)
+            if p.name in same:
+                theta[mine.start + names.index(same[p.name])] += theta[other.start + k]
+        return self.with_theta(np.clip(theta, *self.bounds)).without(gone)
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

@@ -76,8 +76,10 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
         bars = [
             STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted, t, half) else 1.0) for t in terms
         ]
+        # What stands with all of them at work is no term's merit.
+        others = np.maximum(base**2 - 1.0, 0.0)
         height = [
-            float(v[v > _WORSE * base].max(initial=0.0)) / bar
+            float(np.sqrt(np.maximum(v**2 - others, 0.0))[v > _WORSE * base].max(initial=0.0)) / bar
             for v, bar in zip(levels, bars, strict=True)
         ]
         least = int(np.argmin(height))

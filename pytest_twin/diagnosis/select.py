@@ -190,7 +190,7 @@ class Selection:
     def _backward(self, best: Rival) -> Rival:
         """Drop terms that do not pay, and laws that fewer or a simpler one equal.
 
-        What clearly pays along the motion is not simulated.
+        What clearly pays along the motion is not simulated, gears apart: along it they say little.
         """
         while best.hypothesis.terms:
             terms = best.hypothesis.terms
@@ -200,7 +200,12 @@ class Selection:
             if linear is not None and doubtful:
                 view = view_of(self.problem, best, linear.residual(best.fitted.residual))
                 fitted, evidence = against(linear, view, best, doubtful, self.contest.name_price)
-                doubtful = [h for h, e in zip(fitted, evidence, strict=True) if e > -_CLEAR]
+                gears = {t for t in terms if t.law.overrides("separates")}
+                doubtful = [
+                    h if gears <= set(h.terms) else bare
+                    for bare, h, e in zip(doubtful, fitted, evidence, strict=True)
+                    if e > -_CLEAR or not gears <= set(h.terms)
+                ]
             doubtful += simpler(self.problem, best.hypothesis)
             if not doubtful:
                 break

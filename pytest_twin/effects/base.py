@@ -237,7 +237,7 @@ class Effect:
         return {}
 
     def holds(self, effect: str) -> Mapping[str, str]:
-        """Which parameters of this law take up another's, where that adds nothing to it."""
+        """Which parameters of this law take up another's; what is not among them is lost."""
         return {}
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:

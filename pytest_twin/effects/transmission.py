@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -74,6 +75,10 @@ class Backlash(Effect):
         "coulomb_friction": "hold the link by hand",
         "joint_elasticity": "two loads: a gap does not grow with the load",
     }
+
+    def holds(self, effect: str) -> Mapping[str, str]:
+        """A gear that yields a little yields as its teeth do."""
+        return {"compliance": "tooth_compliance"} if effect == "joint_elasticity" else {}
 
     def separates(self, values: Values) -> NDArray[np.bool_] | None:
         return values["gap"] > 0.0
