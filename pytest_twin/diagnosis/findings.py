@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
-from pytest_twin.diagnosis.locate import Where, blame_windows, motions, place_of
+from pytest_twin.diagnosis.locate import Where, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.restraint import at_bound, in_floors, joint_name, label, prune
@@ -323,6 +323,6 @@ def finding_json(finding: Finding) -> dict[str, Any]:
 
 
 __all__ = [
-    "Alternative", "Estimate", "Explained", "Finding", "blame_windows", "explain", "finding_json",
+    "Alternative", "Estimate", "Explained", "Finding", "explain", "finding_json",
     "joint_type", "joint_unit",
 ]  # fmt: skip

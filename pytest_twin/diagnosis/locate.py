@@ -111,7 +111,7 @@ def _motion(problem: Problem, segment: Segment, name: str) -> Motion:
     return Motion(name, segment.time, q, v, a, load, rate, touches if contact.world.size else None)
 
 
-def blame_windows(name: str, time: FloatArray, blame: FloatArray) -> list[list[float]]:
+def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
     """The fewest stretches of a recording that hold most of the blame."""
     total = float(blame.sum())
     if total <= 0.0 or len(time) < 3:
@@ -137,31 +137,21 @@ def blame_windows(name: str, time: FloatArray, blame: FloatArray) -> list[list[f
 
 def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> Where:
     """Where blame (samples over all segments,) lies, seen from a joint in ``unit``, rad or m."""
+    recordings: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
     at = 0
-    windows: dict[str, list[list[float]]] = {}
-    share: dict[str, float] = {}
-    total = max(float(blame.sum()), 1e-300)
     for m in paths:
-        part = blame[at : at + len(m.time)]
+        recordings.setdefault(m.name, []).append((m.time, blame[at : at + len(m.time)]))
         at += len(m.time)
-        share[m.name] = share.get(m.name, 0.0) + float(part.sum()) / total
-        windows.setdefault(m.name, []).extend(blame_windows(m.name, m.time, part))
-    kept = {
-        name: _merged(found)
-        for name, found in windows.items()
-        if found and share[name] > 0.25 / max(len(windows), 1)
-    }
+    total = max(float(blame.sum()), 1e-300)
+    kept = {}
+    for name, parts in recordings.items():
+        # A recording that was cut into windows is one all the same.
+        time, mine = (np.concatenate(x) for x in zip(*parts, strict=True))
+        order = np.argsort(time, kind="stable")
+        found = blame_windows(time[order], mine[order])
+        if found and float(mine.sum()) / total > 0.25 / len(recordings):
+            kept[name] = found
     return Where(regime(paths, blame, joint, unit), kept)
-
-
-def _merged(windows: list[list[float]]) -> list[list[float]]:
-    out: list[list[float]] = []
-    for start, end in sorted(windows):
-        if out and start - out[-1][1] <= _MERGE:
-            out[-1][1] = max(end, out[-1][1])
-        else:
-            out.append([start, end])
-    return out
 
 
 def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> str:

@@ -54,10 +54,23 @@ def test_derivatives_of_a_cubic_are_exact_at_irregular_stamps() -> None:
 def test_windows_hold_the_blame_and_little_else() -> None:
     time = np.arange(0.0, 10.0, 0.01)
     blame = 0.01 + np.exp(-(((time - 3.0) / 0.2) ** 2)) + np.exp(-(((time - 7.0) / 0.3) ** 2))
-    (first, second) = blame_windows("a.mcap", time, blame)
+    (first, second) = blame_windows(time, blame)
     assert 2.5 < first[0] < 2.9 < 3.1 < first[1] < 3.5
     assert 6.3 < second[0] < 6.9 < 7.1 < second[1] < 7.7
-    assert blame_windows("a.mcap", time, np.zeros_like(time)) == []
+    assert blame_windows(time, np.zeros_like(time)) == []
+
+
+def test_a_recording_that_was_cut_has_the_windows_of_the_whole() -> None:
+    time = np.arange(0.0, 12.0, 0.01)
+    whole = motion(time, np.sin(1.3 * time))
+    # Some noise everywhere, and a push that is over after a second.
+    blame = np.random.default_rng(0).uniform(0.0, 0.02, len(time))
+    blame[(time > 4.3) & (time < 5.3)] += 1.0
+    pieces = [motion(part, np.sin(1.3 * part)) for part in np.split(time, 24)]
+    cut, together = place_of(pieces, blame, 0, "rad"), place_of([whole], blame, 0, "rad")
+    assert cut.windows == together.windows
+    ((start, end),) = cut.windows["a.mcap"]
+    assert 4.2 < start < end < 5.4
 
 
 def test_the_regime_is_the_slice_that_holds_more_blame_than_time() -> None:
