@@ -22,12 +22,17 @@ PATH_STEP = 0.01
 Hooks = Mapping[str, Sequence[tuple[Effect, Values]]]
 
 
-def act(world: World, hooks: Hooks) -> FloatArray:
+def act(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
     """Every law of one step, at the setpoint and the motion at hand.
+
+    Args:
+        world: rows at their state.
+        hooks: hook -> effects with their values.
+        drives: whether anybody asks what the drives deliver; a gear that gives does.
 
     Returns:
         (rows, joints) what the drives' own laws give within their bounds, before effects of the
-        drive; ``world.delivered`` is after them.
+        drive; ``world.delivered`` is after them. As they were where nobody asks.
     """
     geared = hooks["gear"]
     if geared:
@@ -38,9 +43,10 @@ def act(world: World, hooks: Hooks) -> FloatArray:
         effect.command(world, v)
     for effect, v in hooks["servo"]:
         effect.servo(world, v)
-    law = world.asked(world.motor_position, world.motor_velocity)
-    native: FloatArray = np.minimum(np.maximum(law, world.lower), world.upper)
-    world.delivered = native
+    native = world.delivered
+    if drives or geared:
+        law = world.asked(world.motor_position, world.motor_velocity)
+        native = world.delivered = np.minimum(np.maximum(law, world.lower), world.upper)
     for effect, v in hooks["drive"]:
         effect.drive(world, v)
     for effect, v in hooks["friction"]:

@@ -640,6 +640,8 @@ class RowSimulator:
         self.roll_in(world, rows, effects)
         commanded = np.ascontiguousarray(commands.swapaxes(0, 1))
         pushed = np.empty((count, joints))
+        # Friction may depend on what the motor puts through its gear.
+        asked = bool(hooks["drive"] or hooks["friction"])
         by_hand = bare.any()
 
         def before(k: int) -> None:
@@ -655,7 +657,7 @@ class RowSimulator:
                 world.friction_level = level
                 world.load = bias[:, at_dof]
             bounds = world.lower, world.upper
-            native = act(world, hooks)
+            native = act(world, hooks, drives=asked)
             if hooks["servo"]:
                 if self._range is not None:
                     self._write_bounds(world)
