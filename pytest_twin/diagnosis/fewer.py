@@ -30,6 +30,26 @@ def merged(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     return out
 
 
+def of_the_robot(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with the same law at every joint as the one of the whole robot that is
+    confused with it: commands that come late everywhere, or sensors that do.
+    """
+    out = []
+    joints = len(problem.joints)
+    for new in candidates(problem):
+        if new.joint >= 0 or new in hypothesis.terms or joints < 2:
+            continue
+        for effect in new.law.confused_with:
+            each = [t for t in hypothesis.terms if t.effect == effect and t.joint >= 0]
+            if len(each) == joints:
+                rest = hypothesis
+                for t in each:
+                    rest = rest.without(t)
+                (start, _), *_ = grid(new)
+                out.append(rest.with_term(new, start))
+    return out
+
+
 def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     """The hypothesis with one of its laws as the special case that it comes to."""
     scales, out = problem.scales, []

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
-from pytest_twin.diagnosis.fewer import merged, simpler
+from pytest_twin.diagnosis.fewer import merged, of_the_robot, simpler
 from pytest_twin.diagnosis.front import (
     Foremost,
     Look,
@@ -207,11 +207,12 @@ class Selection:
                     if e > -_CLEAR or not gears <= set(h.terms)
                 ]
             doubtful += simpler(self.problem, best.hypothesis)
-            if not doubtful:
+            rivals = self._of_the_robot(best)
+            if not doubtful and not rivals:
                 break
             # Where small deviations say nothing every doubt costs fits of its own: shorter ones.
             iterations = QUICK if linear is None else FAIR
-            rivals = self.contest.rivals(doubtful, self.contest.weights(best), iterations)
+            rivals += self.contest.rivals(doubtful, self.contest.weights(best), iterations)
             self.contest.judge(rivals, best)
             top = max(rivals, key=lambda r: r.evidence)
             if top.evidence < -EARNS / 2:
@@ -220,6 +221,17 @@ class Selection:
             self.say(f"- {gone} evidence {top.evidence:.1f}")
             best = self.contest.settled(top)
         return best
+
+    def _of_the_robot(self, best: Rival) -> list[Rival]:
+        """What is the whole robot's in the place of the same at every joint, fitted; each with the
+        error of the step as it is there, for their motions lie apart in time.
+        """
+        found = []
+        for other in of_the_robot(self.problem, best.hypothesis):
+            self.problem.refine_at(other)
+            found += self.contest.rivals([other], self.contest.weights(best), FAIR)
+        self.problem.refine_at(best.hypothesis)
+        return found
 
     def _sideways(self, selected: Selected) -> bool:
         """Hold every term against the rivals in its place; True if one was better.
