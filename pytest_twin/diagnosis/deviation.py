@@ -61,6 +61,7 @@ def deviation(
     effects: ActiveEffects,
     measured: Forces,
     predicted: Forces,
+    slopes_of_forces: tuple[FloatArray, FloatArray],
 ) -> Deviation:
     """Linearize between the predicted and the measured motion.
 
@@ -72,6 +73,8 @@ def deviation(
         along: the motion.
         effects: of the hypothesis, values (1, joints).
         measured, predicted: what acts along either motion under the hypothesis.
+        slopes_of_forces: stiffness and damping of what else depends on the state, as
+            :func:`~pytest_twin.diagnosis.laws.force_slopes` has it.
     """
     n = along.position.shape[2]
     middle, slope_q, slope_v = slopes(simulator, along, effects)
@@ -98,8 +101,10 @@ def deviation(
     )
     eye = np.eye(n)
     h = along.interval
-    k_all = slope_q + eye * (stiffness + measured.passive_stiffness[0])[..., None]
-    held = np.maximum(friction, 0.0) + damping + measured.passive_damping[0]
+    more_stiffness, more_damping = slopes_of_forces
+    passive = measured.passive_stiffness[0] + more_stiffness
+    k_all = slope_q + eye * (stiffness + passive)[..., None]
+    held = np.maximum(friction, 0.0) + damping + measured.passive_damping[0] + more_damping
     diagonal = np.einsum("stjj->stj", mass)
     held = held + _HELD * along.at_rest * diagonal / h
     d_all = slope_v + eye * held[..., None]

@@ -9,7 +9,7 @@ what the motion asks for, up to its level.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, Wo
 from pytest_twin.effects.roll_in import act
 from pytest_twin.effects.rows import OF_ROWS, RowSimulator, hooks_between_steps, there
 
+_TIP = 1e-4
+"""rad or m, that a position is moved to see how a force changes with it."""
 _MOST_NUMBERS = 2_000_000
 _BLOCK = 64
 """Steps that are prepared and closed together: few enough to stay in a core's cache."""
@@ -383,6 +385,42 @@ class Laws:
             # A link that the gear lets go has no armature: the mass matrix has it all the same.
             total = np.where(joint.soft, applied + joint.own_armature * acceleration, total)
         return total, drive, dry, level
+
+
+def force_slopes(
+    simulator: RowSimulator, along: Along, rigid: Rigid, effects: ActiveEffects
+) -> tuple[FloatArray, FloatArray]:
+    """How fast forces that depend on the state alone (drag, cogging) fall with it.
+
+    Central differences, midway between the measured and the predicted motion.
+
+    Args:
+        simulator: of the segments.
+        along: the motion.
+        rigid: its rigid-body terms.
+        effects: of the hypothesis, values (1, joints).
+
+    Returns:
+        Stiffness and damping, twice (segments, samples, joints).
+    """
+    of_state = [
+        (e, v) for e, v in effects
+        if e.overrides("force") and not e.remembers and e.family != "environment"
+    ]  # fmt: skip
+    out = np.zeros((2, *along.position.shape))
+    if not of_state:
+        return out[0], out[1]
+    position, velocity = along.midway
+
+    def force(q: FloatArray, v: FloatArray) -> FloatArray:
+        laws = Laws(simulator, replace(along, position=q, velocity=v), rigid)
+        found: FloatArray = laws.changes(of_state, 1, [], laws.forces([], 1))[0][0]
+        return found
+
+    tip = along.slip_velocity
+    out[0] = (force(position - _TIP, velocity) - force(position + _TIP, velocity)) / (2 * _TIP)
+    out[1] = (force(position, velocity - tip) - force(position, velocity + tip)) / (2 * tip)
+    return out[0], out[1]
 
 
 def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:

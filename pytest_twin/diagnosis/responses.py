@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.along import Along, along
 from pytest_twin.diagnosis.deviation import Deviation, deviation
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
-from pytest_twin.diagnosis.laws import ActiveEffects, Forces, Laws
+from pytest_twin.diagnosis.laws import ActiveEffects, Forces, Laws, force_slopes
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rigid_terms import Rigid, rigid_terms, upsampled
 from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
@@ -252,8 +252,9 @@ class Linear:
         self.base: Forces = self.laws.forces(active, 1)
         predicted = Laws(self.simulator, self.along.predicted, self.rigid).forces(active, 1)
         self.deviation: Deviation = deviation(
-            self.simulator, self.along, active, self.base, predicted
-        )
+            self.simulator, self.along, active, self.base, predicted,
+            force_slopes(self.simulator, self.along, self.rigid, active),
+        )  # fmt: skip
         self.bins = bins(problem, segments)
         self.starts = self._free_starts()
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.along import Along, along
 from pytest_twin.diagnosis.deviation import Deviation, deviation
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.laws import Laws
+from pytest_twin.diagnosis.laws import Laws, force_slopes
 from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
-from pytest_twin.diagnosis.responses import bins, responses
+from pytest_twin.diagnosis.responses import bins, linearized, responses
 from pytest_twin.diagnosis.rigid_terms import rigid_terms, upsampled
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, Structure, View, candidates
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
@@ -285,7 +285,8 @@ def slide(limit: float, push: float) -> tuple[Along, Deviation]:
     rigid = rigid_terms(simulator, motion)[0]
     measured = Laws(simulator, motion, rigid).forces([], 1)
     predicted = Laws(simulator, motion.predicted, rigid).forces([], 1)
-    return motion, deviation(simulator, motion, [], measured, predicted)
+    slopes = force_slopes(simulator, motion, rigid, [])
+    return motion, deviation(simulator, motion, [], measured, predicted, slopes)
 
 
 def closed_form(time: FloatArray, force: float) -> tuple[FloatArray, FloatArray]:
@@ -325,6 +326,49 @@ def test_secants_carry_large_deviations_through_a_drive_at_its_limit() -> None:
     # The tangent at the prediction has the whole stiffness and never comes near.
     tangent = closed_form(time, push)[0]
     assert np.abs(tangent - off).max() > 0.5 * np.abs(off).max()
+
+
+def test_what_is_named_already_resists_further_deviations() -> None:
+    """Drag damps, the more the faster: the model as it came does not."""
+    drag, other = Term("quadratic_drag", CRANK_JOINT), Term("viscous_friction", CRANK_JOINT)
+    problem = problem_of("effort", {drag: {"coefficient": 1.5}})
+
+    def size(term: Term, value: float) -> FloatArray:
+        return np.array([value / problem.scales.value(term.parameters[0], 0)])
+
+    named = EMPTY.with_term(drag, size(drag, 1.5))
+    more = named.with_term(other, size(other, 0.06))
+    problem.refine_at(named)
+    linear = linearized(problem, problem.fit, named)
+    assert linear is not None
+    first_order = linear.differences([more])[0]
+    without, with_it = problem.residuals([named, more], problem.fit)
+    simulated = bins(problem, problem.fit).mean(without - with_it)
+    off = np.sqrt(np.mean((first_order - simulated) ** 2))
+    # Without the drag's own slope it is five times as large as what it is to be.
+    assert off < 0.3 * np.sqrt(np.mean(simulated**2))
+
+
+def test_slopes_of_forces_are_their_derivatives() -> None:
+    drag, cogging = Term("quadratic_drag", CRANK_JOINT), Term("cogging", CRANK_JOINT)
+    problem = problem_of("effort", {drag: {"coefficient": 0.3}})
+    motion = along(problem, EMPTY, problem.fit)
+    rigid = rigid_terms(problem.simulator, motion, [])[0]
+    shape: dict[Term, dict[str, float]] = {
+        drag: {"coefficient": 0.3},
+        cogging: {"sine": 0.2, "cosine": 0.1, "harmonic": 5.0},
+    }
+    effects = [
+        (t.law, {n: np.full((1, 1), v) for n, v in values.items()}) for t, values in shape.items()
+    ]
+    stiffness, damping = force_slopes(problem.simulator, motion, rigid, effects)
+    position, velocity = motion.midway
+    wave = 5.0 * (0.2 * np.cos(5.0 * position) - 0.1 * np.sin(5.0 * position))
+    # Where the joint stands dry friction takes what changes.
+    moving = np.abs(velocity) > 20.0 * motion.slip_velocity
+    assert moving.mean() > 0.5
+    assert stiffness[moving] == pytest.approx(-wave[moving], abs=1e-4)
+    assert damping[moving] == pytest.approx(0.6 * np.abs(velocity[moving]), abs=1e-3)
 
 
 @given(
