@@ -25,6 +25,8 @@ QUICK, FAIR, _LONG = 2, 4, 8
 # of the first one's evidence within which they are judged once more.
 _IN_FRONT, FRONT = 150.0, 4
 _NECK = 0.05
+# Evidence behind the best after one iteration beyond which no more would help a rival.
+_FAR_BEHIND = 500.0
 _ROUGH_ROUNDS = 2
 # Replays of all recordings that a search may take, more for every term that was found, and at most:
 # what needs more has no law in the catalogue.
@@ -93,6 +95,20 @@ class Contest:
             if self.has_held:
                 r.held_gain = log_likelihood(r.held_residual, floor, held_n) - held_base
                 r.evidence += r.held_gain
+
+    def against(self, starts: Sequence[Hypothesis], best: Rival, iterations: int) -> list[Rival]:
+        """Rivals in the order of ``starts`` by evidence over ``best``: all after one iteration,
+        those that are not far behind after more.
+        """
+        weights = self.weights(best)
+        rivals = self.rivals(starts, weights, 1)
+        self.judge(rivals, best)
+        near = [i for i, r in enumerate(rivals) if r.evidence > -_FAR_BEHIND]
+        again = self.rivals([rivals[i].hypothesis for i in near], weights, iterations - 1)
+        self.judge(again, best)
+        for i, r in zip(near, again, strict=True):
+            rivals[i] = r
+        return rivals
 
     def unseen(self, rival: Rival) -> FloatArray:
         """(signals,) mean square on what no fit has seen, where there is such a thing."""

@@ -26,7 +26,7 @@ def merged(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
             both = {a.effect, b.effect} <= set(new.law.confused_with)
             if both and new.joint == a.joint and new not in hypothesis.terms:
                 (start, _), *_ = grid(new)
-                out.append(hypothesis.without(a).without(b).with_term(new, start))
+                out.append(hypothesis.without(a, b).with_term(new, start))
     return out
 
 
@@ -42,11 +42,8 @@ def of_the_robot(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
         for effect in new.law.confused_with:
             each = [t for t in hypothesis.terms if t.effect == effect and t.joint >= 0]
             if len(each) == joints:
-                rest = hypothesis
-                for t in each:
-                    rest = rest.without(t)
                 (start, _), *_ = grid(new)
-                out.append(rest.with_term(new, start))
+                out.append(hypothesis.without(*each).with_term(new, start))
     return out
 
 

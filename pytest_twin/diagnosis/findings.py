@@ -14,7 +14,7 @@ from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.locate import Where, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.restraint import at_bound, in_floors, joint_name, label, prune
+from pytest_twin.diagnosis.restraint import in_floors, joint_name, label, prune
 from pytest_twin.diagnosis.rivals import Selected
 from pytest_twin.effects.base import FloatArray, Parameter
 from pytest_twin.trial import Trial
@@ -139,7 +139,7 @@ def explain(
             confidence = 0.0
         if not len(problem.held_out):
             confidence = min(confidence, _UNTESTED)
-        if at_bound(hypothesis, term):
+        if hypothesis.at_bound(term):
             confidence = min(confidence, _BOUNDED)
             pruned.notes.append(
                 f"{label(problem, term)}: a parameter stands at its physical bound; something "

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.diagnosis.contest import FRONT, Contest
-from pytest_twin.diagnosis.fit import weighted_cost
+from pytest_twin.diagnosis.deepen import deepened
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
@@ -29,6 +29,7 @@ from pytest_twin.diagnosis.responses import (
 from pytest_twin.diagnosis.rivals import EARNS, Rival, described
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, View, candidates
 from pytest_twin.diagnosis.sharpen import sharpened
+from pytest_twin.diagnosis.tryout import Tryout
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
 
@@ -36,6 +37,8 @@ Say = Callable[[str], None]
 # Structures kept at each size, terms added at once, structures of each size and of one term that
 # are fitted along the motion, and iterations of that.
 _WIDTH, _AT_ONCE, _OFFERED, _SINGLE, _POLISH = 10, 4, 2, 8, 3
+# The same of those that are grown from fitted single terms.
+_NARROW = 4
 # Single terms are scanned by simulation where the mismatch is more floors than this and the best
 # along the motion is no single term that leaves few; and how many of them are kept.
 _FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
@@ -56,11 +59,18 @@ class Look:
         linear: laws along the measured motion; None where candidates were simulated.
         view: what is left of the fit, and what may give way.
         answers: responses of the candidates.
+        failed: candidates that were simulated and came to nothing.
     """
 
     linear: Linear | None
     view: View
     answers: Answers
+    failed: frozenset[Term] = frozenset()
+
+    def without(self, failed: set[Term]) -> Look:
+        """What is left of it once some candidates have failed."""
+        answers = Answers([r for r in self.answers.responses if r.term not in failed])
+        return Look(self.linear, self.view, answers, self.failed | failed)
 
 
 def look_ahead(problem: Problem, best: Rival) -> Look:
@@ -136,10 +146,13 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
     if not look.answers.responses:
         return None
     whole = np.mean(contest.nominal.fitted.residual**2, axis=0)
-    levels = Search(
-        _WIDTH, _AT_ONCE, EARNS,
-        lambda before, after: contest.worth_a_name(before, after, whole),
-    ).levels(Lens(look.view, look.answers))  # fmt: skip
+
+    def search(width: int = _WIDTH, most: int = _AT_ONCE) -> Search:
+        return Search(
+            width, most, EARNS, lambda before, after: contest.worth_a_name(before, after, whole)
+        )
+
+    levels = search().levels(Lens(look.view, look.answers))
     if not levels:
         # No slope leads anywhere: what is simulated may all the same.
         return Foremost([], np.mean(look.view.residual**2, axis=0), [])
@@ -155,7 +168,19 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
         for term, start in structure.starts.items():
             h = h.with_term(term, start)
         starts.append(h)
-    return _foremost(look, starts, chosen[0].residual, contest.name_price, say)
+    if look.linear is None:
+        fewest = min(len(h.terms) for h in starts)
+        singles = [h for h in starts if len(h.terms) == fewest]
+        return Foremost(starts, np.mean(chosen[0].residual ** 2, axis=0), singles)
+    polished = polish(look.linear, look.view, starts, _POLISH)
+    polished = _by_evidence(look.view, polished, contest.name_price)
+    if _stands(look.view, polished[0]):
+        more = deepened(
+            look.view, look.answers, polished, best.hypothesis.terms,
+            lambda: search(_NARROW, _AT_ONCE - 1),
+        )  # fmt: skip
+        polished += polish(look.linear, look.view, more, _POLISH)
+    return _foremost(look.view, polished, best, contest.name_price, say)
 
 
 def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hypothesis]:
@@ -164,37 +189,41 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
     if _bent(look, left, clear=bool(starts) and starts[0] in found.singles):
         scanned = _scanned(problem, best, look, found.singles, left)
     else:
-        scanned = _yielding(problem, best, starts, left)
+        scanned = _yielding(problem, best, look, starts, left)
     alike = {h.terms for h in scanned}
     starts = [*(h for h in starts if h.terms not in alike), *scanned]
     if look.linear is None and starts:
-        starts = _promising(problem, starts, left)
+        starts = _promising(Tryout(problem, best, left), starts)
     return starts
 
 
-def _promising(
-    problem: Problem, starts: Sequence[Hypothesis], left: FloatArray
-) -> list[Hypothesis]:
+def _promising(tryout: Tryout, starts: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Of those that add least and of the others, the few that leave least as they are.
 
     In contact every fit is one by simulation: ranked along the motion are the others.
     """
     fewest = min(len(h.terms) for h in starts)
-    order = [starts[i] for i in np.argsort(_costs(problem, starts, left))]
+    order = [starts[i] for i in np.argsort(tryout.costs(starts))]
     single = [h for h in order if len(h.terms) == fewest]
     several = [h for h in order if len(h.terms) > fewest]
     return single[:_SCANNED] + several[:_SCANNED]
 
 
+def _by_evidence(view: View, polished: Sequence[Polished], name_price: float) -> list[Polished]:
+    order = np.argsort(-np.nan_to_num(evidence_along(view, polished, name_price), nan=-np.inf))
+    return [polished[i] for i in order]
+
+
+def _stands(view: View, polished: Polished) -> bool:
+    """Whether it leaves anything above the floor."""
+    left = np.mean(polished.residual**2, axis=0)
+    return bool((left > (STANDS_OUT * view.floor) ** 2).any())
+
+
 def _foremost(
-    look: Look, starts: list[Hypothesis], residual: FloatArray, name_price: float, say: Say
+    view: View, polished: Sequence[Polished], best: Rival, name_price: float, say: Say
 ) -> Foremost:
-    view = look.view
-    fewest = min(len(h.terms) for h in starts)
-    if look.linear is None:
-        singles = [h for h in starts if len(h.terms) == fewest]
-        return Foremost(starts, np.mean(residual**2, axis=0), singles)
-    polished = polish(look.linear, view, starts, _POLISH)
+    fewest = min(len(p.hypothesis.terms) for p in polished)
     evidence = evidence_along(view, polished, name_price)
     order = np.argsort(-evidence)
     for i in order:
@@ -207,7 +236,10 @@ def _foremost(
             terms > set(polished[k].hypothesis.terms) and evidence[i] < evidence[k] + EARNS
             for k in order
         )
-        if np.isfinite(evidence[i]) and not covered:
+        # Nor does another with one term in the place of one.
+        new = terms - set(best.hypothesis.terms)
+        alike = any(_alike(new, set(polished[k].hypothesis.terms)) for k in front)
+        if np.isfinite(evidence[i]) and not covered and not alike:
             front.append(int(i))
     # What acts strongly is only roughly of first order: the best single terms are simulated.
     single = [i for i in front if len(polished[i].hypothesis.terms) == fewest]
@@ -239,12 +271,12 @@ def _scanned(
     """The best of what single terms do as they are and at all starting sizes, by simulation."""
     terms = [h.terms[-1] for h in singles]
     seen = {*terms, *best.hypothesis.terms}
-    terms += [t for t in _gears(problem, left, _FIRST_ORDER) if t not in seen]
+    terms += [t for t in _gears(problem, look, left, _FIRST_ORDER) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
     whole = np.mean(look.view.residual**2, axis=0)
     # Once, around the model as it came: they are many replays, and what is left later is less far.
     limits = [] if best.hypothesis.terms else _limits(problem, whole)
-    limits = [t for t in limits if t not in seen]
+    limits = [t for t in limits if t not in seen and t not in look.failed]
     rows += [best.hypothesis.with_term(t, start) for t in limits for start, _ in grid(t)[::2]]
     rows += singles
     needles = bool((whole > (_NEEDLES * look.view.floor) ** 2).any())
@@ -252,30 +284,15 @@ def _scanned(
         rows += [
             best.hypothesis.with_term(t, size) for t in [*terms, *limits] for size in _beyond(t)
         ]
-    found = _cheapest(problem, rows, left)
+    tryout = Tryout(problem, best, left)
+    found = tryout.cheapest(rows)
     few = found[:_SCANNED]
     honed = [h for h in found if h.terms[-1] in limits][:_LIMITED]
     if needles:
         honed += [h for h in few if h.terms[-1] not in limits]
     for reach in _HONED:
-        honed = _cheapest(problem, [h for f in honed for h in _about(f, reach)], left)
-    return _cheapest(problem, [*few, *honed], left)[:_SCANNED]
-
-
-def _costs(problem: Problem, rows: Sequence[Hypothesis], left: FloatArray) -> list[float]:
-    """What rows leave as they are, by simulation, under the weights of (signals,) ``left``."""
-    weights = problem.weights(left)
-    return [weighted_cost(r, weights) for r in problem.residuals(rows, problem.fit)]
-
-
-def _cheapest(problem: Problem, rows: Sequence[Hypothesis], left: FloatArray) -> list[Hypothesis]:
-    """Of each last term the row that leaves least, by simulation, best first."""
-    costs = _costs(problem, rows, left)
-    found: dict[Term, Hypothesis] = {}
-    for i in np.argsort(costs):
-        if np.isfinite(costs[i]):
-            found.setdefault(rows[i].terms[-1], rows[i])
-    return list(found.values())
+        honed = tryout.cheapest([h for f in honed for h in _about(f, reach)])
+    return tryout.cheapest([*few, *honed])[:_SCANNED]
 
 
 def _beyond(term: Term) -> list[FloatArray]:
@@ -315,7 +332,7 @@ def _limits(problem: Problem, whole: FloatArray) -> list[Term]:
     ]  # fmt: skip
 
 
-def _gears(problem: Problem, left: FloatArray, floors: float) -> list[Term]:
+def _gears(problem: Problem, look: Look, left: FloatArray, floors: float) -> list[Term]:
     """Transmissions that may give where more than so many floors are left: they read the measured
     motion back, and say along it little of what they do.
     """
@@ -323,23 +340,28 @@ def _gears(problem: Problem, left: FloatArray, floors: float) -> list[Term]:
     far = left[:joints] > (floors * problem.floor) ** 2
     return [
         t for t in candidates(problem)
-        if t.law.overrides("separates") and far[t.joint]
+        if t.law.overrides("separates") and far[t.joint] and t not in look.failed
     ]  # fmt: skip
 
 
 def _yielding(
-    problem: Problem, best: Rival, starts: Sequence[Hypothesis], left: FloatArray
+    problem: Problem, best: Rival, look: Look, starts: Sequence[Hypothesis], left: FloatArray
 ) -> list[Hypothesis]:
     """The transmission that takes most off what stands above the floor by simulation, if any."""
     own = best.hypothesis.terms
     seen = {*own, *(h.terms[-1] for h in starts if len(h.terms) == len(own) + 1)}
-    gears = [t for t in _gears(problem, left, STANDS_OUT) if t not in seen]
+    gears = [t for t in _gears(problem, look, left, STANDS_OUT) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in gears for start, _ in grid(t)]
     if not rows:
         return []
-    bare, *costs = _costs(problem, [best.hypothesis, *rows], left)
+    bare, *costs = Tryout(problem, best, left).costs([best.hypothesis, *rows])
     least = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
     return [rows[least]] if costs[least] < bare else []
+
+
+def _alike(new: set[Term], other: set[Term]) -> bool:
+    """Whether one of several new terms is all that another structure lacks."""
+    return len(new & other) > 1 and len(new - other) == 1
 
 
 def evidence_along(view: View, polished: Sequence[Polished], name_price: float) -> FloatArray:

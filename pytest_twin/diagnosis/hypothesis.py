@@ -61,12 +61,12 @@ class Hypothesis:
         """One more term, starting at ``start``."""
         return Hypothesis((*self.terms, term), np.concatenate([self.theta, start]))
 
-    def without(self, term: Term) -> Hypothesis:
-        """One term fewer."""
-        kept = np.concatenate(
-            [np.full(len(t.parameters), t != term, dtype=bool) for t in self.terms]
+    def without(self, *gone: Term) -> Hypothesis:
+        """These terms fewer."""
+        kept = np.repeat(
+            [t not in gone for t in self.terms], [len(t.parameters) for t in self.terms]
         )
-        return Hypothesis(tuple(t for t in self.terms if t != term), self.theta[kept])
+        return Hypothesis(tuple(t for t in self.terms if t not in gone), self.theta[kept])
 
     def absorbed(self, gone: Term, into: Term) -> Hypothesis | None:
         """Without ``gone``, its parameters added to those of ``into`` that are the same physics, as
@@ -87,6 +87,13 @@ class Hypothesis:
         """Lower and upper, in multiples of the scales."""
         parameters = [p for t in self.terms for p in t.parameters]
         return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+
+    def at_bound(self, term: Term) -> bool:
+        """Whether a parameter that switches the effect on stands at its physical bound."""
+        return any(
+            p.neutral is not None and value != p.neutral and not p.lower < value < p.upper
+            for p, value in zip(term.parameters, self.theta[self.slice_of(term)], strict=True)
+        )
 
     @property
     def free(self) -> int:

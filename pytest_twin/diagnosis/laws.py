@@ -10,13 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.along import Along
 from pytest_twin.diagnosis.rigid_terms import Rigid, upsampled
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
+from pytest_twin.effects.base import (
+    Effect,
+    FloatArray,
+    ModelFields,
+    Values,
+    World,
+    moving_apart,
+)
 from pytest_twin.effects.roll_in import act
 from pytest_twin.effects.rows import OF_ROWS, RowSimulator, hooks_between_steps, there
 
@@ -113,7 +121,7 @@ class _Joint:
     spring: FloatArray
     model_spring: FloatArray
     rest: FloatArray
-    soft: FloatArray
+    soft: NDArray[np.bool_]
 
 
 class Laws:
@@ -230,24 +238,20 @@ class Laws:
         changed = ModelFields.neutral(gravity, lanes.joint.shape[1])
         changed.damping = of([m.dof_damping[dof] for m in models])
         changed.friction = world.friction_level
-        soft = np.zeros(lanes.joint.shape, dtype=bool)
         for effect, v in effects:
             if effect.family != "contact":
                 effect.fields(changed, v)
-            apart = effect.separates(v)
-            if apart is not None:
-                soft |= apart
+        soft = moving_apart(effects, lanes.joint.shape)
         world.friction_level = np.maximum(changed.friction, 0.0)
         own = of([m.dof_armature[dof] for m in models])
         world.motor_armature = own + changed.armature
         world.motor_damping = changed.damping
-        world.motor_constant = np.where(soft, changed.motor_force, 0.0)
+        constant, world.motor_constant = changed.split_force(soft)
         rest = of([m.qpos_spring[simulator.qpos_index] for m in models])
         springs = of([m.jnt_stiffness[simulator.joint_ids] for m in models])
         return _Joint(
-            changed.damping, changed.armature, own,
-            changed.constant_force + np.where(soft, 0.0, changed.motor_force),
-            changed.stiffness, springs, rest, soft,
+            changed.damping, changed.armature, own, constant, changed.stiffness, springs, rest,
+            soft,
         )  # fmt: skip
 
     def _commands(self, effects: ActiveEffects, lanes: _Lanes, count: int) -> FloatArray:
@@ -276,7 +280,7 @@ class Laws:
         # A command holds from its sample on; a sample stands for half a sample to either side.
         held = np.concatenate([mean[:, :1], 0.5 * (mean[:, 1:] + mean[:, :-1]), mean[:, -1:]], 1)
 
-        def spread(x: FloatArray) -> FloatArray:
+        def spread(x: NDArray[Any]) -> NDArray[Any]:
             return np.repeat(x, samples, axis=0)
 
         def flat(x: FloatArray) -> FloatArray:

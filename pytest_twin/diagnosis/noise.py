@@ -66,14 +66,21 @@ def _quantum(values: FloatArray) -> float:
 def greatest_noise(
     segments: Sequence[Segment], values: Sequence[FloatArray], owner: Sequence[int]
 ) -> FloatArray:
-    """(joints,) of the noisiest trial; the windows of one trial are taken together."""
+    """(joints,) of the noisiest trial."""
+    greatest: FloatArray = np.max(_by_trial(segments, values, owner), axis=0)
+    return greatest
+
+
+def _by_trial(
+    segments: Sequence[Segment], values: Sequence[FloatArray], owner: Sequence[int]
+) -> FloatArray:
+    """(trials, joints) noise; the windows of one trial are taken together."""
     each = []
     for trial in sorted(set(owner)):
         mine = [i for i, o in enumerate(owner) if o == trial]
         time = np.concatenate([segments[i].time for i in mine])
         each.append(sensor_noise(time, np.concatenate([values[i] for i in mine])))
-    greatest: FloatArray = np.max(each, axis=0)
-    return greatest
+    return np.array(each)
 
 
 def effort_noise(
@@ -82,14 +89,14 @@ def effort_noise(
     """(joints,) deviation of measured efforts, N*m or N.
 
     A stiff servo's effort jumps at every command, which third differences take for noise where the
-    model does not say the same.
+    model does not say the same. The sensor is one in all trials: the median is
+    of one with few jumps.
     """
     efforts = [s.effort for s in segments if s.effort is not None]
     off = [e - p.effort for e, p in zip(efforts, nominal, strict=True)]
-    least: FloatArray = np.minimum(
-        greatest_noise(segments, efforts, owner), greatest_noise(segments, off, owner)
-    )
-    return least
+    each = np.minimum(_by_trial(segments, efforts, owner), _by_trial(segments, off, owner))
+    usual: FloatArray = np.median(each, axis=0)
+    return usual
 
 
 def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int]) -> FloatArray:
@@ -98,7 +105,7 @@ def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[
     Efforts that jump do so in proportion to the model's: what third differences leave beside that
     is noise.
     """
-    worst = np.zeros(len(problem.joints))
+    each = []
     for trial in sorted(set(owner)):
         measured, modelled, shaken = [], [], []
         for i, o in enumerate(owner):
@@ -114,8 +121,11 @@ def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[
             np.lib.stride_tricks.sliding_window_view(np.concatenate(shaken), 4, axis=0), axis=-1
         )
         quiet = shake <= np.quantile(shake, _QUIET, axis=0)
+        found = np.zeros(len(problem.joints))
         for j in range(third.shape[1]):
             a, b = third[quiet[:, j], j], like[quiet[:, j], j]
             a = a - b * (a @ b) / max(float(b @ b), 1e-30)
-            worst[j] = max(worst[j], 1.4826 * float(np.median(np.abs(a))) / np.sqrt(20.0))
-    return worst
+            found[j] = 1.4826 * float(np.median(np.abs(a))) / np.sqrt(20.0)
+        each.append(found)
+    usual: FloatArray = np.median(each, axis=0)
+    return usual

@@ -117,9 +117,8 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
         likely = {t: c >= _EVEN for t, c in zip(terms, chances, strict=True)}
         stretched = _stretched(problem, fitted, half, before, base, likely)
         if stretched:
-            rest = fitted.hypothesis
+            rest = fitted.hypothesis.without(*stretched)
             for t in stretched:
-                rest = rest.without(t)
                 why = (
                     "stand at a physical bound, or could be absent" if likely[t] else "be likelier"
                 )
@@ -135,7 +134,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             share = _too_little(
                 problem, t, before, base,
                 sure=selected.confidence.get(t, 1.0) >= _SURE
-                and not at_bound(fitted.hypothesis, t),
+                and not fitted.hypothesis.at_bound(t),
             )  # fmt: skip
             if share > 0.0:
                 gone.append(t)
@@ -145,9 +144,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
                 )
         if not gone:
             return Pruned(fitted, rests, notes)
-        rest = fitted.hypothesis
-        for t in gone:
-            rest = rest.without(t)
+        rest = fitted.hypothesis.without(*gone)
         fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
     return Pruned(fitted, [], notes)
 
@@ -171,7 +168,7 @@ def _stretched(
     return [
         t for t in hypothesis.terms
         if not (explained.all() if t.joint < 0 else explained[t.joint])
-        and (not likely[t] or _perhaps_absent(fitted, t, half) or at_bound(hypothesis, t))
+        and (not likely[t] or _perhaps_absent(fitted, t, half) or hypothesis.at_bound(t))
     ]  # fmt: skip
 
 
@@ -206,15 +203,6 @@ def _too_little(
     top = float(after[columns].max())
     bound = _LEFT_SURE if sure else _LEFT_UNSURE
     return share if share > bound and top > STANDS_OUT else 0.0
-
-
-def at_bound(hypothesis: Hypothesis, term: Term) -> bool:
-    """Whether a parameter that switches the effect on stands at its physical bound."""
-    theta = hypothesis.theta[hypothesis.slice_of(term)]
-    return any(
-        p.neutral is not None and value != p.neutral and not p.lower < value < p.upper
-        for p, value in zip(term.parameters, theta, strict=True)
-    )
 
 
 def label(problem: Problem, term: Term) -> str:

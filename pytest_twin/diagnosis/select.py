@@ -29,8 +29,10 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import bins, linearized
+from pytest_twin.diagnosis.restraint import in_floors
 from pytest_twin.diagnosis.rivals import EARNS, Rival, Selected, described, simplest
-from pytest_twin.diagnosis.screen import Answers, Lens, View
+from pytest_twin.diagnosis.screen import Lens, View
+from pytest_twin.diagnosis.verdict import LEFT_FLOORS
 
 _MAX_TERMS = 10
 _ROUNDS, _ATTEMPTS = 6, 3
@@ -90,6 +92,8 @@ class Selection:
                 better = self._forward(best)
             if better is not None:
                 selected.best = self._backward(better)
+                if self._strained(selected.best):
+                    break
             elif not self._sideways(selected):
                 break
 
@@ -101,7 +105,8 @@ class Selection:
         """
         terms = selected.best.hypothesis.terms
         joints = [sum(t.joint in (j, -1) for t in terms) for j in range(len(self.problem.joints))]
-        if max(joints) < _CROWD or self._spent(selected.best):
+        best = selected.best
+        if max(joints) < _CROWD or self._spent(best) or self._strained(best):
             return selected
         theta, place = selected.best.hypothesis.theta, selected.best.hypothesis.slice_of
         alone = [Hypothesis((t,), theta[place(t)]) for t in terms]
@@ -118,6 +123,18 @@ class Selection:
         self.say(f"= {described(other.best.hypothesis)} evidence {other.best.evidence:.1f}")
         return other if other.best.evidence > 0.0 else selected
 
+    def _strained(self, rival: Rival) -> list[Term]:
+        """Laws that stand at a physical bound and leave their joint far from explained: something
+        else is at work there.
+        """
+        problem, hypothesis = self.problem, rival.hypothesis
+        left = in_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
+        return [
+            t for t in hypothesis.terms
+            if hypothesis.at_bound(t)
+            and (left.max() if t.joint < 0 else left[t.joint]) > LEFT_FLOORS
+        ]  # fmt: skip
+
     def _spent(self, best: Rival) -> bool:
         return self.contest.spent(len(best.hypothesis.terms) + self.regrown)
 
@@ -125,7 +142,8 @@ class Selection:
         """A better fit with more terms, if there is one.
 
         A law that reads the measured motion back (a softer drive, a gear that gives) may explain
-        along it what it does not when it is simulated: such terms leave, and the search goes on.
+        along it what it does not when it is simulated, and one may help most that is stretched to
+        its bound: such terms leave, and the search goes on.
         """
         look = look_ahead(self.problem, best)
         for _ in range(self.attempts):
@@ -141,21 +159,22 @@ class Selection:
                 and (r.held_gain > 0.0 or not self.contest.has_held)
                 and self.contest.worth_a_name(before, self.contest.unseen(r), unseen)
             ]  # fmt: skip
-            if earning:
-                top = simplest(earning)
+            strained = {t for r in earning for t in self._strained(r)}
+            sound = [r for r in earning if not strained & set(r.hypothesis.terms)]
+            if sound:
+                top = simplest(sound)
                 self.first = self.first or top.hypothesis.terms
                 self.say(f"+ {described(top.hypothesis)} evidence {top.evidence:.1f}")
                 return self.contest.settled(top)
-            failed = {t for r in rivals for t in r.hypothesis.terms}
-            answers = [a for a in look.answers.responses if a.term not in failed]
-            look = Look(look.linear, look.view, Answers(answers))
+            tried = {t for r in rivals for t in r.hypothesis.terms}
+            look = look.without(strained or tried - set(best.hypothesis.terms))
         self.problem.refine_at(best.hypothesis)
         return None
 
     def _tried(self, best: Rival, look: Look) -> list[Rival]:
         """The structures in front, simulated and fitted; by evidence over ``best``."""
         found = foremost(self.contest, best, look, self.say)
-        if found is None or self._hopeless(best, look, found):
+        if found is None or self._hopeless(found):
             return []
         starts, left = front(self.problem, best, look, found), found.left
         if not starts:
@@ -165,11 +184,12 @@ class Selection:
         self.problem.refine_at(min(starts, key=lambda h: len(h.terms)))
         return self.contest.heats(starts, self.problem.weights(left), best)
 
-    def _hopeless(self, best: Rival, look: Look, found: Foremost) -> bool:
-        if best.hypothesis.terms or self.share_left >= 1.0:
+    def _hopeless(self, found: Foremost) -> bool:
+        """Whether this is a second look, and even what is best along the motion leaves too much."""
+        if self.share_left >= 1.0:
             return False
-        floor = look.view.floor
-        whole = np.mean(look.view.residual**2, axis=0)
+        floor = self.problem.signal_floor
+        whole = np.mean(self.contest.nominal.fitted.residual**2, axis=0)
         share = float(np.sum(found.left / floor**2) / np.sum(whole / floor**2))
         return share > self.share_left
 
@@ -197,23 +217,21 @@ class Selection:
             doubtful = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
             doubtful += merged(self.problem, best.hypothesis)
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
-            if linear is not None and doubtful:
+            gears = {t for t in terms if t.law.overrides("separates")}
+            told = [h for h in doubtful if gears <= set(h.terms)]
+            if linear is not None and told:
                 view = view_of(self.problem, best, linear.residual(best.fitted.residual))
-                fitted, evidence = against(linear, view, best, doubtful, self.contest.name_price)
-                gears = {t for t in terms if t.law.overrides("separates")}
-                doubtful = [
-                    h if gears <= set(h.terms) else bare
-                    for bare, h, e in zip(doubtful, fitted, evidence, strict=True)
-                    if e > -_CLEAR or not gears <= set(h.terms)
-                ]
+                fitted, evidence = against(linear, view, best, told, self.contest.name_price)
+                doubtful = [h for h in doubtful if not gears <= set(h.terms)]
+                doubtful += [h for h, e in zip(fitted, evidence, strict=True) if e > -_CLEAR]
             doubtful += simpler(self.problem, best.hypothesis)
             rivals = self._of_the_robot(best)
             if not doubtful and not rivals:
                 break
             # Where small deviations say nothing every doubt costs fits of its own: shorter ones.
             iterations = QUICK if linear is None else FAIR
-            rivals += self.contest.rivals(doubtful, self.contest.weights(best), iterations)
             self.contest.judge(rivals, best)
+            rivals += self.contest.against(doubtful, best, iterations)
             top = max(rivals, key=lambda r: r.evidence)
             if top.evidence < -EARNS / 2:
                 break
@@ -287,8 +305,7 @@ class Selection:
             nearest = [i for i in order if places[i][0] == term and places[i][1] is not None]
             close += [i for i in nearest[:_MOST_CLOSE] if i not in close]
         close = [] if self._spent(best) else close
-        rivals = self.contest.rivals([others[i] for i in close], self.contest.weights(best), FAIR)
-        self.contest.judge(rivals, best)
+        rivals = self.contest.against([others[i] for i in close], best, FAIR)
         evidence = {place: float(value) for place, value in zip(places, found, strict=True)}
         for i, r in zip(close, rivals, strict=True):
             evidence[places[i]] = r.evidence

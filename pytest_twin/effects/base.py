@@ -8,7 +8,7 @@ stepped at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -304,6 +304,18 @@ class Effect:
         return effort
 
 
+def moving_apart(
+    effects: Sequence[tuple[Effect, Values]], shape: tuple[int, ...]
+) -> NDArray[np.bool_]:
+    """(rows, joints) where a gear lets motor and link move apart."""
+    apart = np.zeros(shape, dtype=bool)
+    for effect, v in effects:
+        given = effect.separates(v)
+        if given is not None:
+            apart |= given
+    return apart
+
+
 @dataclass(slots=True)
 class ModelFields:
     """Per-row model fields that effects may change, (rows, joints) unless said otherwise.
@@ -356,3 +368,9 @@ class ModelFields:
             added_distance=np.zeros(none),
             inertia_scale=np.ones(none),
         )
+
+    def split_force(self, apart: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+        """Constant forces on links and on motors, each motor being its link unless ``apart``."""
+        link: FloatArray = self.constant_force + np.where(apart, 0.0, self.motor_force)
+        motor: FloatArray = np.where(apart, self.motor_force, 0.0)
+        return link, motor

@@ -17,9 +17,10 @@ import numpy as np
 from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World, moving_apart
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
 from pytest_twin.effects.roll_in import LEAD, PATH_STEP, act, follow, roll_in
 from pytest_twin.realization.inputs import command_input
@@ -79,6 +80,15 @@ class Segment:
     def amid(self) -> bool:
         """Whether it starts amid a motion."""
         return self.history is not None
+
+    def before(self, time: FloatArray) -> FloatArray:
+        """Positions and velocities at (n,) s on the trial's clock, (2, n, joints); only
+        :attr:`amid` a motion.
+        """
+        assert self.history is not None
+        stamps, *known = self.history
+        columns = [[np.interp(time, stamps, x) for x in of_joints.T] for of_joints in known]
+        return np.moveaxis(np.array(columns), 1, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,12 +358,8 @@ class RowSimulator:
         which, of = np.unique(rows, return_inverse=True)
         known = np.empty((2, len(which), len(self.joints), steps))
         for i, r in enumerate(which):
-            history = self.segments[r].history
-            assert history is not None
-            stamps = self.segments[r].start + before
-            for j in range(len(self.joints)):
-                known[0, i, j] = np.interp(stamps, history[0], history[1][:, j])
-                known[1, i, j] = np.interp(stamps, history[0], history[2][:, j])
+            segment = self.segments[r]
+            known[:, i] = np.moveaxis(segment.before(segment.start + before), 1, 2)
         motion = np.ascontiguousarray(np.moveaxis(known[:, of[:, None], joints], -1, 1))
         command = np.empty(motion.shape[1:])
         late = self.behind(rows, effects, joints.shape[1]) + LEAD
@@ -379,11 +385,9 @@ class RowSimulator:
         steps = max(0, int(np.ceil(longest / PATH_STEP)))
         out = np.zeros((steps, len(rows), len(self.joints)))
         for i, r in enumerate(rows):
-            history = self.segments[r].history
-            assert history is not None
-            stamps = self.segments[r].start - LEAD - PATH_STEP * np.arange(steps, -1, -1)
-            for j in range(len(self.joints)):
-                out[:, i, j] = np.diff(np.interp(stamps, history[0], history[1][:, j]))
+            segment = self.segments[r]
+            stamps = segment.start - LEAD - PATH_STEP * np.arange(steps, -1, -1)
+            out[:, i] = np.diff(segment.before(stamps)[0], axis=0)
         return out
 
     def behind(
@@ -466,22 +470,19 @@ class RowSimulator:
     ) -> None:
         count = (len(rows), len(self.joints))
         several = len({id(m) for m in models}) > 1
-        fields = ModelFields.neutral(np.array([m.opt.gravity for m in models]), count[1])
+        gravity = np.array([m.opt.gravity for m in models])
+        fields = ModelFields.neutral(gravity.copy(), count[1])
         for effect, v in effects:
             effect.fields(fields, v)
         before = tuple(getattr(world, name).copy() for name in _LAW)
         bounds = (world.lower.copy(), world.upper.copy())
         for effect, v in effects:
             effect.gains(world, v)
-        soft = np.zeros(count, dtype=bool)
-        for effect, v in effects:
-            apart = effect.separates(v)
-            if apart is not None:
-                soft |= apart
+        soft = moving_apart(effects, count)
 
         def expand(name: str) -> FloatArray:
             array: FloatArray = batch.expand(name)
-            array[:] = np.array([getattr(m, name) for m in models])
+            (array[:],) = _of_each(models, name)
             return array
 
         if several:
@@ -514,7 +515,6 @@ class RowSimulator:
         self._soft = soft
         if fields.stiffness.any():
             expand("jnt_stiffness")[:, self.joint_ids] += fields.stiffness
-        gravity = np.array([m.opt.gravity for m in models])
         if (fields.gravity != gravity).any() or several:
             batch.expand("opt.gravity")[:] = fields.gravity
         if fields.added_mass.any() or (fields.inertia_scale != 1.0).any():
@@ -539,8 +539,7 @@ class RowSimulator:
         if (several or moving or bounds_changed) and driven.any():
             self._range = expand("actuator_forcerange")
             self._write_bounds(world)
-        self._constant = fields.constant_force + np.where(soft, 0.0, fields.motor_force)
-        world.motor_constant = np.where(soft, fields.motor_force, 0.0)
+        self._constant, world.motor_constant = fields.split_force(soft)
         if any(effect.family == "contact" for effect, _ in effects):
             self.contact.write(expand, fields, least_time_constant(models[0], self.timestep))
         # A geom that moves takes its frame and its body's bounding volume along.
@@ -563,33 +562,21 @@ class RowSimulator:
         mass, ipos = batch.expand("body_mass"), batch.expand("body_ipos")
         inertia = batch.expand("body_inertia")
         iquat = batch.expand("body_iquat")
-        for i, m in enumerate(models):
-            mass[i], ipos[i] = m.body_mass, m.body_ipos
-            inertia[i], iquat[i] = m.body_inertia, m.body_iquat
+        mass[:], ipos[:], inertia[:], iquat[:], joints = _of_each(
+            models, "body_mass", "body_ipos", "body_inertia", "body_iquat", "jnt_pos"
+        )
         bodies = self.body_index
         mass[:, bodies] *= fields.inertia_scale
         inertia[:, bodies] *= fields.inertia_scale[:, :, None]
-        for i, j in zip(*np.nonzero(fields.added_mass), strict=True):
-            body, added = bodies[j], fields.added_mass[i, j]
-            at = models[i].jnt_pos[self.joint_ids[j]] + (
-                fields.added_distance[i, j] * self.directions[j]
-            )
-            total = max(mass[i, body] + added, 1e-6)
-            center = (mass[i, body] * ipos[i, body] + added * at) / total
-            flat = np.empty(9)
-            mujoco.mju_quat2Mat(flat, iquat[i, body])
-            rotation = flat.reshape(3, 3)
-            tensor = rotation @ np.diag(inertia[i, body]) @ rotation.T
-            for weight, point in ((mass[i, body], ipos[i, body]), (added, at)):
-                arm = point - center
-                tensor += weight * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-            moments, axes = np.linalg.eigh(tensor)
-            if np.linalg.det(axes) < 0:
-                axes[:, 0] *= -1
-            quat = np.empty(4)
-            mujoco.mju_mat2Quat(quat, axes.ravel())
-            mass[i, body], ipos[i, body], iquat[i, body] = total, center, quat
-            inertia[i, body] = np.maximum(moments, 1e-9)
+        row, joint = np.nonzero(fields.added_mass)
+        if not len(row):
+            return
+        here = (row, bodies[joint])
+        at = joints[row, self.joint_ids[joint]]
+        at = at + fields.added_distance[row, joint, None] * self.directions[joint]
+        mass[here], ipos[here], inertia[here], iquat[here] = _with_point_mass(
+            mass[here], ipos[here], inertia[here], iquat[here], fields.added_mass[row, joint], at
+        )
 
     def _step(
         self,
@@ -734,6 +721,43 @@ class RowSimulator:
             )
             for i, r in enumerate(rows)
         ]
+
+
+def _of_each(models: Sequence[mujoco.MjModel], *names: str) -> list[FloatArray]:
+    """(rows, ...) fields of each row's model, read once of every model."""
+    distinct = {id(m): m for m in models}
+    number = {key: i for i, key in enumerate(distinct)}
+    index = [number[id(m)] for m in models]
+    return [np.array([getattr(m, name) for m in distinct.values()])[index] for name in names]
+
+
+def _with_point_mass(
+    mass: FloatArray,
+    center: FloatArray,
+    moments: FloatArray,
+    quat: FloatArray,
+    added: FloatArray,
+    at: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Bodies with point masses on them: mass, centre, principal moments, their orientation.
+
+    Args:
+        mass: (n,) kg; center: (n, 3) m; moments: (n, 3) kg m^2 about it; quat: (n, 4) w first.
+        added: (n,) kg; at: (n, 3) m, in the frames of the bodies.
+    """
+    total = np.maximum(mass + added, 1e-6)
+    both = (mass[:, None] * center + added[:, None] * at) / total[:, None]
+    turn = Rotation.from_quat(quat[:, [1, 2, 3, 0]]).as_matrix()
+    tensor = np.einsum("nij,nj,nkj->nik", turn, moments, turn)
+    for weight, point in ((mass, center), (added, at)):
+        arm = point - both
+        square = np.einsum("ni,ni->n", arm, arm)
+        steiner = square[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
+        tensor += weight[:, None, None] * steiner
+    values, axes = np.linalg.eigh(tensor)
+    axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
+    quat = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+    return total, both, np.maximum(values, 1e-9), quat
 
 
 def _span(index: NDArray[np.int64]) -> slice | NDArray[np.int64]:

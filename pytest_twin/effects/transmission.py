@@ -80,13 +80,13 @@ class Backlash(Effect):
         """A gear that yields a little yields as its teeth do."""
         return {"compliance": "tooth_compliance"} if effect == "joint_elasticity" else {}
 
-    def separates(self, values: Values) -> NDArray[np.bool_] | None:
+    def separates(self, values: Values) -> NDArray[np.bool_]:
         return values["gap"] > 0.0
 
     def gear(self, gear: Gear, world: World, values: Values) -> None:
         gear.gap = gear.gap + values["gap"]
         gear.give(
-            values["gap"] > 0.0, values["tooth_compliance"], None,
+            self.separates(values), values["tooth_compliance"], None,
             world.motor_armature, world.timestep,
         )  # fmt: skip
 
@@ -115,12 +115,11 @@ class JointElasticity(Effect):
         "controller_gain": "fast and slow: elasticity rings",
     }
 
-    def separates(self, values: Values) -> NDArray[np.bool_] | None:
+    def separates(self, values: Values) -> NDArray[np.bool_]:
         return values["compliance"] > 0.0
 
     def gear(self, gear: Gear, world: World, values: Values) -> None:
-        compliance = values["compliance"]
         gear.give(
-            compliance > 0.0, compliance, values["damping_time"],
+            self.separates(values), values["compliance"], values["damping_time"],
             world.motor_armature, world.timestep,
         )  # fmt: skip

@@ -1,0 +1,65 @@
+"""Structures grown from single terms that are fitted along the motion with their laws exact.
+
+To first order two wrong terms may look better than the right one whose law bends, and what acts
+beside it is then looked for beside them: grown from what each single term comes to, the right one
+gets its company.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.polish import Polished
+from pytest_twin.diagnosis.screen import Answers, Lens, Search, View
+
+# Single terms that are grown.
+_ROOTS = 4
+
+
+def deepened(
+    view: View,
+    answers: Answers,
+    polished: Sequence[Polished],
+    own: Sequence[Term],
+    search: Callable[[], Search],
+) -> list[Hypothesis]:
+    """The best structure of every size around each of the foremost single terms.
+
+    Args:
+        view: of the fit at hand.
+        answers: of the candidates.
+        polished: structures fitted along the motion, best first.
+        own: terms of the fit at hand.
+        search: a fresh one.
+    """
+    fewest = min(len(p.hypothesis.terms) for p in polished)
+    seen = {frozenset(p.hypothesis.terms) for p in polished}
+    roots = [
+        p for p in polished
+        if len(p.hypothesis.terms) == fewest
+        and not p.hypothesis.at_bound(p.hypothesis.terms[-1])
+    ]  # fmt: skip
+    out: list[Hypothesis] = []
+    for root in roots[:_ROOTS]:
+        term = root.hypothesis.terms[-1]
+        gives = np.concatenate([view.jacobian, _nearest(answers, root.hypothesis, term)], axis=2)
+        others = Answers([r for r in answers.responses if r.term != term and r.term not in own])
+        lens = Lens(View(root.residual, gives, view.floor, view.lengths), others)
+        for level in search().levels(lens):
+            h = root.hypothesis
+            for new, start in level[0].starts.items():
+                h = h.with_term(new, start)
+            if frozenset(h.terms) not in seen:
+                seen.add(frozenset(h.terms))
+                out.append(h)
+    return out
+
+
+def _nearest(answers: Answers, hypothesis: Hypothesis, term: Term) -> np.ndarray:
+    """(bins, signals, switches) response of a term where it is nearest to what it came to."""
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    mine = [r for r in answers.responses if r.term == term]
+    return min(mine, key=lambda r: float(np.sum((r.start - theta) ** 2))).change
