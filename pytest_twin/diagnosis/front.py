@@ -192,9 +192,23 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
         scanned = _yielding(problem, best, look, starts, left)
     alike = {h.terms for h in scanned}
     starts = [*(h for h in starts if h.terms not in alike), *scanned]
+    tryout = Tryout(problem, best, left)
+    if best.hypothesis.terms and starts:
+        starts = _anchored(tryout, best, starts)
     if look.linear is None and starts:
-        starts = _promising(Tryout(problem, best, left), starts)
+        starts = _promising(tryout, starts)
     return starts
+
+
+def _anchored(tryout: Tryout, best: Rival, starts: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Each as it came from along the motion, or what was named as it was fitted by simulation: the
+    one that leaves less.
+    """
+    own = len(best.hypothesis.theta)
+    kept = [h.with_theta(np.concatenate([best.hypothesis.theta, h.theta[own:]])) for h in starts]
+    costs = tryout.costs([*starts, *kept])
+    pairs = zip(starts, kept, costs[: len(starts)], costs[len(starts) :], strict=True)
+    return [new if there > here else old for old, new, there, here in pairs]
 
 
 def _promising(tryout: Tryout, starts: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -101,12 +101,13 @@ class Selection:
         """What is found once more from its strongest term, if that comes to something better.
 
         Several terms at one joint may hold each other up, and no exchange of one of them leads to
-        the fewer that are right.
+        the fewer that are right. Such a crowd leaves something above the floor.
         """
         terms = selected.best.hypothesis.terms
         joints = [sum(t.joint in (j, -1) for t in terms) for j in range(len(self.problem.joints))]
         best = selected.best
-        if max(joints) < _CROWD or self._spent(best) or self._strained(best):
+        crowded = max(joints) >= _CROWD and self.contest.worth_a_search(best)
+        if not crowded or self._spent(best) or self._strained(best):
             return selected
         theta, place = selected.best.hypothesis.theta, selected.best.hypothesis.slice_of
         alone = [Hypothesis((t,), theta[place(t)]) for t in terms]
