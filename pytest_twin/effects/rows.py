@@ -17,11 +17,11 @@ import numpy as np
 from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World, moving_apart
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
+from pytest_twin.effects.point_mass import with_point_mass
 from pytest_twin.effects.roll_in import LEAD, PATH_STEP, act, follow, roll_in
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.lockstep import lockstep
@@ -574,7 +574,7 @@ class RowSimulator:
         here = (row, bodies[joint])
         at = joints[row, self.joint_ids[joint]]
         at = at + fields.added_distance[row, joint, None] * self.directions[joint]
-        mass[here], ipos[here], inertia[here], iquat[here] = _with_point_mass(
+        mass[here], ipos[here], inertia[here], iquat[here] = with_point_mass(
             mass[here], ipos[here], inertia[here], iquat[here], fields.added_mass[row, joint], at
         )
 
@@ -729,35 +729,6 @@ def _of_each(models: Sequence[mujoco.MjModel], *names: str) -> list[FloatArray]:
     number = {key: i for i, key in enumerate(distinct)}
     index = [number[id(m)] for m in models]
     return [np.array([getattr(m, name) for m in distinct.values()])[index] for name in names]
-
-
-def _with_point_mass(
-    mass: FloatArray,
-    center: FloatArray,
-    moments: FloatArray,
-    quat: FloatArray,
-    added: FloatArray,
-    at: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Bodies with point masses on them: mass, centre, principal moments, their orientation.
-
-    Args:
-        mass: (n,) kg; center: (n, 3) m; moments: (n, 3) kg m^2 about it; quat: (n, 4) w first.
-        added: (n,) kg; at: (n, 3) m, in the frames of the bodies.
-    """
-    total = np.maximum(mass + added, 1e-6)
-    both = (mass[:, None] * center + added[:, None] * at) / total[:, None]
-    turn = Rotation.from_quat(quat[:, [1, 2, 3, 0]]).as_matrix()
-    tensor = np.einsum("nij,nj,nkj->nik", turn, moments, turn)
-    for weight, point in ((mass, center), (added, at)):
-        arm = point - both
-        square = np.einsum("ni,ni->n", arm, arm)
-        steiner = square[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
-        tensor += weight[:, None, None] * steiner
-    values, axes = np.linalg.eigh(tensor)
-    axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
-    quat = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
-    return total, both, np.maximum(values, 1e-9), quat
 
 
 def _span(index: NDArray[np.int64]) -> slice | NDArray[np.int64]:

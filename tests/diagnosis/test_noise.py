@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_twin.diagnosis.noise import sensor_noise
+from pytest_twin.diagnosis.noise import effort_noise, sensor_noise
 from pytest_twin.diagnosis.windows import edges_of
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import Predicted, Segment
 
 SAMPLES, INTERVAL, COUNT = 1200, 0.01, 2.0 * np.pi / 4096
 
@@ -62,3 +64,21 @@ def test_windows_begin_where_nothing_jumps() -> None:
     assert abs(edges[1] - 0.5) > 0.06
     assert edges[0] == 0.0
     assert edges[-1] == pytest.approx(time[-1])
+
+
+def test_an_effort_sensor_is_as_loud_as_in_most_trials() -> None:
+    """Efforts of a stiff servo jump at every command in two of five trials: no louder sensor."""
+    random = np.random.default_rng(3)
+    time = INTERVAL * np.arange(400)
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    still = np.zeros((400, 1))
+    segments, nominal = [], []
+    for trial in range(5):
+        jumps = random.standard_normal((400, 1)) if trial < 2 else still
+        effort = jumps + 0.05 * random.standard_normal((400, 1))
+        segments.append(
+            Segment(trial, model, "position", 0.0, time, still, None, effort, time, still,
+                    still[0], still[0])
+        )  # fmt: skip
+        nominal.append(Predicted(still, still, still))
+    assert effort_noise(segments, nominal, range(5)) == pytest.approx(0.05, rel=0.2)

@@ -1,0 +1,40 @@
+"""Bodies that carry point masses: all of them at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.effects.base import FloatArray
+
+_LEAST_MASS, _LEAST_MOMENT = 1e-6, 1e-9
+"""kg, kg m^2: less than a simulator divides by."""
+
+
+def with_point_mass(
+    mass: FloatArray,
+    center: FloatArray,
+    moments: FloatArray,
+    quat: FloatArray,
+    added: FloatArray,
+    at: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Bodies with point masses on them: mass, centre, principal moments, their orientation.
+
+    Args:
+        mass: (n,) kg; center: (n, 3) m; moments: (n, 3) kg m^2 about it; quat: (n, 4) w first.
+        added: (n,) kg; at: (n, 3) m, in the frames of the bodies.
+    """
+    total = np.maximum(mass + added, _LEAST_MASS)
+    both = (mass[:, None] * center + added[:, None] * at) / total[:, None]
+    turn = Rotation.from_quat(quat[:, [1, 2, 3, 0]]).as_matrix()
+    tensor = np.einsum("nij,nj,nkj->nik", turn, moments, turn)
+    for weight, point in ((mass, center), (added, at)):
+        arm = point - both
+        square = np.einsum("ni,ni->n", arm, arm)
+        steiner = square[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
+        tensor += weight[:, None, None] * steiner
+    values, axes = np.linalg.eigh(tensor)
+    axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
+    quat = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+    return total, both, np.maximum(values, _LEAST_MOMENT), quat

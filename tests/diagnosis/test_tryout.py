@@ -1,0 +1,118 @@
+"""What is simulated where most is to be explained, and from where fits start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_behind_gears import fitted, silent, with_true
+from test_first_order import ELBOW, SHOULDER, problem_of
+
+from pytest_twin.diagnosis.contest import Contest
+from pytest_twin.diagnosis.deepen import deepened
+from pytest_twin.diagnosis.fit import weighted_cost
+from pytest_twin.diagnosis.front import Foremost, foremost, front, look_ahead
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.polish import Polished, polish
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.screen import Search
+from pytest_twin.diagnosis.tryout import Tryout
+
+PUSH = Term("external_force", 0)
+LATE, DRAG = Term("command_delay", ELBOW), Term("viscous_friction", SHOULDER)
+PLAY = Term("backlash", ELBOW)
+MASS, SPRING = Term("payload", -1), Term("joint_spring", SHOULDER)
+WEAK = Term("torque_constant", ELBOW)
+
+
+@pytest.fixture(scope="module")
+def pushed() -> Problem:
+    """A crank in ten windows, pushed in the third and fourth."""
+    return problem_of("effort", {PUSH: {"effort": 0.6, "start": 1.0, "duration": 1.0}})
+
+
+@pytest.fixture(scope="module")
+def late() -> Problem:
+    return problem_of("position", {LATE: {"delay": 0.03}, DRAG: {"coefficient": 0.4}})
+
+
+def test_half_of_the_windows_are_tried_and_those_with_most_to_explain(pushed: Problem) -> None:
+    contest = Contest(pushed)
+    nominal = contest.nominal
+    left = np.mean(nominal.fitted.residual**2, axis=0)
+    tryout = Tryout(pushed, nominal, left)
+    assert len(tryout.segments) == 5
+    assert {2, 3} <= set(tryout.segments)
+    (cost,) = tryout.costs([EMPTY])
+    (residual,) = pushed.residuals([EMPTY], tryout.segments)
+    assert cost == pytest.approx(weighted_cost(residual, pushed.weights(left)))
+
+
+def test_of_every_last_term_the_cheapest_counts_and_none_that_diverges(late: Problem) -> None:
+    contest = Contest(late)
+    best = fitted(contest, EMPTY)
+    left = np.mean(best.fitted.residual**2, axis=0)
+    sizes = [EMPTY.with_term(LATE, np.array([x])) for x in (0.0, 0.03, 0.1)]
+    wild = EMPTY.with_term(Term("armature", ELBOW), np.array([np.nan]))
+    (found,) = Tryout(late, best, left).cheapest([*sizes, wild])
+    assert found is sizes[1]
+
+
+def test_what_failed_is_not_offered_again() -> None:
+    play = {"gap": 0.02, "tooth_compliance": 1e-4}
+    problem = problem_of("position", {LATE: {"delay": 0.03}, PLAY: play})
+    contest = Contest(problem)
+    best = fitted(contest, with_true(problem, LATE, {"delay": 0.03}))
+    look = look_ahead(problem, best)
+    found = foremost(contest, best, look, silent)
+    assert found is not None
+    assert PLAY in {h.terms[-1] for h in front(problem, best, look, found)}
+    less = look.without({PLAY})
+    assert PLAY not in {r.term for r in less.answers.responses}
+    rest = foremost(contest, best, less, silent)
+    assert rest is not None
+    assert PLAY not in {h.terms[-1] for h in front(problem, best, less, rest)}
+
+
+def test_what_was_fitted_by_simulation_is_kept_where_it_strays_along_the_motion(
+    late: Problem,
+) -> None:
+    contest = Contest(late)
+    best = fitted(contest, with_true(late, LATE, {"delay": 0.03}))
+    look = look_ahead(late, best)
+    (coefficient,) = DRAG.parameters
+    size = 0.4 / late.scales.value(coefficient, SHOULDER)
+    more = best.hypothesis.with_term(DRAG, np.array([size]))
+    astray = more.with_theta(more.theta * np.array([3.0, 1.0]))
+    starts = front(late, best, look, Foremost([astray], look.view.floor**2, []))
+    (mine,) = [h for h in starts if h.terms == more.terms]
+    assert mine.theta == pytest.approx(more.theta)
+
+
+def test_a_single_term_that_is_fitted_already_gets_its_company() -> None:
+    """A heavy payload and a spring: grown from the payload as it is with its law exact."""
+    hidden = {MASS: {"mass": 1.5, "distance": 0.2}, SPRING: {"stiffness": 6.0, "preload": 0.0}}
+    problem = problem_of("position", hidden)
+    look = look_ahead(problem, Contest(problem).nominal)
+    assert look.linear is not None
+    (root,) = polish(look.linear, look.view, [with_true(problem, MASS, hidden[MASS])], 0)
+
+    def grown(*polished: Polished, own: tuple[Term, ...] = ()) -> set[frozenset[Term]]:
+        def search() -> Search:
+            return Search(4, 2, 5.0, lambda before, after: True)
+
+        found = deepened(look.view, look.answers, polished, own, search)
+        assert all(h.theta[0] == root.hypothesis.theta[0] for h in found)
+        return {frozenset(h.terms) for h in found}
+
+    assert frozenset({MASS, SPRING}) in grown(root)
+    # No new term is one that the fit at hand has already.
+    assert frozenset({MASS, SPRING}) not in grown(root, own=(SPRING,))
+    # Nor is a law grown that stands at its bound.
+    weak = EMPTY.with_term(WEAK, np.array([WEAK.parameters[0].lower]))
+    assert grown(Polished(weak, root.residual)) == set()
+
+
+def test_a_law_at_its_bound_is_known_as_such() -> None:
+    (p,) = WEAK.parameters
+    assert EMPTY.with_term(WEAK, np.array([p.lower])).at_bound(WEAK)
+    assert not EMPTY.with_term(WEAK, np.array([0.5 * p.lower])).at_bound(WEAK)
