@@ -1,9 +1,9 @@
 """Choose the structure: which effects earn their place.
 
-Forward: structures of one and more effects are searched to first order around the best fit so far,
-and those in front are fitted by simulation (:mod:`front`, :mod:`contest`). Then backward: a term
-that no longer pays is dropped. Then sideways: each term is held against the rivals that could stand
-in its place. A crowd at one joint is grown once more from its strongest term.
+Forward: structures of one and more effects are searched to first order around the best fit so far
+(:mod:`foremost`), and those in front (:mod:`front`) are fitted by simulation (:mod:`contest`). Then
+backward: a term that no longer pays is dropped. Then sideways: each term is held against the rivals
+that could stand in its place. A crowd at one joint is grown once more from its strongest term.
 """
 
 from __future__ import annotations
@@ -14,18 +14,10 @@ import numpy as np
 
 from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
 from pytest_twin.diagnosis.fewer import merged, of_the_robot, simpler
-from pytest_twin.diagnosis.front import (
-    Foremost,
-    Look,
-    against,
-    evidence_along,
-    foremost,
-    front,
-    look_ahead,
-    look_around,
-    view_of,
-)
+from pytest_twin.diagnosis.foremost import Foremost, against, evidence_along, foremost
+from pytest_twin.diagnosis.front import front
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.look import Look, look_ahead, look_around, view_of
 from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import bins, linearized

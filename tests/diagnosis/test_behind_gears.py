@@ -7,8 +7,10 @@ import pytest
 from test_first_order import ELBOW, problem_of
 
 from pytest_twin.diagnosis.contest import Contest
-from pytest_twin.diagnosis.front import foremost, front, look_ahead
+from pytest_twin.diagnosis.foremost import foremost
+from pytest_twin.diagnosis.front import front
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.look import look_ahead
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rivals import Rival
 

@@ -9,7 +9,9 @@ from test_first_order import ELBOW, SHOULDER, problem_of
 from pytest_twin.diagnosis import front
 from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.foremost import Foremost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.look import look_around
 from pytest_twin.diagnosis.responses import bins, linearized
 from pytest_twin.diagnosis.screen import Answers, Lens, View, candidates
 from pytest_twin.diagnosis.select import Selection
@@ -101,11 +103,11 @@ def test_a_needle_is_found_beyond_the_grid(
     problem = problem_of("position", {term: {"inverse_rate": hidden * scale}})
     hidden *= scale / problem.scales.value(parameter, ELBOW)
     rival = Contest(problem).rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
-    look = front.look_around(problem, rival)
+    look = look_around(problem, rival)
     alone = EMPTY.with_term(term, np.array([parameter.starts[0]]))
     left = np.mean(rival.fitted.residual**2, axis=0)
-    scanned = front._scanned(problem, rival, look, [alone], left)
-    (mine,) = [h for h in scanned if h.terms == (term,)]
+    starts = front.front(problem, rival, look, Foremost([], left, [alone]))
+    (mine,) = [h for h in starts if h.terms == (term,)]
     assert bool(abs(mine.theta[0] / hidden - 1.0) < 0.02) is near
 
 

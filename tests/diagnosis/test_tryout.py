@@ -10,8 +10,10 @@ from test_first_order import ELBOW, SHOULDER, problem_of
 from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.deepen import deepened
 from pytest_twin.diagnosis.fit import weighted_cost
-from pytest_twin.diagnosis.front import Foremost, foremost, front, look_ahead
+from pytest_twin.diagnosis.foremost import Foremost, foremost
+from pytest_twin.diagnosis.front import front
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.look import look_ahead
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.screen import Search

@@ -1,0 +1,162 @@
+"""What is best along the measured motion, nothing of it simulated.
+
+Structures of several candidates are searched to first order (:mod:`screen`), the best are fitted
+along the motion with their laws exact (:mod:`polish`), and grown once more from the best single
+terms as they were fitted (:mod:`deepen`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.diagnosis.contest import FRONT, Contest
+from pytest_twin.diagnosis.deepen import deepened
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.look import Look
+from pytest_twin.diagnosis.polish import Polished, polish
+from pytest_twin.diagnosis.responses import Linear
+from pytest_twin.diagnosis.rivals import EARNS, Rival, described
+from pytest_twin.diagnosis.screen import Lens, Search, View
+from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.effects.base import FloatArray
+
+Say = Callable[[str], None]
+# Structures kept at each size, terms added at once, structures of each size and of one term that
+# are fitted along the motion, and iterations of that.
+_WIDTH, _AT_ONCE, _OFFERED, _SINGLE, _POLISH = 10, 4, 2, 8, 3
+# Structures kept at each size of those that are grown from fitted single terms.
+_NARROW = 4
+
+
+@dataclass(slots=True)
+class Foremost:
+    """What is best along the motion.
+
+    Attributes:
+        starts: the few structures that are worth a simulation, best first.
+        left: (signals,) mean square that the best leaves.
+        singles: all those that add least.
+    """
+
+    starts: list[Hypothesis]
+    left: FloatArray
+    singles: list[Hypothesis]
+
+
+def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | None:
+    """The best structures along the motion, None without candidates.
+
+    Args:
+        contest: of the search.
+        best: the fit at hand.
+        look: at it.
+        say: told what is considered.
+    """
+    if not look.answers.responses:
+        return None
+    whole = np.mean(contest.nominal.fitted.residual**2, axis=0)
+
+    def search(width: int = _WIDTH, most: int = _AT_ONCE) -> Search:
+        return Search(
+            width, most, EARNS, lambda before, after: contest.worth_a_name(before, after, whole)
+        )
+
+    levels = search().levels(Lens(look.view, look.answers))
+    if not levels:
+        # No slope leads anywhere: what is simulated may all the same.
+        return Foremost([], np.mean(look.view.residual**2, axis=0), [])
+    # Shapes of single terms are known as well as their grids are: more of them get a chance.
+    chosen = [
+        structure
+        for level in reversed(levels)
+        for structure in level[: _OFFERED if level is not levels[0] else _SINGLE]
+    ]
+    starts = []
+    for structure in chosen:
+        h = best.hypothesis
+        for term, start in structure.starts.items():
+            h = h.with_term(term, start)
+        starts.append(h)
+    if look.linear is None:
+        fewest = min(len(h.terms) for h in starts)
+        singles = [h for h in starts if len(h.terms) == fewest]
+        return Foremost(starts, np.mean(chosen[0].residual ** 2, axis=0), singles)
+    polished = polish(look.linear, look.view, starts, _POLISH)
+    polished = _by_evidence(look.view, polished, contest.name_price)
+    if _stands(look.view, polished[0]):
+        more = deepened(
+            look.view, look.answers, polished, best.hypothesis.terms,
+            lambda: search(_NARROW, _AT_ONCE - 1),
+        )  # fmt: skip
+        polished += polish(look.linear, look.view, more, _POLISH)
+    return _foremost(look.view, polished, best, contest.name_price, say)
+
+
+def _by_evidence(view: View, polished: Sequence[Polished], name_price: float) -> list[Polished]:
+    order = np.argsort(-np.nan_to_num(evidence_along(view, polished, name_price), nan=-np.inf))
+    return [polished[i] for i in order]
+
+
+def _stands(view: View, polished: Polished) -> bool:
+    """Whether it leaves anything above the floor."""
+    left = np.mean(polished.residual**2, axis=0)
+    return bool((left > (STANDS_OUT * view.floor) ** 2).any())
+
+
+def _foremost(
+    view: View, polished: Sequence[Polished], best: Rival, name_price: float, say: Say
+) -> Foremost:
+    fewest = min(len(p.hypothesis.terms) for p in polished)
+    evidence = evidence_along(view, polished, name_price)
+    order = np.argsort(-evidence)
+    for i in order:
+        say(f"  along {described(polished[i].hypothesis)} evidence {evidence[i]:.1f}")
+    front: list[int] = []
+    for i in order:
+        terms = set(polished[i].hypothesis.terms)
+        # What only adds to another in front, and not enough, says nothing new.
+        covered = any(
+            terms > set(polished[k].hypothesis.terms) and evidence[i] < evidence[k] + EARNS
+            for k in order
+        )
+        # Nor does another with one term in the place of one.
+        new = terms - set(best.hypothesis.terms)
+        alike = any(_alike(new, set(polished[k].hypothesis.terms)) for k in front)
+        if np.isfinite(evidence[i]) and not covered and not alike:
+            front.append(int(i))
+    # What acts strongly is only roughly of first order: the best single terms are simulated.
+    single = [i for i in front if len(polished[i].hypothesis.terms) == fewest]
+    front = [*front[:FRONT], *(i for i in single[:2] if i not in front[:FRONT])]
+    left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
+    hypotheses = [p.hypothesis for p in polished]
+    singles = [h for h in hypotheses if len(h.terms) == fewest]
+    return Foremost([hypotheses[i] for i in front], left, singles)
+
+
+def _alike(new: set[Term], other: set[Term]) -> bool:
+    """Whether one of several new terms is all that another structure lacks."""
+    return len(new & other) > 1 and len(new - other) == 1
+
+
+def evidence_along(view: View, polished: Sequence[Polished], name_price: float) -> FloatArray:
+    """Log-likelihood less price of hypotheses along the measured motion, comparable."""
+    effective = view.effective_of_best([p.residual for p in polished])
+    return np.array(
+        [
+            view.worth(p.residual, effective, p.hypothesis.free)
+            - name_price * len(p.hypothesis.terms)
+            for p in polished
+        ]
+    )
+
+
+def against(
+    linear: Linear, view: View, best: Rival, others: Sequence[Hypothesis], name_price: float
+) -> tuple[list[Hypothesis], FloatArray]:
+    """Hypotheses fitted along the measured motion of ``best``, and their evidence over it."""
+    polished = polish(linear, view, others, _POLISH)
+    values = evidence_along(view, [Polished(best.hypothesis, view.residual), *polished], name_price)
+    return [p.hypothesis for p in polished], values[1:] - values[0]
