@@ -31,17 +31,16 @@ def merged(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def of_the_robot(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with the same law at every joint as the one of the whole robot that is
+    """The hypothesis with the same law at two joints or more as the one of the whole robot that is
     confused with it: commands that come late everywhere, or sensors that do.
     """
     out = []
-    joints = len(problem.joints)
     for new in candidates(problem):
-        if new.joint >= 0 or new in hypothesis.terms or joints < 2:
+        if new.joint >= 0 or new in hypothesis.terms:
             continue
         for effect in new.law.confused_with:
             each = [t for t in hypothesis.terms if t.effect == effect and t.joint >= 0]
-            if len(each) == joints:
+            if len(each) > 1:
                 (start, _), *_ = grid(new)
                 out.append(hypothesis.without(*each).with_term(new, start))
     return out

@@ -31,6 +31,7 @@ def test_late_commands_at_every_joint_may_be_late_sensors(problem: Problem) -> N
     everywhere = of((LATE[0], [0.02]), (DRY, [0.1]), (LATE[1], [0.02]))
     names = [h.terms for h in of_the_robot(problem, everywhere)]
     assert names == [(DRY, Term("sensor_delay", ROBOT))]
+    # One joint whose commands are late is that joint's.
     assert of_the_robot(problem, everywhere.without(LATE[0])) == []
 
 
