@@ -234,8 +234,8 @@ class Selection:
         return best
 
     def _of_the_robot(self, best: Rival) -> list[Rival]:
-        """What is the whole robot's in the place of the same at several joints, fitted; each with the
-        error of the step as it is there, for their motions lie apart in time.
+        """What is the whole robot's in the place of the same at several joints, fitted; each with
+        the error of the step as it is there, for their motions lie apart in time.
         """
         found = []
         for other in of_the_robot(self.problem, best.hypothesis):
