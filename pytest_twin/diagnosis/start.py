@@ -115,7 +115,8 @@ def free_start(
     weight = np.tile(1.0 / noise**2, len(response) // len(noise))
     prior = 1.0 / _start_variance(segment, noise, width)[: response.shape[1]]
     normal = response.T @ (weight[:, None] * response) + np.diag(prior)
-    solve: FloatArray = np.linalg.solve(normal, response.T * weight).astype(np.float64)
+    # Where a motion runs away shifts of its start all look alike: least squares share them out.
+    solve: FloatArray = np.linalg.lstsq(normal, response.T * weight, rcond=None)[0]
     return FreeStart(response, solve)
 
 
