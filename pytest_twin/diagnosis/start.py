@@ -116,7 +116,7 @@ def free_start(
     prior = 1.0 / _start_variance(segment, noise, width)[: response.shape[1]]
     normal = response.T @ (weight[:, None] * response) + np.diag(prior)
     # Where a motion runs away shifts of its start all look alike: least squares share them out.
-    solve: FloatArray = np.linalg.lstsq(normal, response.T * weight, rcond=None)[0]
+    solve = np.linalg.lstsq(normal, response.T * weight, rcond=None)[0].astype(np.float64)
     return FreeStart(response, solve)
 
 
