@@ -14,6 +14,7 @@ import numpy as np
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.screen import Answers, Lens, Search, View
+from pytest_twin.effects.base import FloatArray
 
 # Single terms that are grown.
 _ROOTS = 4
@@ -23,7 +24,7 @@ def deepened(
     view: View,
     answers: Answers,
     polished: Sequence[Polished],
-    own: Sequence[Term],
+    own: Hypothesis,
     search: Callable[[], Search],
 ) -> list[Hypothesis]:
     """The best structure of every size around each of the foremost single terms.
@@ -32,33 +33,32 @@ def deepened(
         view: of the fit at hand.
         answers: of the candidates.
         polished: structures fitted along the motion, best first.
-        own: terms of the fit at hand.
+        own: the fit at hand.
         search: a fresh one.
     """
-    fewest = min(len(p.hypothesis.terms) for p in polished)
     seen = {frozenset(p.hypothesis.terms) for p in polished}
     roots = [
         p for p in polished
-        if len(p.hypothesis.terms) == fewest
+        if p.hypothesis.more_terms(own) == 1
         and not p.hypothesis.at_bound(p.hypothesis.terms[-1])
     ]  # fmt: skip
     out: list[Hypothesis] = []
     for root in roots[:_ROOTS]:
         term = root.hypothesis.terms[-1]
         gives = np.concatenate([view.jacobian, _nearest(answers, root.hypothesis, term)], axis=2)
-        others = Answers([r for r in answers.responses if r.term != term and r.term not in own])
+        others = Answers(
+            [r for r in answers.responses if r.term != term and r.term not in own.terms]
+        )
         lens = Lens(View(root.residual, gives, view.floor, view.lengths), others)
         for level in search().levels(lens):
-            h = root.hypothesis
-            for new, start in level[0].starts.items():
-                h = h.with_term(new, start)
+            h = root.hypothesis.with_terms(level[0].starts)
             if frozenset(h.terms) not in seen:
                 seen.add(frozenset(h.terms))
                 out.append(h)
     return out
 
 
-def _nearest(answers: Answers, hypothesis: Hypothesis, term: Term) -> np.ndarray:
+def _nearest(answers: Answers, hypothesis: Hypothesis, term: Term) -> FloatArray:
     """(bins, signals, switches) response of a term where it is nearest to what it came to."""
     theta = hypothesis.theta[hypothesis.slice_of(term)]
     mine = [r for r in answers.responses if r.term == term]

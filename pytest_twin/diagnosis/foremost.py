@@ -74,21 +74,16 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
         for level in reversed(levels)
         for structure in level[: _OFFERED if level is not levels[0] else _SINGLE]
     ]
-    starts = []
-    for structure in chosen:
-        h = best.hypothesis
-        for term, start in structure.starts.items():
-            h = h.with_term(term, start)
-        starts.append(h)
+    starts = [best.hypothesis.with_terms(structure.starts) for structure in chosen]
     if look.linear is None:
-        fewest = min(len(h.terms) for h in starts)
-        singles = [h for h in starts if len(h.terms) == fewest]
+        singles = [h for h in starts if h.more_terms(best.hypothesis) == 1]
         return Foremost(starts, np.mean(chosen[0].residual ** 2, axis=0), singles)
     polished = polish(look.linear, look.view, starts, _POLISH)
     polished = _by_evidence(look.view, polished, contest.name_price)
-    if _stands(look.view, polished[0]):
+    left = np.mean(polished[0].residual ** 2, axis=0)
+    if look.view.above(left, STANDS_OUT).any():
         more = deepened(
-            look.view, look.answers, polished, best.hypothesis.terms,
+            look.view, look.answers, polished, best.hypothesis,
             lambda: search(_NARROW, _AT_ONCE - 1),
         )  # fmt: skip
         polished += polish(look.linear, look.view, more, _POLISH)
@@ -100,16 +95,9 @@ def _by_evidence(view: View, polished: Sequence[Polished], name_price: float) ->
     return [polished[i] for i in order]
 
 
-def _stands(view: View, polished: Polished) -> bool:
-    """Whether it leaves anything above the floor."""
-    left = np.mean(polished.residual**2, axis=0)
-    return bool((left > (STANDS_OUT * view.floor) ** 2).any())
-
-
 def _foremost(
     view: View, polished: Sequence[Polished], best: Rival, name_price: float, say: Say
 ) -> Foremost:
-    fewest = min(len(p.hypothesis.terms) for p in polished)
     evidence = evidence_along(view, polished, name_price)
     order = np.argsort(-evidence)
     for i in order:
@@ -128,11 +116,11 @@ def _foremost(
         if np.isfinite(evidence[i]) and not covered and not alike:
             front.append(int(i))
     # What acts strongly is only roughly of first order: the best single terms are simulated.
-    single = [i for i in front if len(polished[i].hypothesis.terms) == fewest]
-    front = [*front[:FRONT], *(i for i in single[:2] if i not in front[:FRONT])]
-    left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
     hypotheses = [p.hypothesis for p in polished]
-    singles = [h for h in hypotheses if len(h.terms) == fewest]
+    singles = [h for h in hypotheses if h.more_terms(best.hypothesis) == 1]
+    alone = [i for i in front if hypotheses[i].more_terms(best.hypothesis) == 1]
+    front = [*front[:FRONT], *(i for i in alone[:2] if i not in front[:FRONT])]
+    left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
     return Foremost([hypotheses[i] for i in front], left, singles)
 
 

@@ -46,7 +46,7 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
     if best.hypothesis.terms and starts:
         starts = _anchored(tryout, best, starts)
     if look.linear is None and starts:
-        starts = _promising(tryout, starts)
+        starts = _promising(tryout, best, starts)
     return starts
 
 
@@ -61,15 +61,14 @@ def _anchored(tryout: Tryout, best: Rival, starts: Sequence[Hypothesis]) -> list
     return [new if there > here else old for old, new, there, here in pairs]
 
 
-def _promising(tryout: Tryout, starts: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _promising(tryout: Tryout, best: Rival, starts: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Of those that add least and of the others, the few that leave least as they are.
 
     In contact every fit is one by simulation: ranked along the motion are the others.
     """
-    fewest = min(len(h.terms) for h in starts)
     order = [starts[i] for i in np.argsort(tryout.costs(starts))]
-    single = [h for h in order if len(h.terms) == fewest]
-    several = [h for h in order if len(h.terms) > fewest]
+    single = [h for h in order if h.more_terms(best.hypothesis) == 1]
+    several = [h for h in order if h.more_terms(best.hypothesis) > 1]
     return single[:_SCANNED] + several[:_SCANNED]
 
 
@@ -80,12 +79,11 @@ def _bent(look: Look, left: FloatArray, *, clear: bool) -> bool:
         left: (signals,) mean square that the best along the motion leaves.
         clear: whether that is a single term.
     """
-    floor = look.view.floor
+    view = look.view
     if look.linear is None:
-        return bool((left > (_FIRST_ORDER * floor) ** 2).any())
-    whole = np.mean(look.view.residual**2, axis=0)
-    far = bool((whole > (_FIRST_ORDER * floor) ** 2).any())
-    return far and not (clear and bool((left < (_NEARLY * floor) ** 2).all()))
+        return bool(view.above(left, _FIRST_ORDER).any())
+    far = view.above(np.mean(view.residual**2, axis=0), _FIRST_ORDER).any()
+    return bool(far and not (clear and not view.above(left, _NEARLY).any()))
 
 
 def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[Hypothesis]:
@@ -101,7 +99,7 @@ def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[H
     limits = [t for t in limits if t not in seen and t not in look.failed]
     rows += [best.hypothesis.with_term(t, start) for t in limits for start, _ in grid(t)[::2]]
     rows += found.singles
-    needles = bool((whole > (_NEEDLES * look.view.floor) ** 2).any())
+    needles = bool(look.view.above(whole, _NEEDLES).any())
     if needles:
         rows += [
             best.hypothesis.with_term(t, size) for t in [*terms, *limits] for size in _beyond(t)

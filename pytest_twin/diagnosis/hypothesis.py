@@ -61,6 +61,17 @@ class Hypothesis:
         """One more term, starting at ``start``."""
         return Hypothesis((*self.terms, term), np.concatenate([self.theta, start]))
 
+    def with_terms(self, starts: Mapping[Term, FloatArray]) -> Hypothesis:
+        """Several more terms, each at its start."""
+        added = self
+        for term, start in starts.items():
+            added = added.with_term(term, start)
+        return added
+
+    def more_terms(self, than: Hypothesis) -> int:
+        """How many terms it has more than another."""
+        return len(self.terms) - len(than.terms)
+
     def without(self, *gone: Term) -> Hypothesis:
         """These terms fewer."""
         kept = np.repeat(

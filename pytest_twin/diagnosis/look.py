@@ -57,7 +57,7 @@ def look_ahead(problem: Problem, best: Rival) -> Look:
 
 def _behind_gears(best: Rival, look: Look) -> set[int]:
     """Joints whose gear was named and that still stand above the floor."""
-    stands = np.mean(look.view.residual**2, axis=0) > (STANDS_OUT * look.view.floor) ** 2
+    stands = look.view.above(np.mean(look.view.residual**2, axis=0), STANDS_OUT)
     gears = {t.joint for t in best.hypothesis.terms if t.law.overrides("separates")}
     return {j for j in gears if stands[j]}
 

@@ -67,6 +67,10 @@ class View:
     floor: FloatArray
     lengths: Sequence[int]
 
+    def above(self, mean_square: FloatArray, floors: float) -> NDArray[np.bool_]:
+        """(signals,) whether a mean square is more than so many floors."""
+        return np.asarray(mean_square > (floors * self.floor) ** 2)
+
     def effective_of_best(self, residuals: Sequence[FloatArray]) -> FloatArray:
         """(signals,) independent samples of the (bins, signals) residual that fits best."""
 

@@ -95,15 +95,15 @@ class Selection:
         Several terms at one joint may hold each other up, and no exchange of one of them leads to
         the fewer that are right. Such a crowd leaves something above the floor.
         """
-        terms = selected.best.hypothesis.terms
-        joints = [sum(t.joint in (j, -1) for t in terms) for j in range(len(self.problem.joints))]
         best = selected.best
+        terms = best.hypothesis.terms
+        joints = [sum(t.joint in (j, -1) for t in terms) for j in range(len(self.problem.joints))]
         crowded = max(joints) >= _CROWD and self.contest.worth_a_search(best)
         if not crowded or self._spent(best) or self._strained(best):
             return selected
-        theta, place = selected.best.hypothesis.theta, selected.best.hypothesis.slice_of
+        theta, place = best.hypothesis.theta, best.hypothesis.slice_of
         alone = [Hypothesis((t,), theta[place(t)]) for t in terms]
-        rivals = self.contest.rivals(alone, self.contest.weights(selected.best), FAIR)
+        rivals = self.contest.rivals(alone, self.contest.weights(best), FAIR)
         self.contest.judge(rivals, selected.nominal)
         root = max(rivals, key=lambda r: r.evidence)
         if root.hypothesis.terms == self.first:
@@ -112,7 +112,7 @@ class Selection:
         self.say(f"again from {described(root.hypothesis)}")
         other = Selected(self.contest.settled(root), selected.nominal, tried=selected.tried)
         self._grow(other)
-        self.contest.judge([other.best], selected.best)
+        self.contest.judge([other.best], best)
         self.say(f"= {described(other.best.hypothesis)} evidence {other.best.evidence:.1f}")
         return other if other.best.evidence > 0.0 else selected
 
