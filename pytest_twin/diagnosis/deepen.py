@@ -46,9 +46,7 @@ def deepened(
     for root in roots[:_ROOTS]:
         term = root.hypothesis.terms[-1]
         gives = np.concatenate([view.jacobian, _nearest(answers, root.hypothesis, term)], axis=2)
-        others = Answers(
-            [r for r in answers.responses if r.term != term and r.term not in own.terms]
-        )
+        others = Answers([r for r in answers.responses if r.term not in root.hypothesis.terms])
         lens = Lens(View(root.residual, gives, view.floor, view.lengths), others)
         for level in search().levels(lens):
             h = root.hypothesis.with_terms(level[0].starts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,8 @@ from pytest_twin.effects.base import FloatArray
 _DAMPINGS = (1e-4, 1e-1)
 _FAST, _ENOUGH = 0.5, 1e-4
 _TINY = 1e-6
+# Parts of its reach by which a parameter is tried beside its slope.
+_REACHED = (-1.0, -0.25, 0.25, 1.0)
 
 
 @dataclass(slots=True)
@@ -69,14 +72,18 @@ def fit(
             for i in missing:
                 fresh[i] = True
         trials: list[Hypothesis] = []
+        ends = [0]
         for i in active:
             jac = jacobians[i]
             assert jac is not None
             trials += [propose(current[i], residual[i], jac, weights, d) for d in _DAMPINGS]
+            trials += reached(current[i])
+            ends.append(len(trials))
         tried = problem.residuals(trials, segments)
         still = []
-        for k, i in enumerate(active):
-            options = range(k * len(_DAMPINGS), (k + 1) * len(_DAMPINGS))
+        for i, options in zip(
+            active, itertools.starmap(range, itertools.pairwise(ends)), strict=True
+        ):
             best = min(options, key=lambda o: weighted_cost(tried[o], weights))
             gained = weighted_cost(tried[best], weights)
             # The slopes of the last step serve on while they bring the cost down fast.
@@ -155,6 +162,20 @@ def nudged(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
         rows.append(h.with_theta(theta))
         steps.append(step)
     return rows, steps
+
+
+def reached(h: Hypothesis) -> list[Hypothesis]:
+    """A hypothesis with one parameter at a time where its slope would not lead."""
+    parameters = [p for t in h.terms for p in t.parameters]
+    rows = []
+    for k, p in enumerate(parameters):
+        if p.reach is None:
+            continue
+        for part in _REACHED:
+            theta = h.theta.copy()
+            theta[k] = np.clip(theta[k] + part * p.reach, p.lower, p.upper)
+            rows.append(h.with_theta(theta))
+    return rows
 
 
 def propose(

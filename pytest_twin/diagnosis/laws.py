@@ -30,7 +30,9 @@ from pytest_twin.effects.rows import OF_ROWS, RowSimulator, hooks_between_steps,
 
 _TIP = 1e-4
 """rad or m, that a position is moved to see how a force changes with it."""
-_MOST_NUMBERS = 2_000_000
+# Numbers of one array: where all samples are taken at once, few enough to stay in a core's cache;
+# step by step, where every step has its price, as many as memory allows.
+_IN_CACHE, _MOST_NUMBERS = 100_000, 2_000_000
 _BLOCK = 64
 """Steps that are prepared and closed together: few enough to stay in a core's cache."""
 _PER_ROW = (
@@ -102,9 +104,10 @@ class _Lanes:
         """(lanes, n, columns) of (segments, n, joints)."""
         return np.moveaxis(x[self.segment[:, None], :, self.joint], 2, 1)
 
-    def parts(self, samples: int) -> Iterator[_Lanes]:
+    def parts(self, samples: int, pace: int) -> Iterator[_Lanes]:
         """Lanes in parts of what is worked out together."""
-        per = max(1, _MOST_NUMBERS // (samples * self.joint.shape[1]))
+        most = _IN_CACHE if pace == _AT_ONCE else _MOST_NUMBERS
+        per = max(1, most // (samples * self.joint.shape[1]))
         for first in range(0, len(self.copy), per):
             some = slice(first, first + per)
             yield _Lanes(self.copy[some], self.segment[some], self.joint[some])
@@ -196,7 +199,7 @@ class Laws:
             copy, joint = np.nonzero(alone == p)
             for some, columns in ((copies, everything), (copy, joint[:, None])):
                 if len(some):
-                    for lanes in _Lanes.of(some, columns, segments).parts(samples):
+                    for lanes in _Lanes.of(some, columns, segments).parts(samples, p):
                         yield lanes, self._of_lanes(effects, lanes, p)
 
     def _of_lanes(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> Forces:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Look:
     """A fit seen to first order.
 
@@ -24,18 +25,20 @@ class Look:
         linear: laws along the measured motion; None where candidates were simulated.
         view: what is left of the fit, and what may give way.
         answers: responses of the candidates.
+        asked: all candidates, also those that change nothing.
         failed: candidates that were simulated and came to nothing.
     """
 
     linear: Linear | None
     view: View
     answers: Answers
+    asked: frozenset[Term]
     failed: frozenset[Term] = frozenset()
 
     def without(self, failed: set[Term]) -> Look:
         """What is left of it once some candidates have failed."""
         answers = Answers([r for r in self.answers.responses if r.term not in failed])
-        return Look(self.linear, self.view, answers, self.failed | failed)
+        return replace(self, answers=answers, failed=self.failed | failed)
 
 
 def look_ahead(problem: Problem, best: Rival) -> Look:
@@ -44,37 +47,62 @@ def look_ahead(problem: Problem, best: Rival) -> Look:
     Behind a gear that was named the motor moves apart from the link, as a law that would be added
     moves it: where such a joint still stands above the floor, its candidates are simulated.
     """
-    look = look_around(problem, best)
-    joints = _behind_gears(best, look)
-    if not joints or look.linear is None:
+    linear = linearized(problem, problem.fit, best.hypothesis)
+    terms = _unnamed(problem, best)
+    joints = set() if linear is None else _behind_gears(problem, best, linear)
+    look = _looked(problem, best, linear, [t for t in terms if t.joint not in joints], None)
+    if not joints:
         return look
-    near = [t for t in candidates(problem) if t.joint in joints and t not in best.hypothesis.terms]
     left = bins(problem, problem.fit).mean(best.fitted.residual)
-    found = [r for r in look.answers.responses if r.term.joint not in joints]
-    found += simulated(problem, near, problem.fit, best.hypothesis, left)
-    return Look(None, view_of(problem, best, left), Answers(found))
+    near = [t for t in terms if t.joint in joints]
+    found = simulated(problem, near, problem.fit, best.hypothesis, left)
+    answers = Answers([*look.answers.responses, *found])
+    return Look(None, view_of(problem, best, left), answers, frozenset(terms))
 
 
-def _behind_gears(best: Rival, look: Look) -> set[int]:
+def _behind_gears(problem: Problem, best: Rival, linear: Linear) -> set[int]:
     """Joints whose gear was named and that still stand above the floor."""
-    stands = look.view.above(np.mean(look.view.residual**2, axis=0), STANDS_OUT)
     gears = {t.joint for t in best.hypothesis.terms if t.law.overrides("separates")}
+    view = view_of(problem, best, linear.residual(best.fitted.residual))
+    stands = view.above(np.mean(view.residual**2, axis=0), STANDS_OUT)
     return {j for j in gears if stands[j]}
 
 
-def look_around(problem: Problem, best: Rival) -> Look:
-    """What is left around a fit, and what every candidate would do to it."""
-    named = set(best.hypothesis.terms)
-    terms = [t for t in candidates(problem) if t not in named]
+def look_around(problem: Problem, best: Rival, known: Look | None = None) -> Look:
+    """What is left around a fit, and what every candidate would do to it.
+
+    Args:
+        problem: what to explain.
+        best: the fit.
+        known: around a fit nearby, whose responses serve here too: they are of first order.
+    """
     linear = linearized(problem, problem.fit, best.hypothesis)
-    found, left = answered(
-        linear, problem, terms, problem.fit, best.hypothesis, best.fitted.residual
-    )
-    view, answers = view_of(problem, best, left), Answers(found)
-    if linear is not None and found:
+    return _looked(problem, best, linear, _unnamed(problem, best), known)
+
+
+def _unnamed(problem: Problem, best: Rival) -> list[Term]:
+    named = set(best.hypothesis.terms)
+    return [t for t in candidates(problem) if t not in named]
+
+
+def _looked(
+    problem: Problem,
+    best: Rival,
+    linear: Linear | None,
+    terms: Sequence[Term],
+    known: Look | None,
+) -> Look:
+    asked = frozenset() if known is None else known.asked
+    new = [t for t in terms if t not in asked]
+    found, left = answered(linear, problem, new, problem.fit, best.hypothesis, best.fitted.residual)
+    view = view_of(problem, best, left)
+    if known is not None:
+        found += [r for r in known.answers.responses if r.term in terms]
+    answers = Answers(found)
+    if linear is not None and known is None and found:
         sharp = sharpened(linear, view, answers, best.hypothesis)
         answers = Answers([*found, *sharp]) if sharp else answers
-    return Look(linear, view, answers)
+    return Look(linear, view, answers, frozenset(terms))
 
 
 def view_of(problem: Problem, best: Rival, left: FloatArray) -> View:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_twin.diagnosis.fit import nudged, propose, weighted_cost
+from pytest_twin.diagnosis.fit import nudged, propose, reached, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.responses import Linear
 from pytest_twin.diagnosis.screen import View
@@ -50,6 +50,7 @@ def polish(
         moved = iter(_differences(linear, [row for rows, _ in nudges for row in rows]))
         weights: list[FloatArray] = []
         tried: list[Hypothesis] = []
+        ends = [0]
         for f, (_, steps) in zip(active, nudges, strict=True):
             weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
             here = view.residual - f.residual
@@ -57,10 +58,12 @@ def polish(
             slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
             weights.append(weight)
             tried += [propose(f.hypothesis, f.residual, slope, weight, d) for d in _DAMPINGS]
+            tried += reached(f.hypothesis)
+            ends.append(len(tried))
         left = [view.residual - d for d in _differences(linear, tried)]
         still = []
         for k, (f, weight) in enumerate(zip(active, weights, strict=True)):
-            mine = range(k * len(_DAMPINGS), (k + 1) * len(_DAMPINGS))
+            mine = range(ends[k], ends[k + 1])
             best = min(mine, key=lambda i: weighted_cost(left[i], weight))
             before, after = weighted_cost(f.residual, weight), weighted_cost(left[best], weight)
             if after < before:

@@ -29,7 +29,8 @@ _BIN, _COARSEST = 0.02, 0.05
 """s that residuals are averaged over."""
 _IN_FORCES = ("gains", "command_delay", "sample_time", "fields", "separates", *BETWEEN_STEPS)
 _MOST_BINNED = 12_000
-_AT_ONCE = 192
+_AT_ONCE = 64
+"""Columns that are turned into readings together: few enough to stay in a core's cache."""
 _CLOSEST = 16
 """Candidates that are simulated at every starting size, where none is of first order."""
 
@@ -70,6 +71,12 @@ class Bins:
         total = np.add.reduceat(stacked, self.edges, axis=0)
         out: FloatArray = total / self.counts.reshape(-1, *([1] * (stacked.ndim - 1)))
         return out
+
+    def of_segment(self, i: int) -> Bins:
+        """Those of one segment alone."""
+        first = sum(self.lengths[:i])
+        mine = slice(first, first + self.lengths[i])
+        return Bins(self.edges[mine] - self.edges[first], self.counts[mine], (self.lengths[i],))
 
 
 def bins(problem: Problem, segments: NDArray[np.int64]) -> Bins:
@@ -501,21 +508,19 @@ class Linear:
 
     def _readings(self, columns: Sequence[_Column]) -> list[FloatArray]:
         """(bins, signals) of every column."""
-        segments, samples, joints = self.along.position.shape
-        force = np.zeros((segments, samples, joints, len(columns)))
-        drive = np.zeros_like(force) if self.problem.effort_floor is not None else None
+        shape = self.along.position.shape
+        segments, joints = shape[0], shape[2]
+        none = np.zeros(shape)
         initial = np.zeros((segments, 2 * joints, len(columns)))
-        moving = False
         for k, c in enumerate(columns):
-            if c.force is not None:
-                force[..., k] = c.force
-                moving = True
-            if drive is not None and c.drive is not None:
-                drive[..., k] = c.drive
             if c.initial is not None:
                 initial[..., k] = c.initial
-                moving = True
-        state = self.deviation.of(force, initial) if moving else None
+        state = drive = None
+        if initial.any() or any(c.force is not None for c in columns):
+            force = np.stack([none if c.force is None else c.force for c in columns], axis=-1)
+            state = self.deviation.of(force, initial)
+        if self.problem.effort_floor is not None:
+            drive = np.stack([none if c.drive is None else c.drive for c in columns], axis=-1)
         parts = []
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
@@ -540,8 +545,8 @@ class Linear:
             stacked[:, joints:] = self.problem.trusted(int(s), stacked[:, joints:])
             if i in self.starts:
                 stacked[:, :joints] = self.starts[i].freed_columns(stacked[:, :joints])
-            parts.append(stacked)
-        binned = self.bins.mean(np.concatenate(parts)).astype(np.float32)
+            parts.append(self.bins.of_segment(i).mean(stacked).astype(np.float32))
+        binned = np.concatenate(parts)
         return [np.asarray(binned[:, :, k]) for k in range(len(columns))]
 
 

@@ -282,15 +282,17 @@ class Lens:
         return x, mean_square
 
     def children(self, parent: Structure, count: int) -> list[tuple[int, ...]]:
-        """The parent with one more term: the most promising, one entry per term."""
-        view, answers = self.view, self.answers
-        effective = effective_samples(parent.residual, view.lengths)
-        cost = price(effective)
+        """The parent with one more term: the most promising, one entry per term.
+
+        They are ranked by the effective samples of what the best of them leaves: as long as a pulse
+        stands it seems to be one sample, whatever it hides.
+        """
+        answers, floor = self.answers, self.view.floor
         base, base_right = self._normal(parent.chosen)
         p = base.shape[1]
         beside = [self.with_own, *(answers.products(i) for i in parent.chosen)]
         with_base = np.concatenate(beside, axis=2)
-        best: dict[Term, tuple[float, int]] = {}
+        misfit = np.full((len(answers.responses), len(self.squared)), np.inf)
         for group in answers.groups:
             m = group.columns.shape[1]
             k = len(group.which)
@@ -307,14 +309,21 @@ class Lens:
             lower = np.concatenate([np.full((k, p), -np.inf), answers.lower[group.columns]], axis=1)
             upper = np.concatenate([np.full((k, p), np.inf), answers.upper[group.columns]], axis=1)
             _, mean_square = self._solved(normal, right, lower, upper)
-            likelihood = -0.5 * np.log(np.maximum(mean_square, view.floor**2)) @ effective
-            for i, value in zip(group.which, likelihood, strict=True):
-                response = answers.responses[i]
-                if response.term in parent.starts or not np.isfinite(value):
-                    continue
-                gain = float(value) - cost * response.term.free
-                if response.term not in best or gain > best[response.term][0]:
-                    best[response.term] = gain, i
+            misfit[group.which] = np.log(np.maximum(mean_square, floor**2))
+        new = [r.term not in parent.starts for r in answers.responses]
+        sound = np.flatnonzero(new & np.isfinite(misfit).all(axis=1))
+        if not len(sound):
+            return []
+        closest = int(sound[np.argmin(misfit[sound].sum(axis=1))])
+        left = self.structure((*parent.chosen, closest)).residual
+        effective = self.view.effective_of_best([parent.residual, left])
+        cost = price(effective)
+        best: dict[Term, tuple[float, int]] = {}
+        for i in map(int, sound):
+            term = answers.responses[i].term
+            gain = -0.5 * float(misfit[i] @ effective) - cost * term.free
+            if term not in best or gain > best[term][0]:
+                best[term] = gain, i
         ranked = sorted(best.values(), key=lambda x: -x[0])[:count]
         return [(*parent.chosen, i) for _, i in ranked]
 

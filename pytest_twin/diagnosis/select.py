@@ -63,6 +63,7 @@ class Selection:
         self.contest = Contest(problem)
         self.regrown = 0
         self.first: tuple[Term, ...] | None = None
+        self.last_look: Look | None = None
 
     def run(self) -> Selected:
         """Search forward, backward and sideways."""
@@ -138,7 +139,7 @@ class Selection:
         along it what it does not when it is simulated, and one may help most that is stretched to
         its bound: such terms leave, and the search goes on.
         """
-        look = look_ahead(self.problem, best)
+        look = self.last_look = look_ahead(self.problem, best)
         for _ in range(self.attempts):
             rivals = [] if self._spent(best) else self._tried(best, look)
             if not rivals:
@@ -241,7 +242,8 @@ class Selection:
         for other in of_the_robot(self.problem, best.hypothesis):
             self.problem.refine_at(other)
             found += self.contest.rivals([other], self.contest.weights(best), FAIR)
-        self.problem.refine_at(best.hypothesis)
+        if found:
+            self.problem.refine_at(best.hypothesis)
         return found
 
     def _sideways(self, selected: Selected) -> bool:
@@ -256,7 +258,7 @@ class Selection:
         terms = best.hypothesis.terms
         if not terms:
             return False
-        look = look_around(self.problem, best)
+        look = look_around(self.problem, best, self.last_look)
         places: list[tuple[Term, Term | None]] = []
         others: list[Hypothesis] = []
         linear: list[float] = []

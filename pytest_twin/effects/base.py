@@ -72,6 +72,8 @@ class Parameter:
         step: finite difference of a fit's Jacobian, in multiples of ``reference``; wide where the
             motion follows the parameter in small leaps, as impacts between steps make it.
         choice: whether it is one of its starts, never between: no fit moves it.
+        reach: how far a fit tries it beside its slope, in multiples of ``reference``: where an edge
+            belongs in time, the slope says no further than the drive takes to answer.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Parameter:
     reciprocal_of: tuple[str, Quantity] | None = None
     step: float = SMOOTH_STEP
     choice: bool = False
+    reach: float | None = None
 
     @property
     def reported_name(self) -> str:

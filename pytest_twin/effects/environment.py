@@ -18,8 +18,17 @@ class ExternalForce(Effect):
     source = "Haddadin, De Luca, Albu-Schaeffer, IEEE T-RO 33 (2017): collision detection"
     parameters = (
         Parameter("effort", "effort", 0.0, -20.0, 20.0, (0.3,), "effort"),
-        Parameter("start", "time", None, 0.0, 12.0, tuple(0.5 * k for k in range(24)), "twelfth"),
-        Parameter("duration", "time", None, 0.02, 12.0, (0.6, 1.2, 2.4), "twelfth"),
+        Parameter(
+            "start",
+            "time",
+            None,
+            0.0,
+            12.0,
+            tuple(0.5 * k for k in range(24)),
+            "twelfth",
+            reach=0.25,
+        ),
+        Parameter("duration", "time", None, 0.02, 12.0, (0.6, 1.2, 2.4), "twelfth", reach=0.25),
     )
     confused_with: ClassVar = {"thermal_friction": "the same motion twice"}
 

@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.deepen import deepened
 from pytest_twin.diagnosis.fit import weighted_cost
 from pytest_twin.diagnosis.foremost import Foremost, foremost
 from pytest_twin.diagnosis.front import front
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.look import look_ahead
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
@@ -98,17 +98,23 @@ def test_a_single_term_that_is_fitted_already_gets_its_company() -> None:
     assert look.linear is not None
     (root,) = polish(look.linear, look.view, [with_true(problem, MASS, hidden[MASS])], 0)
 
-    def grown(*polished: Polished, own: tuple[Term, ...] = ()) -> set[frozenset[Term]]:
+    def grown(*polished: Polished, own: Hypothesis = EMPTY) -> set[frozenset[Term]]:
         def search() -> Search:
             return Search(4, 2, 5.0, lambda before, after: True)
 
         found = deepened(look.view, look.answers, polished, own, search)
-        assert all(h.theta[0] == root.hypothesis.theta[0] for h in found)
+        for h in found:
+            assert len(set(h.terms)) == len(h.terms)
+            assert h.theta[h.slice_of(MASS)][0] == root.hypothesis.theta[0]
         return {frozenset(h.terms) for h in found}
 
     assert frozenset({MASS, SPRING}) in grown(root)
-    # No new term is one that the fit at hand has already.
-    assert frozenset({MASS, SPRING}) not in grown(root, own=(SPRING,))
+    # Beside a fit at hand that has the spring, no other comes to it, and the payload alone is none
+    # of one more term.
+    own = with_true(problem, SPRING, hidden[SPRING])
+    both = Polished(own.with_term(MASS, root.hypothesis.theta), root.residual)
+    beside = grown(both, root, own=own)
+    assert beside and all({MASS, SPRING} < terms for terms in beside)
     # Nor is a law grown that stands at its bound.
     weak = EMPTY.with_term(WEAK, np.array([WEAK.parameters[0].lower]))
     assert grown(Polished(weak, root.residual)) == set()
