@@ -47,10 +47,12 @@ class Contest:
         tried: effects at joints that compete.
         name_price: evidence that a name has to earn, drawn from so many.
         nominal: the model as it came.
+        since: steps that were simulated before it.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
+        self.since = problem.stepped
         self.has_held = bool(len(problem.held_out))
         self.tried = len(candidates(problem))
         self.name_price = name_price(self.tried)
@@ -170,4 +172,4 @@ class Contest:
         """Whether as much was simulated as a search that found so many may take."""
         once = int(self.problem.simulator.steps.sum())
         most = _MOST_REPLAYS + _MORE_REPLAYS * names
-        return self.problem.stepped > min(most, _ALL_REPLAYS) * once
+        return self.problem.stepped - self.since > min(most, _ALL_REPLAYS) * once

@@ -166,6 +166,11 @@ def diagnose(
             if other.supersedes(found):
                 found = other
                 notes.append(_IN_WINDOWS)
+            elif other.explained.findings:
+                # Names that windows gave may be better over whole motions too.
+                start = other.selected.best.hypothesis
+                again = search(prepared, trials, Selection(prepared.problem, say), start)
+                found = again if again.leaves_less(found) else found
     progress(0.9)
     notes += found.explained.notes
     left = _left(found) if found.verdict in ("improved", "unexplained") else {}

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
-from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.patched import AppliedEffect
 from pytest_twin.diagnosis.patched_replay import fixed_values
 from pytest_twin.diagnosis.prepare import Prepared, prepare
@@ -65,11 +66,26 @@ class Searched:
             return False
         return self.verdict == "explained" or self.worst <= _MOSTLY < other.worst
 
+    def leaves_less(self, other: Searched) -> bool:
+        """Whether this is the better of two searches of one problem, prices paid."""
+        contest = Contest(self.prepared.problem)
+        contest.judge([self.selected.best], other.selected.best)
+        return self.selected.best.evidence > 0.0 and self.worst < other.worst
 
-def search(prepared: Prepared, trials: TrialSet, selection: Selection) -> Searched:
-    """Search a problem, and judge what is found."""
+
+def search(
+    prepared: Prepared, trials: TrialSet, selection: Selection, start: Hypothesis = EMPTY
+) -> Searched:
+    """Search a problem, and judge what is found.
+
+    Args:
+        prepared: the problem.
+        trials: its recordings.
+        selection: the search.
+        start: where it starts from.
+    """
     problem = prepared.problem
-    selected = selection.run()
+    selected = selection.run(start)
     explained = explain(prepared, selected, (*trials.fit, *trials.held_out))
     everywhere = np.arange(len(problem.simulator.segments))
     problem.refine_at(EMPTY)
