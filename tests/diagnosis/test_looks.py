@@ -1,0 +1,63 @@
+"""What is seen to first order around a fit serves around another nearby."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_behind_gears import fitted, with_true
+from test_first_order import ELBOW, SHOULDER, problem_of
+
+from pytest_twin.diagnosis.contest import Contest
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.look import look_around
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.responses import Linear, bins
+from pytest_twin.diagnosis.screen import candidates
+from pytest_twin.diagnosis.select import Selection
+
+DRAG, DRY = Term("viscous_friction", ELBOW), Term("coulomb_friction", SHOULDER)
+HIDDEN = {DRAG: {"coefficient": 0.2}, DRY: {"coulomb": 0.3}}
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return problem_of("position", HIDDEN)
+
+
+def test_a_look_from_nearby_is_not_taken_again(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    contest = Contest(problem)
+    before = look_around(problem, contest.nominal)
+    best = fitted(contest, with_true(problem, DRAG, HIDDEN[DRAG]))
+    fresh = look_around(problem, best)
+    taken: list[Term] = []
+    monkeypatch.setattr(Linear, "responses", lambda self, terms: taken.extend(terms) or [])
+    served = look_around(problem, best, before)
+    assert taken == []
+    # The view is of the fit at hand, and what it has named is no candidate any more.
+    assert served.view.residual == pytest.approx(fresh.view.residual)
+    assert served.asked == fresh.asked == frozenset(candidates(problem)) - {DRAG}
+    assert {r.term for r in served.answers.responses} == {r.term for r in fresh.answers.responses}
+    # What the other fit had named has no response there: it is asked here.
+    look_around(problem, contest.nominal, fresh)
+    assert taken == [DRAG]
+
+
+def test_bins_of_one_segment_are_those_of_all() -> None:
+    problem = problem_of("effort", {})
+    binned = bins(problem, problem.fit)
+    lengths = problem.lengths(problem.fit)
+    values = np.random.default_rng(4).standard_normal((sum(lengths), 2))
+    parts = np.split(values, np.cumsum(lengths)[:-1])
+    each = [binned.of_segment(i).mean(part) for i, part in enumerate(parts)]
+    assert np.concatenate(each) == pytest.approx(binned.mean(values))
+
+
+def test_a_search_goes_on_from_what_another_came_to(problem: Problem) -> None:
+    """One name is right, one is idle, and one is missing."""
+    idle = Term("actuator_lag", SHOULDER)
+    start = with_true(problem, DRAG, HIDDEN[DRAG]).with_term(idle, np.array([1e-3]))
+    found = Selection(problem).run(start)
+    assert set(found.best.hypothesis.terms) == {DRAG, DRY}
+    assert found.nominal.hypothesis == EMPTY
