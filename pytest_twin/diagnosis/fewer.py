@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import grid
 from pytest_twin.diagnosis.screen import candidates
+from pytest_twin.effects.base import FloatArray
 
 
 def merged(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
@@ -32,7 +34,8 @@ def merged(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 def of_the_robot(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     """The hypothesis with the same law at two joints or more as the one of the whole robot that is
-    confused with it: commands that come late everywhere, or sensors that do.
+    confused with it: commands that come late everywhere, or sensors that do. Parameters of one
+    name start at the mean of what the joints have.
     """
     out = []
     for new in candidates(problem):
@@ -41,9 +44,25 @@ def of_the_robot(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
         for effect in new.law.confused_with:
             each = [t for t in hypothesis.terms if t.effect == effect and t.joint >= 0]
             if len(each) > 1:
-                (start, _), *_ = grid(new)
+                start = _mean(problem, hypothesis, each, new)
                 out.append(hypothesis.without(*each).with_term(new, start))
     return out
+
+
+def _mean(problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: Term) -> FloatArray:
+    """Where a term starts in the place of several: at their mean in parameters of one name."""
+    scales = problem.scales
+    (start, _), *_ = grid(new)
+    for k, p in enumerate(new.parameters):
+        values = [
+            value * scales.value(q, t.joint)
+            for t in each
+            for q, value in zip(t.parameters, hypothesis.theta[hypothesis.slice_of(t)], strict=True)
+            if q.name == p.name
+        ]
+        if values:
+            start[k] = np.clip(np.mean(values) / scales.value(p, new.joint), p.lower, p.upper)
+    return start
 
 
 def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
