@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.patched import Patched
 from pytest_twin.diagnosis.patched_replay import stepped_beside, without_delays
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.rivals import Selected
-from pytest_twin.diagnosis.searched import Searched, pose, search
+from pytest_twin.diagnosis.searched import Searched, carried, pose, search
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict
@@ -34,6 +34,11 @@ _IN_WINDOWS = (
     f"predicted in windows of {WINDOW:g} s that start from what was measured: over whole "
     "recordings small errors of this motion grow (a servo that hunts, an arm that falls, a speed "
     "that adds up)"
+)
+
+_NAMED_IN_WINDOWS = (
+    f"named in windows of {WINDOW:g} s that start from what was measured, fitted over whole "
+    "recordings: where a joint sticks and slips, whole motions tell fewer names apart"
 )
 
 
@@ -166,11 +171,11 @@ def diagnose(
             if other.supersedes(found):
                 found = other
                 notes.append(_IN_WINDOWS)
-            elif other.explained.findings:
-                # Names that windows gave may be better over whole motions too.
-                start = other.selected.best.hypothesis
-                again = search(prepared, trials, Selection(prepared.problem, say), start)
-                found = again if again.leaves_less(found) else found
+            elif other.beside(found):
+                whole = carried(prepared, trials, other)
+                if whole.leaves_less(found):
+                    found = whole
+                    notes.append(_NAMED_IN_WINDOWS)
     progress(0.9)
     notes += found.explained.notes
     left = _left(found) if found.verdict in ("improved", "unexplained") else {}

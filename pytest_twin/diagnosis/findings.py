@@ -14,7 +14,7 @@ from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.locate import Where, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.restraint import in_floors, joint_name, label, prune
+from pytest_twin.diagnosis.restraint import Pruned, in_floors, joint_name, label
 from pytest_twin.diagnosis.rivals import Selected
 from pytest_twin.effects.base import FloatArray, Parameter
 from pytest_twin.trial import Trial
@@ -99,6 +99,7 @@ class Explained:
 def explain(
     prepared: Prepared,
     selected: Selected,
+    pruned: Pruned,
     trials: Sequence[Trial],
 ) -> Explained:
     """Turn the selected structure into findings.
@@ -106,10 +107,10 @@ def explain(
     Args:
         prepared: the problem.
         selected: its best structure.
+        pruned: what of it stands.
         trials: fit, then held-out, as ``prepared`` numbers them.
     """
     problem = prepared.problem
-    pruned = prune(problem, selected)
     hypothesis = pruned.fitted.hypothesis
     if not hypothesis.terms:
         return Explained((), hypothesis, notes=pruned.notes)

@@ -58,9 +58,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     while fitted.hypothesis.terms:
         terms = fitted.hypothesis.terms
         problem.refine_at(fitted.hypothesis)
-        weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
-        starts = [fitted.hypothesis.without(t) for t in terms]
-        refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
+        refitted, weights = _without_each(problem, fitted)
         rests = [f.hypothesis for f in refitted]
         with_it, *without = problem.residuals([fitted.hypothesis, *rests], tested)
         base = in_floors(with_it, problem.signal_floor)
@@ -147,6 +145,20 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
         rest = fitted.hypothesis.without(*gone)
         fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
     return Pruned(fitted, [], notes)
+
+
+def as_named(problem: Problem, fitted: Fitted) -> Pruned:
+    """Names that were judged elsewhere: all of them stay."""
+    problem.refine_at(fitted.hypothesis)
+    rests = _without_each(problem, fitted)[0]
+    return Pruned(fitted, [f.hypothesis for f in rests], [])
+
+
+def _without_each(problem: Problem, fitted: Fitted) -> tuple[list[Fitted], FloatArray]:
+    """The rest refitted without each of the terms, and the weights of that."""
+    weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
+    starts = [fitted.hypothesis.without(t) for t in fitted.hypothesis.terms]
+    return fit(problem, starts, weights, problem.fit, iterations=_REFIT), weights
 
 
 def _stretched(

@@ -9,11 +9,12 @@ import numpy as np
 
 from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.patched import AppliedEffect
 from pytest_twin.diagnosis.patched_replay import fixed_values
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.restraint import Pruned, as_named, prune
+from pytest_twin.diagnosis.rivals import EARNS, Selected
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
@@ -25,6 +26,8 @@ from pytest_twin.realization import Realization
 _UNSEEN = 1e6
 # Share of the squared mismatch that may be left where a search explains what another does not.
 _MOSTLY = 0.1
+# Times that names from windows are fitted anew over whole motions, while that pays.
+_SETTLED = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,11 @@ class Searched:
             return False
         return self.verdict == "explained" or self.worst <= _MOSTLY < other.worst
 
+    def beside(self, other: Searched) -> bool:
+        """Whether this and the other explain most, both, by names of their own."""
+        named = self.explained.findings and other.explained.findings
+        return bool(named) and max(self.worst, other.worst) <= _MOSTLY
+
     def leaves_less(self, other: Searched) -> bool:
         """Whether this is the better of two searches of one problem, prices paid."""
         contest = Contest(self.prepared.problem)
@@ -73,20 +81,36 @@ class Searched:
         return self.selected.best.evidence > 0.0 and self.worst < other.worst
 
 
-def search(
-    prepared: Prepared, trials: TrialSet, selection: Selection, start: Hypothesis = EMPTY
-) -> Searched:
-    """Search a problem, and judge what is found.
+def search(prepared: Prepared, trials: TrialSet, selection: Selection) -> Searched:
+    """Search a problem, and judge what is found."""
+    selected = selection.run()
+    pruned = prune(prepared.problem, selected)
+    return _searched(prepared, trials, selected, pruned)
 
-    Args:
-        prepared: the problem.
-        trials: its recordings.
-        selection: the search.
-        start: where it starts from.
+
+def carried(prepared: Prepared, trials: TrialSet, other: Searched) -> Searched:
+    """What another search named in windows, fitted over whole motions.
+
+    Names stand as they were judged there: where a joint sticks and slips, whole motions part
+    wherever a slide ends, and what one name changes drowns in that.
     """
+    contest = Contest(prepared.problem)
+    (best,) = contest.rivals([other.explained.hypothesis], contest.weights(contest.nominal), 0)
+    for _ in range(_SETTLED):
+        before, best = best, contest.settled(best)
+        contest.judge([best], before)
+        if best.evidence < EARNS:
+            break
+    named = other.selected
+    selected = Selected(
+        best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
+    )
+    return _searched(prepared, trials, selected, as_named(prepared.problem, best.fitted))
+
+
+def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:
     problem = prepared.problem
-    selected = selection.run(start)
-    explained = explain(prepared, selected, (*trials.fit, *trials.held_out))
+    explained = explain(prepared, selected, pruned, (*trials.fit, *trials.held_out))
     everywhere = np.arange(len(problem.simulator.segments))
     problem.refine_at(EMPTY)
     before = problem.residuals([EMPTY], everywhere)[0]

@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
 from pytest_twin.diagnosis.fewer import merged, of_the_robot, simpler
 from pytest_twin.diagnosis.foremost import Foremost, against, evidence_along, foremost
 from pytest_twin.diagnosis.front import front
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.look import Look, look_ahead, look_around, view_of
 from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.problem import Problem
@@ -65,17 +65,10 @@ class Selection:
         self.first: tuple[Term, ...] | None = None
         self.last_look: Look | None = None
 
-    def run(self, start: Hypothesis = EMPTY) -> Selected:
-        """Search forward, backward and sideways.
-
-        Args:
-            start: what another search came to; by default the model as it came.
-        """
+    def run(self) -> Selected:
+        """Search forward, backward and sideways."""
         nominal = self.contest.nominal
         selected = Selected(nominal, nominal, tried=self.contest.tried)
-        if start.terms:
-            (found,) = self.contest.rivals([start], self.contest.weights(nominal), 0)
-            selected.best = self._backward(self.contest.settled(found))
         self._grow(selected)
         return self._regrown(selected)
 

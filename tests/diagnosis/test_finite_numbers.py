@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.findings import estimate, explain, finding_json
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.restraint import prune
 from pytest_twin.diagnosis.rivals import Rival, Selected
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Parameter
@@ -94,7 +95,7 @@ def test_what_diverges_is_not_claimed_and_the_rest_is(tmp_path: Path) -> None:
     best = rival(chosen)
     assert not np.isfinite(best.held_residual).all()
     selected = Selected(best, rival(EMPTY), confidence={late: math.nan, blown: math.nan})
-    found = explain(prepared, selected, trials)
+    found = explain(prepared, selected, prune(prepared.problem, selected), trials)
     assert [(f.effect, f.joint) for f in found.findings] == [("command_delay", "left")]
     (finding,) = found.findings
     assert finding.parameters["delay"].value == pytest.approx(0.02, rel=0.05)

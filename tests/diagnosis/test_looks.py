@@ -8,12 +8,11 @@ from test_behind_gears import fitted, with_true
 from test_first_order import ELBOW, SHOULDER, problem_of
 
 from pytest_twin.diagnosis.contest import Contest
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.look import look_around
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Linear, bins
 from pytest_twin.diagnosis.screen import candidates
-from pytest_twin.diagnosis.select import Selection
 
 DRAG, DRY = Term("viscous_friction", ELBOW), Term("coulomb_friction", SHOULDER)
 HIDDEN = {DRAG: {"coefficient": 0.2}, DRY: {"coulomb": 0.3}}
@@ -52,12 +51,3 @@ def test_bins_of_one_segment_are_those_of_all() -> None:
     parts = np.split(values, np.cumsum(lengths)[:-1])
     each = [binned.of_segment(i).mean(part) for i, part in enumerate(parts)]
     assert np.concatenate(each) == pytest.approx(binned.mean(values))
-
-
-def test_a_search_goes_on_from_what_another_came_to(problem: Problem) -> None:
-    """One name is right, one is idle, and one is missing."""
-    idle = Term("actuator_lag", SHOULDER)
-    start = with_true(problem, DRAG, HIDDEN[DRAG]).with_term(idle, np.array([1e-3]))
-    found = Selection(problem).run(start)
-    assert set(found.best.hypothesis.terms) == {DRAG, DRY}
-    assert found.nominal.hypothesis == EMPTY

@@ -14,7 +14,7 @@ from pytest_twin.diagnosis.findings import explain
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.diagnosis.restraint import _perhaps_absent
+from pytest_twin.diagnosis.restraint import _perhaps_absent, as_named, prune
 from pytest_twin.diagnosis.rivals import Rival, Selected
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.formats.mcap import read_recording
@@ -53,14 +53,26 @@ def test_a_law_at_its_physical_bound_that_leaves_much_is_no_name(tmp_path: Path)
     prepared, trials = bench(tmp_path, viscous=0.6)
     term = Term("coulomb_friction", 0)
     selected = chosen(prepared, term, term.parameters[0].upper, fitted=False)
-    found = explain(prepared, selected, trials)
+    found = explain(prepared, selected, prune(prepared.problem, selected), trials)
     assert not found.findings
     assert any("coulomb_friction at left" in n and "physical bound" in n for n in found.notes)
 
 
+def test_names_that_were_judged_elsewhere_stay(tmp_path: Path) -> None:
+    """The same law, though it leaves much: what windows named is not judged once more."""
+    prepared, trials = bench(tmp_path, viscous=0.6)
+    term = Term("coulomb_friction", 0)
+    selected = chosen(prepared, term, term.parameters[0].upper, fitted=False)
+    pruned = as_named(prepared.problem, selected.best.fitted)
+    assert [h.terms for h in pruned.rests] == [()]
+    (found,) = explain(prepared, selected, pruned, trials).findings
+    assert (found.effect, found.joint) == ("coulomb_friction", "left")
+
+
 def test_a_law_that_explains_all_stays(tmp_path: Path) -> None:
     prepared, trials = bench(tmp_path, viscous=0.3)
-    found = explain(prepared, chosen(prepared, Term("viscous_friction", 0), 0.1), trials)
+    selected = chosen(prepared, Term("viscous_friction", 0), 0.1)
+    found = explain(prepared, selected, prune(prepared.problem, selected), trials)
     assert [(f.effect, f.joint) for f in found.findings] == [("viscous_friction", "left")]
 
 
@@ -89,7 +101,7 @@ def test_what_moves_the_prediction_most_without_it_comes_first(tmp_path: Path) -
     bare = fit(problem, [EMPTY], weights, problem.fit, iterations=0)[0]
     nominal = Rival(bare, problem.residuals([EMPTY], problem.held_out)[0])
     selected = Selected(best, nominal, confidence=dict.fromkeys(terms, 1.0))
-    found = explain(prepared, selected, trials).findings
+    found = explain(prepared, selected, prune(prepared.problem, selected), trials).findings
     assert [f.effect for f in found] == ["viscous_friction", "command_delay"]
     assert found[0].stands > 2.0 * found[1].stands > 0.0
 
