@@ -79,6 +79,11 @@ class Contest:
             held = [np.zeros((0, len(problem.signal_floor)))] * len(fitted)
         return [Rival(f, h) for f, h in zip(fitted, held, strict=True)]
 
+    def as_it_is(self, hypothesis: Hypothesis) -> Rival:
+        """A hypothesis that is fitted already, with the simulator's step corrected for it."""
+        self.problem.refine_at(hypothesis)
+        return self.rivals([hypothesis], np.ones(len(self.problem.signal_floor)), 0)[0]
+
     def judge(self, rivals: Sequence[Rival], against: Rival, under: Rival | None = None) -> None:
         """Evidence of ``rivals`` over ``against``, by the effective samples of ``under``."""
         problem, floor = self.problem, self.problem.signal_floor

@@ -75,10 +75,13 @@ class Searched:
         return bool(named) and max(self.worst, other.worst) <= _MOSTLY
 
     def leaves_less(self, other: Searched) -> bool:
-        """Whether this is the better of two searches of one problem, prices paid."""
+        """Whether what stands of this is better than what stands of the other, prices paid; both of
+        one problem.
+        """
         contest = Contest(self.prepared.problem)
-        contest.judge([self.selected.best], other.selected.best)
-        return self.selected.best.evidence > 0.0 and self.worst < other.worst
+        mine, others = (contest.as_it_is(s.explained.hypothesis) for s in (self, other))
+        contest.judge([mine], others)
+        return mine.evidence > 0.0 and self.worst < other.worst
 
 
 def search(prepared: Prepared, trials: TrialSet, selection: Selection) -> Searched:
