@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,13 +12,19 @@ from two_pendulums import ARMATURE, DAMPING, INERTIA, KP, KV, LENGTH, MASS, mjcf
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.searched import carried, search
+from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.start import free_shifts
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.realization import Realization
 
 LAG = 0.05
+LAGS = Term("actuator_lag", 0)
 ONE = ("left",)
 
 
@@ -58,6 +65,32 @@ def test_a_motion_that_is_followed_whole_stays_whole(tmp_path: Path) -> None:
     found = diagnose(realization, trials, threads=1)
     assert [f.effect for f in found.explained.findings] == ["command_delay"]
     assert not any("windows" in note for note in found.notes)
+
+
+def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
+    lag = 0.01
+    realization, trials = hunting(tmp_path, lag=lag)
+    cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
+    other = search(cut, trials, Selection(cut.problem))
+    prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
+    whole = carried(prepared, trials, other)
+    (finding,) = whole.explained.findings
+    assert (finding.effect, finding.confidence) == ("actuator_lag", other.selected.confidence[LAGS])
+    assert finding.parameters["time_constant"].value == pytest.approx(lag, rel=0.02)
+    assert whole.prepared is prepared
+    assert whole.verdict == "explained"
+    # Both name what explains most, and neither is better than itself.
+    assert whole.beside(other)
+    assert not whole.leaves_less(whole)
+    nothing = replace(whole, explained=Explained((), EMPTY), errors=off(whole.errors, times=30.0))
+    assert whole.leaves_less(nothing)
+    assert not nothing.leaves_less(whole)
+    assert not whole.beside(nothing)
+
+
+def off(errors: Mapping[str, JointError], times: float) -> dict[str, JointError]:
+    """As much more is left."""
+    return {j: replace(e, after=e.before, before=times * e.before) for j, e in errors.items()}
 
 
 def test_windows_start_from_what_was_measured_and_are_free_to_shift(tmp_path: Path) -> None:
