@@ -51,29 +51,30 @@ def of_the_robot(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 def _mean(problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: Term) -> FloatArray:
     """Where a term starts in the place of several: at their mean in parameters of one name."""
-    scales = problem.scales
     (start, _), *_ = grid(new)
+    each_has = [_values(problem, hypothesis, t) for t in each]
     for k, p in enumerate(new.parameters):
-        values = [
-            value * scales.value(q, t.joint)
-            for t in each
-            for q, value in zip(t.parameters, hypothesis.theta[hypothesis.slice_of(t)], strict=True)
-            if q.name == p.name
-        ]
-        if values:
-            start[k] = np.clip(np.mean(values) / scales.value(p, new.joint), p.lower, p.upper)
+        alike = [values[p.name] for values in each_has if p.name in values]
+        if alike:
+            scale = problem.scales.value(p, new.joint)
+            start[k] = np.clip(np.mean(alike) / scale, p.lower, p.upper)
     return start
+
+
+def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[str, float]:
+    """Parameters of a term by name, SI units."""
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    return {
+        p.name: float(t) * problem.scales.value(p, term.joint)
+        for p, t in zip(term.parameters, theta, strict=True)
+    }
 
 
 def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     """The hypothesis with one of its laws as the special case that it comes to."""
     scales, out = problem.scales, []
     for term in hypothesis.terms:
-        theta = hypothesis.theta[hypothesis.slice_of(term)]
-        values = {
-            p.name: float(t) * scales.value(p, term.joint)
-            for p, t in zip(term.parameters, theta, strict=True)
-        }
+        values = _values(problem, hypothesis, term)
         for effect, special in term.law.special_cases(values).items():
             new = Term(effect, term.joint)
             start = [

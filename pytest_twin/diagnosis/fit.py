@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -76,14 +75,12 @@ def fit(
         for i in active:
             jac = jacobians[i]
             assert jac is not None
-            trials += [propose(current[i], residual[i], jac, weights, d) for d in _DAMPINGS]
-            trials += reached(current[i])
+            trials += proposals(current[i], residual[i], jac, weights, _DAMPINGS)
             ends.append(len(trials))
         tried = problem.residuals(trials, segments)
         still = []
-        for i, options in zip(
-            active, itertools.starmap(range, itertools.pairwise(ends)), strict=True
-        ):
+        for k, i in enumerate(active):
+            options = range(ends[k], ends[k + 1])
             best = min(options, key=lambda o: weighted_cost(tried[o], weights))
             gained = weighted_cost(tried[best], weights)
             # The slopes of the last step serve on while they bring the cost down fast.
@@ -162,6 +159,18 @@ def nudged(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
         rows.append(h.with_theta(theta))
         steps.append(step)
     return rows, steps
+
+
+def proposals(
+    h: Hypothesis,
+    residual: FloatArray,
+    jacobian: FloatArray,
+    weights: FloatArray,
+    dampings: Sequence[float],
+) -> list[Hypothesis]:
+    """What one step of a fit tries: along the slope under each damping, and beside it."""
+    along = [propose(h, residual, jacobian, weights, d) for d in dampings]
+    return along + reached(h)
 
 
 def reached(h: Hypothesis) -> list[Hypothesis]:

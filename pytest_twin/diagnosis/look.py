@@ -63,6 +63,8 @@ def look_ahead(problem: Problem, best: Rival) -> Look:
 def _behind_gears(problem: Problem, best: Rival, linear: Linear) -> set[int]:
     """Joints whose gear was named and that still stand above the floor."""
     gears = {t.joint for t in best.hypothesis.terms if t.law.overrides("separates")}
+    if not gears:
+        return gears
     view = view_of(problem, best, linear.residual(best.fitted.residual))
     stands = view.above(np.mean(view.residual**2, axis=0), STANDS_OUT)
     return {j for j in gears if stands[j]}

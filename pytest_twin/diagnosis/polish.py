@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_twin.diagnosis.fit import nudged, propose, reached, weighted_cost
+from pytest_twin.diagnosis.fit import nudged, proposals, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.responses import Linear
 from pytest_twin.diagnosis.screen import View
@@ -57,8 +57,7 @@ def polish(
             slope = np.stack([(next(moved) - here) / s for s in steps], axis=-1)
             slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
             weights.append(weight)
-            tried += [propose(f.hypothesis, f.residual, slope, weight, d) for d in _DAMPINGS]
-            tried += reached(f.hypothesis)
+            tried += proposals(f.hypothesis, f.residual, slope, weight, _DAMPINGS)
             ends.append(len(tried))
         left = [view.residual - d for d in _differences(linear, tried)]
         still = []
