@@ -82,7 +82,8 @@ class Contest:
     def as_it_is(self, hypothesis: Hypothesis) -> Rival:
         """A hypothesis that is fitted already, with the simulator's step corrected for it."""
         self.problem.refine_at(hypothesis)
-        return self.rivals([hypothesis], np.ones(len(self.problem.signal_floor)), 0)[0]
+        weights = np.ones(len(self.problem.signal_floor))
+        return self.rivals([hypothesis], weights, 0, slopes=True)[0]
 
     def judge(self, rivals: Sequence[Rival], against: Rival, under: Rival | None = None) -> None:
         """Evidence of ``rivals`` over ``against``, by the effective samples of ``under``."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from pytest_twin.diagnosis.evidence import effective_samples
@@ -13,6 +14,8 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import SMOOTH_STEP, FloatArray
 
 _LEVEL = 0.975
+# A combination of parameters is taken to be known ten times better than each of them at most.
+_LEAST_VARIANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,21 @@ class Spread:
     correlation: FloatArray
     covariance: FloatArray
     quantile: float
+
+    def apart(self, which: NDArray[np.int64], offset: FloatArray) -> float:
+        """How far a fit is from ``offset`` off it: 1 on the edge of a joint 95 % region.
+
+        What trades off may be known together where each is not (Wald's test).
+
+        Args:
+            which: (n,) indices of parameters.
+            offset: (n,) from the fit, in multiples of the scales.
+        """
+        scaled = offset / np.maximum(self.half_width[which], 1e-300)
+        values, vectors = np.linalg.eigh(self.correlation[np.ix_(which, which)])
+        square = np.sum((vectors.T @ scaled) ** 2 / np.maximum(values, _LEAST_VARIANCE))
+        one, all_of_them = stats.chi2.ppf(2.0 * _LEVEL - 1.0, [1, len(which)])
+        return float(np.sqrt(square * one / all_of_them))
 
 
 def spread(problem: Problem, fitted: Fitted) -> Spread:

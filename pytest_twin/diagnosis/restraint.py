@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import spread
+from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rivals import Selected
 from pytest_twin.diagnosis.verdict import STANDS_OUT, JointError
@@ -26,8 +26,10 @@ _LEFT_SURE, _LEFT_UNSURE = 0.35, 0.25
 # than they are together is none where its joint stays unexplained.
 _UNSURE, _SLIGHT = 0.7, 0.01
 _UNLIKELY, _EVEN = 0.02, 0.5
-# What could be absent, by its own interval, has to take off this many times as much as others.
-_ABSENT_BAR = 2.0
+# What could be absent, by its own interval, has to take off this many times as much as others; half
+# widths of that within which a name is in doubt where its joint stays unexplained: the right law is
+# known well there, for so much stands out of the noise.
+_ABSENT_BAR, _DOUBTED = 2.0, 2.0
 
 
 @dataclass(slots=True)
@@ -70,9 +72,9 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             )
             fitted = refitted[least]
             continue
-        half = spread(problem, fitted).half_width
+        known = spread(problem, fitted)
         bars = [
-            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted, t, half) else 1.0) for t in terms
+            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted, t, known) else 1.0) for t in terms
         ]
         # What stands with all of them at work is no term's merit.
         others = np.maximum(base**2 - 1.0, 0.0)
@@ -113,7 +115,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
         if judged:
             return Pruned(fitted, rests, notes)
         likely = {t: c >= _EVEN for t, c in zip(terms, chances, strict=True)}
-        stretched = _stretched(problem, fitted, half, before, base, likely)
+        stretched = _stretched(problem, fitted, known, before, base, likely)
         if stretched:
             rest = fitted.hypothesis.without(*stretched)
             for t in stretched:
@@ -164,7 +166,7 @@ def _without_each(problem: Problem, fitted: Fitted) -> tuple[list[Fitted], Float
 def _stretched(
     problem: Problem,
     fitted: Fitted,
-    half: FloatArray,
+    known: Spread,
     before: FloatArray,
     after: FloatArray,
     likely: Mapping[Term, bool],
@@ -180,24 +182,24 @@ def _stretched(
     return [
         t for t in hypothesis.terms
         if not (explained.all() if t.joint < 0 else explained[t.joint])
-        and (not likely[t] or _perhaps_absent(fitted, t, half) or hypothesis.at_bound(t))
+        and (not likely[t] or _perhaps_absent(fitted, t, known, _DOUBTED)
+             or hypothesis.at_bound(t))
     ]  # fmt: skip
 
 
-def _perhaps_absent(fitted: Fitted, term: Term, half: FloatArray) -> bool:
-    """Whether the 95 % intervals (parameters,) of all that switches a term on hold its absence.
+def _perhaps_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0) -> bool:
+    """Whether the 95 % region of all that switches a term on, so many times as wide, holds its
+    absence.
 
     What the motion follows in leaps alone (when a drive lets go) has no interval, and is there.
     """
-    hypothesis = fitted.hypothesis
-    place = hypothesis.slice_of(term)
-    felt = np.any(fitted.jacobian[:, :, place] != 0.0, axis=(0, 1))
-    return all(
-        p.neutral is None or (slope and abs(value - p.neutral) <= width)
-        for p, value, width, slope in zip(
-            term.parameters, hypothesis.theta[place], half[place], felt, strict=True
-        )
-    )
+    place = fitted.hypothesis.slice_of(term)
+    switches = [k for k, p in enumerate(term.parameters, place.start) if p.neutral is not None]
+    if not np.any(fitted.jacobian[:, :, switches] != 0.0, axis=(0, 1)).all():
+        return False
+    neutral = [p.neutral for p in term.parameters if p.neutral is not None]
+    offset = np.array(neutral) - fitted.hypothesis.theta[switches]
+    return known.apart(np.array(switches), offset) <= within
 
 
 def _too_little(

@@ -14,7 +14,8 @@ from pytest_twin.diagnosis.patched import AppliedEffect
 from pytest_twin.diagnosis.patched_replay import fixed_values
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.restraint import Pruned, as_named, prune
-from pytest_twin.diagnosis.rivals import EARNS, Selected
+from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.seek import sought
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
@@ -26,8 +27,6 @@ from pytest_twin.realization import Realization
 _UNSEEN = 1e6
 # Share of the squared mismatch that may be left where a search explains what another does not.
 _MOSTLY = 0.1
-# Times that names from windows are fitted anew over whole motions, while that pays.
-_SETTLED = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,23 +91,20 @@ def search(prepared: Prepared, trials: TrialSet, selection: Selection) -> Search
 
 
 def carried(prepared: Prepared, trials: TrialSet, other: Searched) -> Searched:
-    """What another search named in windows, fitted over whole motions.
+    """What another search found in windows, fitted over whole motions.
 
-    Names stand as they were judged there: where a joint sticks and slips, whole motions part
+    Names stand as they were found there: where a joint sticks and slips, whole motions part
     wherever a slide ends, and what one name changes drowns in that.
     """
-    contest = Contest(prepared.problem)
-    (best,) = contest.rivals([other.explained.hypothesis], contest.weights(contest.nominal), 0)
-    for _ in range(_SETTLED):
-        before, best = best, contest.settled(best)
-        contest.judge([best], before)
-        if best.evidence < EARNS:
-            break
-    named = other.selected
+    problem, named = prepared.problem, other.selected
+    contest = Contest(problem)
+    start = named.best.hypothesis
+    problem.refine_at(start)
+    best = contest.as_it_is(sought(problem, start, contest.weights(contest.nominal)))
     selected = Selected(
         best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
     )
-    return _searched(prepared, trials, selected, as_named(prepared.problem, best.fitted))
+    return _searched(prepared, trials, selected, as_named(problem, best.fitted))
 
 
 def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:

@@ -299,7 +299,9 @@ class Selection:
         for term in far:
             nearest = [i for i in order if places[i][0] == term and places[i][1] is not None]
             close += [i for i in nearest[:_MOST_CLOSE] if i not in close]
-        close = [] if self._spent(best) else close
+        if self._spent(best):
+            # What seems better has to be seen, or no name would be sure.
+            close = [i for i in close if found[i] > 0.0]
         rivals = self.contest.against([others[i] for i in close], best, FAIR)
         evidence = {place: float(value) for place, value in zip(places, found, strict=True)}
         for i, r in zip(close, rivals, strict=True):

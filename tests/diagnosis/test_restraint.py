@@ -13,6 +13,7 @@ from pytest_twin.diagnosis import contest
 from pytest_twin.diagnosis.findings import explain
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.intervals import Spread
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.restraint import _perhaps_absent, as_named, prune
 from pytest_twin.diagnosis.rivals import Rival, Selected
@@ -113,4 +114,34 @@ def test_what_acts_in_leaps_has_no_interval_and_is_there(slope: float, absent: b
     hypothesis = EMPTY.with_term(term, np.array([50.0, 0.05]))
     jacobian = np.ones((4, 1, 2)) * [slope, 1.0]
     fitted = Fitted(hypothesis, np.zeros((4, 1)), jacobian, 0.0)
-    assert _perhaps_absent(fitted, term, np.array([1e6, 1e-3])) is absent
+    known = Spread(np.array([1e6, 1e-3]), np.eye(2), np.eye(2), 2.0)
+    assert _perhaps_absent(fitted, term, known) is absent
+
+
+@pytest.mark.parametrize(
+    ("together", "absent"),
+    [
+        pytest.param(0.0, True, id="each alone could be absent"),
+        pytest.param(-0.95, False, id="their sum is known, and is not zero"),
+        pytest.param(0.95, True, id="their difference is known, and is zero"),
+    ],
+)
+def test_what_trades_off_is_judged_together(together: float, absent: bool) -> None:
+    """Friction at rest and in motion: how much of which is open, and that there is some is not."""
+    term = Term("motor_load_friction", 0)
+    hypothesis = EMPTY.with_term(term, np.array([0.1, 0.1, 0.5]))
+    fitted = Fitted(hypothesis, np.zeros((4, 1)), np.ones((4, 1, 3)), 0.0)
+    correlation = np.eye(3)
+    correlation[0, 1] = correlation[1, 0] = together
+    known = Spread(np.array([0.12, 0.12, 1.0]), correlation, np.eye(3), 2.0)
+    assert _perhaps_absent(fitted, term, known) is absent
+
+
+def test_the_joint_region_holds_what_normal_draws_say() -> None:
+    """95 % of draws from a correlated normal distribution lie inside of it."""
+    random = np.random.default_rng(3)
+    correlation = np.array([[1.0, -0.8], [-0.8, 1.0]])
+    known = Spread(np.full(2, 1.96), correlation, correlation, 1.96)
+    draws = random.multivariate_normal(np.zeros(2), correlation, 2000)
+    inside = np.mean([known.apart(np.arange(2), d) <= 1.0 for d in draws])
+    assert inside == pytest.approx(0.95, abs=0.015)
