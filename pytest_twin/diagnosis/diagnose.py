@@ -12,9 +12,10 @@ import numpy as np
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
-from pytest_twin.diagnosis.patched import Patched
+from pytest_twin.diagnosis.patched import AppliedEffect, Patched
 from pytest_twin.diagnosis.patched_replay import stepped_beside, without_delays
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rivals import Selected
 from pytest_twin.diagnosis.searched import Searched, carried, pose, search
 from pytest_twin.diagnosis.select import Selection
@@ -165,17 +166,8 @@ def diagnose(
         found = search(prepared, trials, Selection(prepared.problem, say))
         problems = [prepared.problem]
         if found.astray:
-            windowed, kept = pose(realization, trials, fixed, threads, [], window=WINDOW)
-            problems.append(windowed.problem)
-            other = search(windowed, kept, Selection(windowed.problem, say, _CLEAR))
-            if other.supersedes(found):
-                found = other
-                notes.append(_IN_WINDOWS)
-            elif other.beside(found):
-                whole = carried(prepared, trials, other)
-                if whole.leaves_less(found):
-                    found = whole
-                    notes.append(_NAMED_IN_WINDOWS)
+            found, windowed = _windowed(found, realization, fixed, threads, say, notes)
+            problems.append(windowed)
     progress(0.9)
     notes += found.explained.notes
     left = _left(found) if found.verdict in ("improved", "unexplained") else {}
@@ -186,6 +178,30 @@ def diagnose(
         found.verdict, found.explained, found.errors, left, tuple(notes), found.prepared,
         found.selected, found.trials, found.before, found.after, cost(problems, since),
     )  # fmt: skip
+
+
+def _windowed(
+    found: Searched,
+    realization: Realization,
+    fixed: tuple[AppliedEffect, ...],
+    threads: int,
+    say: Callable[[str], None],
+    notes: list[str],
+) -> tuple[Searched, Problem]:
+    """What explains most: whole motions, windows of them, or whole motions by what windows found;
+    and the problem in windows.
+    """
+    cut, kept = pose(realization, found.trials, fixed, threads, [], window=WINDOW)
+    other = search(cut, kept, Selection(cut.problem, say, _CLEAR))
+    if other.supersedes(found):
+        notes.append(_IN_WINDOWS)
+        return other, cut.problem
+    if other.beside(found):
+        whole = carried(found.prepared, found.trials, other)
+        if whole.leaves_less(found):
+            notes.append(_NAMED_IN_WINDOWS)
+            return whole, cut.problem
+    return found, cut.problem
 
 
 def _left(diagnosed: Searched) -> dict[str, Left]:

@@ -46,8 +46,8 @@ class Spread:
         scaled = offset / np.maximum(self.half_width[which], 1e-300)
         values, vectors = np.linalg.eigh(self.correlation[np.ix_(which, which)])
         square = np.sum((vectors.T @ scaled) ** 2 / np.maximum(values, _LEAST_VARIANCE))
-        one, all_of_them = stats.chi2.ppf(2.0 * _LEVEL - 1.0, [1, len(which)])
-        return float(np.sqrt(square * one / all_of_them))
+        one, together = (float(stats.chi2.ppf(2.0 * _LEVEL - 1.0, n)) for n in (1, len(which)))
+        return float(np.sqrt(square * one / together))
 
 
 def spread(problem: Problem, fitted: Fitted) -> Spread:

@@ -19,6 +19,8 @@ from pytest_twin.effects.base import FloatArray
 _GENERATION, _ASKED = 20, 200
 # First steps, as a share of what a parameter is, or of the least size that its law is asked at.
 _STEP = 0.3
+# Share of the first steps below which it has come to its end.
+_ENOUGH = 1e-3
 # The cost of a simulation that diverged, in deviations.
 _DIVERGED = 1e6
 
@@ -34,7 +36,7 @@ def sought(problem: Problem, start: Hypothesis, weights: FloatArray) -> Hypothes
         start: with starting values.
         weights: (signals,) reciprocal deviations.
     """
-    free = np.array([not p.choice for t in start.terms for p in t.parameters])
+    free = np.array([not p.choice for t in start.terms for p in t.parameters], dtype=bool)
     if not free.any():
         return start
     step = _first_steps(start)[free]
@@ -55,6 +57,7 @@ def sought(problem: Problem, start: Hypothesis, weights: FloatArray) -> Hypothes
             "maxfevals": _ASKED * int(free.sum()),
             "seed": np.nan,
             "randn": lambda *shape: random.standard_normal(shape),
+            "tolx": _ENOUGH,
             "verbose": -9,
         },
     )

@@ -1,0 +1,60 @@
+"""Where slopes lead nowhere values still do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from two_pendulums import mjcf, record
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.seek import deviations, sought
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.trial import make_trial
+
+LAG = 0.05
+LAGS = Term("actuator_lag", 0)
+
+
+@pytest.fixture(scope="module")
+def hunting(tmp_path_factory: pytest.TempPathFactory) -> Problem:
+    """A pendulum whose servo lags until it swings by itself, longer and longer."""
+    folder = tmp_path_factory.mktemp("hunting")
+    (folder / "model.xml").write_text(mjcf(("left",)))
+    realization = load_model(folder / "model.xml").realization
+    file = record(folder / "1.mcap", 1, seconds=3.0, joints=("left",), lag=LAG)
+    trial = make_trial(read_recording(file), realization.structure)
+    return prepare(realization, [trial], [], threads=1).problem
+
+
+def lagging(seconds: float, problem: Problem) -> Hypothesis:
+    scale = problem.scales.value(LAGS.parameters[0], 0)
+    return EMPTY.with_term(LAGS, np.array([seconds / scale]))
+
+
+def test_a_valley_is_left_that_a_fit_by_slopes_stays_in(hunting: Problem) -> None:
+    start, weights = lagging(0.09, hunting), 1.0 / hunting.signal_floor
+    scale = hunting.scales.value(LAGS.parameters[0], 0)
+    (stuck,) = fit(hunting, [start], weights, hunting.fit, iterations=20)
+    assert abs(stuck.hypothesis.theta[0] * scale - LAG) > 0.01
+    found = sought(hunting, start, weights)
+    assert found.theta[0] * scale == pytest.approx(LAG, rel=0.05)
+    far, near = deviations(hunting, [stuck.hypothesis, found], weights)
+    assert near < 0.2 * far
+
+
+def test_the_same_start_comes_to_the_same_end(hunting: Problem) -> None:
+    weights = 1.0 / hunting.signal_floor
+    np.random.seed(0)  # what others draw is left alone, and does not matter
+    first = sought(hunting, lagging(0.03, hunting), weights)
+    untouched = np.random.get_state()[1][0]
+    np.random.random()
+    assert np.array_equal(sought(hunting, lagging(0.03, hunting), weights).theta, first.theta)
+    assert untouched == 0
+
+
+def test_what_has_nothing_to_fit_stays(hunting: Problem) -> None:
+    assert sought(hunting, EMPTY, 1.0 / hunting.signal_floor) is EMPTY
