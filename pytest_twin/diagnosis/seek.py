@@ -8,7 +8,6 @@ Strategy: A Tutorial, 2016).
 
 from __future__ import annotations
 
-import cma
 import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis
@@ -36,6 +35,9 @@ def sought(problem: Problem, start: Hypothesis, weights: FloatArray) -> Hypothes
         start: with starting values.
         weights: (signals,) reciprocal deviations.
     """
+    # It brings half a second of imports, which few diagnoses need.
+    import cma
+
     free = np.array([not p.choice for t in start.terms for p in t.parameters], dtype=bool)
     if not free.any():
         return start
