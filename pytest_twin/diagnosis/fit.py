@@ -198,9 +198,10 @@ def propose(
     a = (jacobian * weights[:, None]).reshape(-1, h.theta.size) @ _chart(h)
     b = np.nan_to_num(residual * weights).ravel()
     normal, gradient = a.T @ a, a.T @ b
-    if not np.isfinite(normal).all():
+    # Of a choice rounding has a slope all the same.
+    free = h.movable
+    if not np.isfinite(normal).all() or not free.any():
         return h
-    free = np.ones(h.theta.size, dtype=bool)
     theta = h.theta.copy()
     for _ in range(h.theta.size):
         n = normal[np.ix_(free, free)]

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import SMOOTH_STEP, Effect, FloatArray, Parameter
@@ -110,6 +111,11 @@ class Hypothesis:
     def free(self) -> int:
         """How many parameters a fit moves."""
         return sum(t.free for t in self.terms)
+
+    @property
+    def movable(self) -> NDArray[np.bool_]:
+        """(parameters,) which of them a fit moves."""
+        return np.array([not p.choice for t in self.terms for p in t.parameters], dtype=bool)
 
     @property
     def rough(self) -> bool:

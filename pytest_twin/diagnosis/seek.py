@@ -38,7 +38,7 @@ def sought(problem: Problem, start: Hypothesis, weights: FloatArray) -> Hypothes
     # It brings half a second of imports, which few diagnoses need.
     import cma
 
-    free = np.array([not p.choice for t in start.terms for p in t.parameters], dtype=bool)
+    free = start.movable
     if not free.any():
         return start
     step = _first_steps(start)[free]

@@ -8,7 +8,7 @@ from test_first_order import ELBOW, SHOULDER, problem_of
 
 from pytest_twin.diagnosis import front
 from pytest_twin.diagnosis.contest import Contest
-from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.fit import fit, propose
 from pytest_twin.diagnosis.foremost import Foremost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.look import look_around
@@ -88,6 +88,19 @@ def test_a_choice_is_no_parameter_of_a_fit() -> None:
     assert fitted.hypothesis.theta[1] == 1.0
     bias = fitted.hypothesis.theta[0] * problem.scales.value(term.parameters[0], SHOULDER)
     assert bias == pytest.approx(0.05, rel=0.1)
+
+
+def test_rounding_moves_no_choice() -> None:
+    """A mass is fitted by its moment, there and back by rounded numbers, and weighs much."""
+    term = Term("encoder_bias", SHOULDER)
+    h = EMPTY.with_term(Term("payload", -1), np.array([-0.1, 0.7]))
+    h = h.with_term(term, np.array([0.3, 0.5]))
+    random = np.random.default_rng(2)
+    jacobian = random.standard_normal((50, 1, 4)) * [1.0, 1.0, 1.0, 0.0]
+    residual = 1e3 * random.standard_normal((50, 1))
+    moved = propose(h, residual, jacobian, np.ones(1), 1e-4)
+    assert moved.theta[3] == 0.5
+    assert moved.theta[2] != 0.3
 
 
 @pytest.mark.parametrize(("needles", "near"), [(100.0, True), (1e9, False)])
