@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,17 +54,14 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     # Once, with every term at work: afterwards each removal leaves more for the others.
     judged = False
     fitted = selected.best.fitted
-    tested = problem.tested
     problem.refine_at(EMPTY)
-    before = in_floors(problem.residuals([EMPTY], tested)[0], problem.signal_floor)
+    (before,) = _levels(problem, [EMPTY])
     while fitted.hypothesis.terms:
         terms = fitted.hypothesis.terms
         problem.refine_at(fitted.hypothesis)
         refitted, weights = _without_each(problem, fitted)
         rests = [f.hypothesis for f in refitted]
-        with_it, *without = problem.residuals([fitted.hypothesis, *rests], tested)
-        base = in_floors(with_it, problem.signal_floor)
-        levels = [in_floors(residual, problem.signal_floor) for residual in without]
+        base, *levels = _levels(problem, [fitted.hypothesis, *rests])
         if not np.isfinite([base, in_floors(fitted.residual, problem.signal_floor)]).all():
             least = int(np.argmin([np.linalg.norm(v) for v in levels]))
             notes.append(
@@ -150,10 +147,29 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
 
 
 def as_named(problem: Problem, fitted: Fitted) -> Pruned:
-    """Names that were judged elsewhere: all of them stay."""
-    problem.refine_at(fitted.hypothesis)
-    rests = _without_each(problem, fitted)[0]
-    return Pruned(fitted, [f.hypothesis for f in rests], [])
+    """Names that were judged elsewhere: all of them stay that take something off here."""
+    notes: list[str] = []
+    while True:
+        problem.refine_at(fitted.hypothesis)
+        refitted = _without_each(problem, fitted)[0]
+        rests = [f.hypothesis for f in refitted]
+        base, *levels = _levels(problem, [fitted.hypothesis, *rests])
+        needed = [((v > _WORSE * base) & (v > STANDS_OUT)).any() for v in levels]
+        idle = [k for k, some in enumerate(needed) if not some]
+        if not idle:
+            return Pruned(fitted, rests, notes)
+        least = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
+        notes.append(
+            f"{label(problem, fitted.hypothesis.terms[least])} takes nothing off over whole "
+            "recordings; it is not claimed"
+        )
+        fitted = refitted[least]
+
+
+def _levels(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+    """What each leaves of the tested recordings, (signals,) in floors."""
+    residuals = problem.residuals(hypotheses, problem.tested)
+    return [in_floors(residual, problem.signal_floor) for residual in residuals]
 
 
 def _without_each(problem: Problem, fitted: Fitted) -> tuple[list[Fitted], FloatArray]:

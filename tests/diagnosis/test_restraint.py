@@ -70,6 +70,19 @@ def test_names_that_were_judged_elsewhere_stay(tmp_path: Path) -> None:
     assert (found.effect, found.joint) == ("coulomb_friction", "left")
 
 
+def test_a_name_that_takes_nothing_off_over_whole_motions_goes(tmp_path: Path) -> None:
+    prepared, _ = bench(tmp_path, viscous=0.3)
+    problem = prepared.problem
+    right, idle = Term("viscous_friction", 0), Term("quadratic_drag", 1)
+    start = EMPTY.with_term(right, np.array([0.1])).with_term(idle, np.array([1e-3]))
+    (fitted,) = fit(problem, [start], 1.0 / problem.signal_floor, problem.fit, iterations=8)
+    pruned = as_named(problem, fitted)
+    assert pruned.fitted.hypothesis.terms == (right,)
+    assert pruned.notes == [
+        "quadratic_drag at right takes nothing off over whole recordings; it is not claimed"
+    ]
+
+
 def test_a_law_that_explains_all_stays(tmp_path: Path) -> None:
     prepared, trials = bench(tmp_path, viscous=0.3)
     selected = chosen(prepared, Term("viscous_friction", 0), 0.1)
