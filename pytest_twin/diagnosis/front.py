@@ -96,14 +96,14 @@ def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[H
     whole = np.mean(look.view.residual**2, axis=0)
     # Once, around the model as it came: they are many replays, and what is left later is less far.
     limits = [] if best.hypothesis.terms else _limits(problem, whole)
-    limits = [t for t in limits if t not in seen and t not in look.failed]
-    rows += [best.hypothesis.with_term(t, start) for t in limits for start, _ in grid(t)[::2]]
+    limits = [t for t in limits if t not in look.failed]
+    unseen = [t for t in limits if t not in seen]
+    rows += [best.hypothesis.with_term(t, start) for t in unseen for start, _ in grid(t)[::2]]
     rows += found.singles
     needles = bool(look.view.above(whole, _NEEDLES).any())
-    if needles:
-        rows += [
-            best.hypothesis.with_term(t, size) for t in [*terms, *limits] for size in _beyond(t)
-        ]
+    # A limit far below what is asked for is as likely as one that is hardly met.
+    far = dict.fromkeys([*limits, *terms] if needles else limits)
+    rows += [best.hypothesis.with_term(t, size) for t in far for size in _beyond(t)]
     ranked = tryout.cheapest(rows)
     few = ranked[:_SCANNED]
     honed = [h for h in ranked if h.terms[-1] in limits][:_LIMITED]

@@ -51,7 +51,7 @@ class RateLimit(Effect):
             "one",
             0.0,
             0.0,
-            20.0,
+            60.0,
             tuple(0.15 * 1.25**k for k in range(16)),
             "slowness",
             ("rate", "velocity"),

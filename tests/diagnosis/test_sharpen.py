@@ -103,12 +103,20 @@ def test_rounding_moves_no_choice() -> None:
     assert moved.theta[2] != 0.3
 
 
-@pytest.mark.parametrize(("needles", "near"), [(100.0, True), (1e9, False)])
+@pytest.mark.parametrize(
+    ("needles", "limited", "near"),
+    [
+        pytest.param(1e9, 2, True, id="drives that are far off are scanned for limits"),
+        pytest.param(100.0, 0, True, id="everything is where so much is left"),
+        pytest.param(1e9, 0, False, id="not scanned"),
+    ],
+)
 def test_a_needle_is_found_beyond_the_grid(
-    needles: float, near: bool, monkeypatch: pytest.MonkeyPatch
+    needles: float, limited: int, near: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A drive that hardly follows: twice the greatest starting size, and a few per cent decide."""
     monkeypatch.setattr(front, "_NEEDLES", needles)
+    monkeypatch.setattr(front, "_LIMITED", limited)
     term = Term("rate_limit", ELBOW)
     (parameter,) = term.parameters
     hidden = 2.0 * parameter.starts[-1] * 1.07
