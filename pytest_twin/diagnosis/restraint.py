@@ -20,7 +20,7 @@ _REFIT = 4
 _WORSE = 1.05
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
-_LEFT_SURE, _LEFT_UNSURE = 0.35, 0.25
+_LEFT_SURE, _LEFT_UNSURE = 0.25, 0.2
 # A name that rivals could replace has to take this share of the mismatch; one that they would
 # replace, had there been time to simulate them, is none beside others, and one that is less likely
 # than they are together is none where its joint stays unexplained.
