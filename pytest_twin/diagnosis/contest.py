@@ -79,11 +79,11 @@ class Contest:
             held = [np.zeros((0, len(problem.signal_floor)))] * len(fitted)
         return [Rival(f, h) for f, h in zip(fitted, held, strict=True)]
 
-    def as_it_is(self, hypothesis: Hypothesis) -> Rival:
+    def as_it_is(self, hypothesis: Hypothesis, *, slopes: bool = False) -> Rival:
         """A hypothesis that is fitted already, with the simulator's step corrected for it."""
         self.problem.refine_at(hypothesis)
         weights = np.ones(len(self.problem.signal_floor))
-        return self.rivals([hypothesis], weights, 0, slopes=True)[0]
+        return self.rivals([hypothesis], weights, 0, slopes=slopes)[0]
 
     def judge(self, rivals: Sequence[Rival], against: Rival, under: Rival | None = None) -> None:
         """Evidence of ``rivals`` over ``against``, by the effective samples of ``under``."""

@@ -26,8 +26,8 @@ from pytest_twin.effects.base import FloatArray
 _FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
 # With so many floors (an arm that falls, a command that is never followed) a size that is a tenth
 # off may leave as much as none: laws of one parameter are scanned to their bounds where they have
-# so many starting sizes. They and limits of drives are honed by so many sizes within these
-# factors, one after the other.
+# so many starting sizes, as limits of drives always are. They are honed by so many sizes within
+# these factors, one after the other.
 _NEEDLES, _MANY, _NEIGHBOURS, _HONED = 1000.0, 6, 9, (1.25, 1.05)
 # Joints whose drives are scanned for limits, and laws of them that are honed.
 _LIMITED = 2
@@ -95,8 +95,8 @@ def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[H
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
     whole = np.mean(look.view.residual**2, axis=0)
     # Once, around the model as it came: they are many replays, and what is left later is less far.
-    limits = [] if best.hypothesis.terms else _limits(problem, whole)
-    limits = [t for t in limits if t not in look.failed]
+    limited = [] if best.hypothesis.terms else _limits(problem, whole)
+    limits = [t for t in limited if t not in look.failed]
     unseen = [t for t in limits if t not in seen]
     rows += [best.hypothesis.with_term(t, start) for t in unseen for start, _ in grid(t)[::2]]
     rows += found.singles

@@ -58,10 +58,8 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     (before,) = _levels(problem, [EMPTY])
     while fitted.hypothesis.terms:
         terms = fitted.hypothesis.terms
-        problem.refine_at(fitted.hypothesis)
-        refitted, weights = _without_each(problem, fitted)
+        refitted, weights, base, levels = _without_each(problem, fitted)
         rests = [f.hypothesis for f in refitted]
-        base, *levels = _levels(problem, [fitted.hypothesis, *rests])
         if not np.isfinite([base, in_floors(fitted.residual, problem.signal_floor)]).all():
             least = int(np.argmin([np.linalg.norm(v) for v in levels]))
             notes.append(
@@ -150,14 +148,11 @@ def as_named(problem: Problem, fitted: Fitted) -> Pruned:
     """Names that were judged elsewhere: all of them stay that take something off here."""
     notes: list[str] = []
     while True:
-        problem.refine_at(fitted.hypothesis)
-        refitted = _without_each(problem, fitted)[0]
-        rests = [f.hypothesis for f in refitted]
-        base, *levels = _levels(problem, [fitted.hypothesis, *rests])
+        refitted, _, base, levels = _without_each(problem, fitted)
         needed = [((v > _WORSE * base) & (v > STANDS_OUT)).any() for v in levels]
         idle = [k for k, some in enumerate(needed) if not some]
         if not idle:
-            return Pruned(fitted, rests, notes)
+            return Pruned(fitted, [f.hypothesis for f in refitted], notes)
         least = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
         notes.append(
             f"{label(problem, fitted.hypothesis.terms[least])} takes nothing off over whole "
@@ -172,11 +167,18 @@ def _levels(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[FloatArr
     return [in_floors(residual, problem.signal_floor) for residual in residuals]
 
 
-def _without_each(problem: Problem, fitted: Fitted) -> tuple[list[Fitted], FloatArray]:
-    """The rest refitted without each of the terms, and the weights of that."""
+def _without_each(
+    problem: Problem, fitted: Fitted
+) -> tuple[list[Fitted], FloatArray, FloatArray, list[FloatArray]]:
+    """The rest refitted without each of the terms, the weights of that, what the fit leaves, and
+    what each rest does; with the simulator's step corrected for the fit.
+    """
+    problem.refine_at(fitted.hypothesis)
     weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
     starts = [fitted.hypothesis.without(t) for t in fitted.hypothesis.terms]
-    return fit(problem, starts, weights, problem.fit, iterations=_REFIT), weights
+    refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
+    base, *levels = _levels(problem, [fitted.hypothesis, *(f.hypothesis for f in refitted)])
+    return refitted, weights, base, levels
 
 
 def _stretched(

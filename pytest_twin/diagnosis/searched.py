@@ -100,7 +100,8 @@ def carried(prepared: Prepared, trials: TrialSet, other: Searched) -> Searched:
     contest = Contest(problem)
     start = named.best.hypothesis
     problem.refine_at(start)
-    best = contest.as_it_is(sought(problem, start, contest.weights(contest.nominal)))
+    found = sought(problem, start, contest.weights(contest.nominal))
+    best = contest.as_it_is(found, slopes=True)
     selected = Selected(
         best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
     )

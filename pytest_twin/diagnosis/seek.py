@@ -35,12 +35,12 @@ def sought(problem: Problem, start: Hypothesis, weights: FloatArray) -> Hypothes
         start: with starting values.
         weights: (signals,) reciprocal deviations.
     """
-    # It brings half a second of imports, which few diagnoses need.
-    import cma
-
     free = start.movable
     if not free.any():
         return start
+    # It brings half a second of imports, which few diagnoses need.
+    import cma
+
     step = _first_steps(start)[free]
     lower, upper = (bound[free] / step for bound in start.bounds)
 
@@ -56,7 +56,7 @@ def sought(problem: Problem, start: Hypothesis, weights: FloatArray) -> Hypothes
         {
             "bounds": [list(lower), list(upper)],
             "popsize": _GENERATION,
-            "maxfevals": _ASKED * int(free.sum()),
+            "maxfevals": _ASKED * start.free,
             "seed": np.nan,
             "randn": lambda *shape: random.standard_normal(shape),
             "tolx": _ENOUGH,
