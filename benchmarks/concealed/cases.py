@@ -330,12 +330,17 @@ def stretches(acted: np.ndarray, size: float) -> list[list[float]]:
     return found
 
 
+def taken(time: np.ndarray, hidden: Hidden) -> np.ndarray:
+    """When in s a reading was taken that the other clock stamps at ``time``, and late."""
+    late: np.ndarray = time * (1 - hidden.robot("clock_drift", "drift"))
+    return late - hidden.robot("sensor_delay", "delay")
+
+
 def sampled(
     trace: np.ndarray, time: np.ndarray, hidden: Hidden, record: float = RECORD
 ) -> np.ndarray:
     """(samples, joints) of a trace as a logger stamps it at ``time`` s: late, by another clock."""
-    real = time * (1 - hidden.robot("clock_drift", "drift")) - hidden.robot("sensor_delay", "delay")
-    at = np.clip(real / record, 0, len(trace) - 1)
+    at = np.clip(taken(time, hidden) / record, 0, len(trace) - 1)
     before = np.minimum(at.astype(int), len(trace) - 2)
     part = (at - before)[:, None]
     out: np.ndarray = trace[before] * (1 - part) + trace[before + 1] * part
@@ -388,6 +393,8 @@ def write(
     count = round(DURATION / period)
     jitter = rng.integers(-sensors["jitter"], sensors["jitter"] + 1, count) * 1e-4
     time = np.clip(np.arange(count) * period + jitter, 0.0, DURATION - 1e-4)
+    # A logger whose clock is slow stops with the motion, before its own time is over.
+    time = time[taken(time, hidden) < DURATION]
     position = sampled(motion.position, time, hidden)
     position += sensors["noise"] * rng.standard_normal(position.shape)
     fields = {"position": np.round(position / sensors["count"]) * sensors["count"]}

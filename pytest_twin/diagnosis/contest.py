@@ -25,7 +25,7 @@ QUICK, FAIR, _LONG = 2, 4, 8
 # of the first one's evidence within which they are judged once more.
 _IN_FRONT, FRONT = 150.0, 4
 _NECK = 0.05
-# Evidence behind the best after one iteration beyond which no more would help a rival.
+# Evidence behind the best after the first iterations beyond which no more would help a rival.
 _FAR_BEHIND = 500.0
 _ROUGH_ROUNDS = 2
 # Replays of all recordings that a search may take, more for every term that was found, and at most:
@@ -104,15 +104,17 @@ class Contest:
                 r.held_gain = log_likelihood(r.held_residual, floor, held_n) - held_base
                 r.evidence += r.held_gain
 
-    def against(self, starts: Sequence[Hypothesis], best: Rival, iterations: int) -> list[Rival]:
-        """Rivals in the order of ``starts`` by evidence over ``best``: all after one iteration,
-        those that are not far behind after more.
+    def against(
+        self, starts: Sequence[Hypothesis], best: Rival, iterations: int, first: int = 1
+    ) -> list[Rival]:
+        """Rivals in the order of ``starts`` by evidence over ``best``: all after the ``first``
+        iterations, those that are not far behind then after all.
         """
         weights = self.weights(best)
-        rivals = self.rivals(starts, weights, 1)
+        rivals = self.rivals(starts, weights, first)
         self.judge(rivals, best)
         near = [i for i, r in enumerate(rivals) if r.evidence > -_FAR_BEHIND]
-        again = self.rivals([rivals[i].hypothesis for i in near], weights, iterations - 1)
+        again = self.rivals([rivals[i].hypothesis for i in near], weights, iterations - first)
         self.judge(again, best)
         for i, r in zip(near, again, strict=True):
             rivals[i] = r

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.along import Along
-from pytest_twin.effects.base import Effect, FloatArray, Values
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, moving_apart
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.realization.quiet import quiet
 
@@ -61,6 +61,12 @@ def rigid_terms(
         nudges: (copies, 2, joints) added to positions and velocities; where given, terms are taken
             midway between the measured motion and the predicted one.
     """
+    if nudges is None:
+        unlike, of = _unlike(effects, copies, along.position.shape[2])
+        if len(unlike) < copies:
+            kept = [(e, {n: x[unlike] for n, x in v.items()}) for e, v in effects]
+            some = rigid_terms(simulator, along, kept, len(unlike))
+            return [some[k] for k in of]
     at = coarse(along)
     segments, points = len(along.segments), len(at)
     joints = along.position.shape[2]
@@ -99,6 +105,22 @@ def rigid_terms(
                 )
             )
     return found
+
+
+def _unlike(
+    effects: Sequence[tuple[Effect, Values]], copies: int, joints: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Variants of different bodies: the first of each kind, and (copies,) the kind of each."""
+    fields = ModelFields.neutral(np.zeros((copies, 3)), joints)
+    for effect, values in effects:
+        effect.fields(fields, values)
+    bodies = (
+        fields.gravity, fields.added_mass, fields.added_distance, fields.inertia_scale,
+        fields.armature, moving_apart(effects, (copies, joints)),
+    )  # fmt: skip
+    key = np.concatenate([x.reshape(copies, -1) for x in bodies], axis=1)
+    _, first, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return first, kind.reshape(-1)
 
 
 def slopes(

@@ -9,7 +9,7 @@ one or two others in its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -281,8 +281,11 @@ class Lens:
             mean_square = np.maximum(self.squared[None] - explained, 0.0) / self.bins
         return x, mean_square
 
-    def children(self, parent: Structure, count: int) -> list[tuple[int, ...]]:
-        """The parent with one more term: the most promising, one entry per term.
+    def children(
+        self, parent: Structure, count: int, barred: Collection[Term] = ()
+    ) -> list[tuple[int, ...]]:
+        """The parent with one more term: the most promising, one entry per term, none that is
+        ``barred``.
 
         They are ranked by the effective samples of what the best of them leaves: as long as a pulse
         stands it seems to be one sample, whatever it hides.
@@ -310,7 +313,8 @@ class Lens:
             upper = np.concatenate([np.full((k, p), np.inf), answers.upper[group.columns]], axis=1)
             _, mean_square = self._solved(normal, right, lower, upper)
             misfit[group.which] = np.log(np.maximum(mean_square, floor**2))
-        new = [r.term not in parent.starts for r in answers.responses]
+        named = {*parent.starts, *barred}
+        new = [r.term not in named for r in answers.responses]
         sound = np.flatnonzero(new & np.isfinite(misfit).all(axis=1))
         if not len(sound):
             return []

@@ -8,33 +8,31 @@ that could stand in its place. A crowd at one joint is grown once more from its 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
+from pytest_twin.diagnosis.exchange import Exchange, exchanges
 from pytest_twin.diagnosis.fewer import merged, of_the_robot, simpler
-from pytest_twin.diagnosis.foremost import Foremost, against, evidence_along, foremost
+from pytest_twin.diagnosis.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.front import front
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.look import Look, look_ahead, look_around, view_of
-from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import bins, linearized
+from pytest_twin.diagnosis.responses import Response, linearized
 from pytest_twin.diagnosis.restraint import in_floors
 from pytest_twin.diagnosis.rivals import EARNS, Rival, Selected, described, simplest
-from pytest_twin.diagnosis.screen import Lens, View
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
 
 _MAX_TERMS = 10
 _ROUNDS, _ATTEMPTS = 6, 3
 # Evidence to first order beyond which no simulation would change the verdict.
 _CLEAR = 30.0
-_FAR = 100.0
-# Rivals looked at in a term's place, and those of each term that are simulated.
-_RIVALS, _MOST_CLOSE = 6, 2
-# Floors that taking a term away leaves, beyond which the nearest rivals are simulated anyhow.
-_FAR_APART = 30.0
+# Evidence behind the best that the error of the simulator's step may amount to.
+_DISPUTED = 2000.0
+# Rivals in one place that are simulated.
+_MOST_CLOSE = 2
 # Terms that act on one joint and may be a crowd in the place of fewer.
 _CROWD = 3
 
@@ -64,6 +62,7 @@ class Selection:
         self.regrown = 0
         self.first: tuple[Term, ...] | None = None
         self.last_look: Look | None = None
+        self.known: dict[Term, list[Response]] = {}
 
     def run(self) -> Selected:
         """Search forward, backward and sideways."""
@@ -140,6 +139,8 @@ class Selection:
         its bound: such terms leave, and the search goes on.
         """
         look = self.last_look = look_ahead(self.problem, best)
+        for term in look.asked:
+            self.known[term] = [r for r in look.answers.responses if r.term == term]
         for _ in range(self.attempts):
             rivals = [] if self._spent(best) else self._tried(best, look)
             if not rivals:
@@ -187,20 +188,6 @@ class Selection:
         share = float(np.sum(found.left / floor**2) / np.sum(whole / floor**2))
         return share > self.share_left
 
-    def _lenses(self, best: Rival, look: Look) -> list[Lens]:
-        """For every term: what stands, to first order, with it taken away and the rest free."""
-        problem, terms = self.problem, best.hypothesis.terms
-        binned = bins(problem, problem.fit)
-        residuals = problem.residuals([best.hypothesis.without(t) for t in terms], problem.fit)
-        out = []
-        for term, residual in zip(terms, residuals, strict=True):
-            keep = np.ones(look.view.jacobian.shape[2], dtype=bool)
-            keep[best.hypothesis.slice_of(term)] = False
-            left = binned.mean(np.nan_to_num(residual))
-            slope = look.view.jacobian[:, :, keep]
-            out.append(Lens(View(left, slope, look.view.floor, look.view.lengths), look.answers))
-        return out
-
     def _backward(self, best: Rival) -> Rival:
         """Drop terms that do not pay, and laws that fewer or a simpler one equal.
 
@@ -246,6 +233,51 @@ class Selection:
             self.problem.refine_at(best.hypothesis)
         return found
 
+    def _simulated(self, best: Rival, found: Sequence[Exchange]) -> list[tuple[Exchange, Rival]]:
+        """Exchanges that are fitted by simulation, with their evidence over ``best``: in each place
+        the nearest two that are not far behind along the motion, and those where that says nothing.
+
+        Once the replays are spent, what seems better, for no name would be sure of what was not
+        seen, and what may stand for several.
+        """
+        spent = self._spent(best)
+        near, doubtful = [], []
+        for place in dict.fromkeys(x.gone for x in found):
+            mine = [x for x in found if x.gone == place and x.new is not None]
+            for x in sorted(mine, key=lambda x: -x.evidence)[:_MOST_CLOSE]:
+                if x.evidence > (0.0 if spent else -_CLEAR):
+                    near.append(x)
+                elif x.doubtful and (len(place) > 1 or not spent):
+                    doubtful.append(x)
+        rivals = self.contest.rivals([x.hypothesis for x in near], self.contest.weights(best), FAIR)
+        self.contest.judge(rivals, best)
+        rivals += self.contest.against([x.hypothesis for x in doubtful], best, FAIR, QUICK)
+        rivals = [self._on_its_own(r, best) for r in rivals]
+        return list(zip([*near, *doubtful], rivals, strict=True))
+
+    def _beside(self, best: Rival, top: Rival) -> Rival:
+        """What is better in the place of one term, or better still beside it."""
+        own, terms = best.hypothesis, top.hypothesis.terms
+        gone = [t for t in own.terms if t not in terms]
+        if len(gone) != 1 or len(terms) != len(own.terms):
+            return top
+        both = top.hypothesis.with_term(gone[0], own.theta[own.slice_of(gone[0])])
+        (beside,) = self.contest.rivals([both], self.contest.weights(best), FAIR)
+        self.contest.judge([beside], best)
+        return beside if beside.evidence > top.evidence + EARNS else top
+
+    def _on_its_own(self, rival: Rival, best: Rival) -> Rival:
+        """A rival whose motion is not quite that of ``best``, with the simulator's step corrected
+        for itself: what sets it back may be that error alone.
+        """
+        if not -_DISPUTED < rival.evidence < -_CLEAR:
+            return rival
+        self.problem.refine_at(rival.hypothesis)
+        (own,) = self.contest.rivals([rival.hypothesis], self.contest.weights(best), FAIR)
+        self.contest.judge([own], best)
+        self.problem.refine_at(best.hypothesis)
+        return max(rival, own, key=lambda r: r.evidence)
+
     def _sideways(self, selected: Selected) -> bool:
         """Hold every term against the rivals in its place; True if one was better.
 
@@ -259,65 +291,22 @@ class Selection:
         if not terms:
             return False
         look = look_around(self.problem, best, self.last_look)
-        places: list[tuple[Term, Term | None]] = []
-        others: list[Hypothesis] = []
-        linear: list[float] = []
-        far: list[Term] = []
-        for term, lens in zip(terms, self._lenses(best, look), strict=True):
-            apart = np.sqrt(np.mean(lens.view.residual**2, axis=0))
-            if (apart > _FAR_APART * look.view.floor).any():
-                # What first order leaves of so much is more than rivals differ by.
-                far.append(term)
-            rest = best.hypothesis.without(term)
-            places.append((term, None))
-            others.append(rest)
-            structures = [lens.bare]
-            for chosen in lens.children(lens.bare, _RIVALS):
-                structure = lens.structure(chosen)
-                ((new, start),) = structure.starts.items()
-                structures.append(structure)
-                places.append((term, new))
-                others.append(rest.with_term(new, start))
-            hypotheses = [best.hypothesis, *others[-len(structures) :]]
-            seen = [Polished(h, r) for h, r in zip(
-                hypotheses, [look.view.residual, *(x.residual for x in structures)], strict=True
-            )]  # fmt: skip
-            values = evidence_along(look.view, seen, self.contest.name_price)
-            linear += list(values[1:] - values[0])
-        found = np.nan_to_num(np.array(linear), nan=-np.inf)
-        if look.linear is not None:
-            near = [i for i in range(len(others)) if found[i] > -_FAR]
-            fitted, values = against(
-                look.linear, look.view, best, [others[i] for i in near], self.contest.name_price
-            )
-            found[near] = np.nan_to_num(values, nan=-np.inf)
-            for i, h in zip(near, fitted, strict=True):
-                others[i] = h
-        order = np.argsort(-found)
-        close = [i for i in order if found[i] > -_CLEAR and places[i][1] is not None]
-        close = close[: _MOST_CLOSE * len(terms)]
-        for term in far:
-            nearest = [i for i in order if places[i][0] == term and places[i][1] is not None]
-            close += [i for i in nearest[:_MOST_CLOSE] if i not in close]
-        if self._spent(best):
-            # What seems better has to be seen, or no name would be sure.
-            close = [i for i in close if found[i] > 0.0]
-        rivals = self.contest.against([others[i] for i in close], best, FAIR)
-        evidence = {place: float(value) for place, value in zip(places, found, strict=True)}
-        for i, r in zip(close, rivals, strict=True):
-            evidence[places[i]] = r.evidence
+        found = exchanges(self.problem, best, look, self.known, self.contest.name_price)
+        simulated = self._simulated(best, found)
+        evidence = {(x.gone, x.new): x.evidence for x in found}
+        evidence |= {(x.gone, x.new): r.evidence for x, r in simulated}
         for term in terms:
-            mine = {new: e for (old, new), e in evidence.items() if old == term}
+            mine = {new: e for (gone, new), e in evidence.items() if gone == (term,)}
             values = np.array([0.0, *mine.values()])
             share = np.exp(np.clip(values - values.max(), -700.0, 0.0))
             share /= share.sum()
             selected.confidence[term] = float(share[0])
             ranked = [(n, float(s)) for n, s in zip(mine, share[1:], strict=True) if n is not None]
             selected.alternatives[term] = sorted(ranked, key=lambda x: -x[1])
-        if rivals:
-            top = max(rivals, key=lambda r: r.evidence)
-            if top.evidence > 1.0:
-                self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
-                selected.best = self._backward(self.contest.settled(top))
-                return True
-        return False
+        top = max((r for _, r in simulated), key=lambda r: r.evidence, default=best)
+        if top is best or top.evidence <= 1.0:
+            return False
+        top = self._beside(best, top)
+        self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
+        selected.best = self._backward(self.contest.settled(top))
+        return True

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from scipy.integrate import solve_ivp
 
 pytest.importorskip("numba", reason="the plant is compiled: pip install 'pytest-twin[benchmarks]'")
@@ -90,6 +91,32 @@ def test_a_resting_contact_carries_the_weight() -> None:
     assert motion.touch[-1, 0] == pytest.approx(contact.stiffness * depth, rel=1e-3)
     lever = 0.1 + along * np.cos(q) - robot.joints[0].origin[2]
     assert motion.touch[-1, 0] * lever == pytest.approx(weight, rel=1e-2)
+
+
+@pytest.mark.parametrize(("drift", "last"), [(-0.02, 0.98), (0.02, 0.99)])
+def test_a_logger_stops_with_the_motion(
+    drift: float, last: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its clock is 2 % slow, or fast: no reading is of a time that never was."""
+    monkeypatch.setattr(cases, "DURATION", 1.0)
+    robot, ticks = _bare(1), 100
+    none = np.zeros((ticks, 1, 1))
+    motion = plant.simulate(robot, plant.Hidden(), none, np.array([[0.7]]), sent=none)
+    hidden = plant.Hidden({"clock_drift": {-1: {"drift": drift}}})
+    sensors = {
+        "rate": 100.0, "jitter": 0, "noise": 0.0, "count": 1e-6, "velocity": False, "effort": False,
+    }  # fmt: skip
+    path = tmp_path / "swing.mcap"
+    rng = np.random.default_rng(0)
+    cases.write(path, robot, motion.recordings(0), hidden, sensors, "fit", rng)
+    with path.open("rb") as file:
+        stamps = [
+            m.log_time for _, channel, m in make_reader(file).iter_messages()
+            if channel.topic == "/joint_states"
+        ]  # fmt: skip
+    ends = (max(stamps) - cases.EPOCH_NS) * 1e-9
+    assert ends == pytest.approx(last, abs=0.011)
+    assert ends * (1.0 - drift) < 1.0
 
 
 def _case(effects: list[tuple[str, str, float]], said: list[tuple[str, str]]) -> score.Case:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from test_first_order import ELBOW, ROBOT, SHOULDER, FloatArray, problem_of
 
 from pytest_twin.diagnosis.along import along
@@ -14,6 +15,7 @@ from pytest_twin.diagnosis.laws import ActiveEffects, Laws
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rigid_terms import rigid_terms
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.rows import RowSimulator
 
 Variant = Mapping[Term, Sequence[float]]
 """Terms and their parameters, in multiples of references."""
@@ -89,3 +91,30 @@ def test_a_law_that_is_given_up_is_a_change(problem: Problem) -> None:
     size = np.abs(with_it).max()
     assert np.linalg.norm(without[0] + with_it[0]) < 0.1 * np.linalg.norm(with_it[0])
     assert without[1, :, :, ELBOW] == pytest.approx(without[0, :, :, ELBOW], abs=1e-9 * size)
+
+
+def test_variants_of_the_same_bodies_are_worked_out_once(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Laws aside they are one body; a gear that gives takes the drive's inertia off the link."""
+    load: Variant = {Term("payload", ROBOT): [0.3, 1.0]}
+    geared: Variant = {**load, Term("armature", SHOULDER): [0.1]}
+    variants: list[Variant] = [
+        {}, load, {**load, **DRAG}, geared, {**geared, **SOFT}, {**LATE, **load}
+    ]  # fmt: skip
+    motion, simulator = along(problem, EMPTY, problem.fit), problem.simulator
+    asked: list[int] = []
+    batch = type(simulator).batch
+
+    def counted(self: RowSimulator, rows: NDArray[np.int64], effects: ActiveEffects) -> object:
+        asked.append(len(rows))
+        return batch(self, rows, list(effects))
+
+    alone = [rigid_terms(simulator, motion, values(problem, [v]))[0] for v in variants]
+    monkeypatch.setattr(RowSimulator, "batch", counted)
+    together = rigid_terms(simulator, motion, values(problem, variants), len(variants))
+    assert asked == [4 * len(alone[0].at)]
+    for mine, other in zip(together, alone, strict=True):
+        assert mine.effort == pytest.approx(other.effort)
+        assert mine.mass == pytest.approx(other.mass)
+    assert np.abs(together[3].mass - together[4].mass).max() > 1e-3 * together[3].mass.max()

@@ -1,0 +1,165 @@
+"""What could stand in the place of what was named, along the measured motion.
+
+With a term taken away, every candidate is held against what is missing then, to first order; those
+in front are fitted along the motion as deviations from the fit at hand. There the term itself is
+exact and what is alike differs by little, however much both do. Where it is a gear, which along the
+motion says little of what it does, what is missing is simulated. Several terms of one joint are
+taken away together, too: two wrong ones may hold each other up in the place of one.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.diagnosis.foremost import against, evidence_along
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.look import Look
+from pytest_twin.diagnosis.polish import Polished
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.responses import Response, bins
+from pytest_twin.diagnosis.rivals import Rival
+from pytest_twin.diagnosis.screen import Answers, Lens, View
+from pytest_twin.effects.base import FloatArray
+
+# Rivals in a place that are looked at, and those in the place of several terms, of all such places.
+_RIVALS, _OF_SEVERAL = 6, 4
+# Rivals are fitted along the motion that are not further than this evidence behind the fit at hand,
+# or behind the first in their place: laws do not add up where a joint sticks.
+_NEAR = 100.0
+# Floors that taking a gear away leaves, beyond which small deviations say nothing of its rivals.
+_FAR_APART = 30.0
+# Terms of one joint up to which all their subsets are taken away; of more, pairs and all of them.
+_CROWD = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """Something else in the place of one or more terms.
+
+    Attributes:
+        gone: what was taken away.
+        new: what stands there; None for nothing.
+        hypothesis: fitted along the motion, where that may be in front.
+        evidence: over the fit at hand, along the motion.
+        doubtful: along the motion as good as nothing is said of it.
+    """
+
+    gone: tuple[Term, ...]
+    new: Term | None
+    hypothesis: Hypothesis
+    evidence: float
+    doubtful: bool
+
+
+def exchanges(
+    problem: Problem,
+    best: Rival,
+    look: Look,
+    known: Mapping[Term, Sequence[Response]],
+    name_price: float,
+) -> list[Exchange]:
+    """Everything near that could stand in the place of a term, or of several of one joint.
+
+    Args:
+        problem: what to explain.
+        best: the fit at hand.
+        look: around it.
+        known: responses of terms that are named by now, from looks before they were.
+        name_price: evidence that a name costs.
+    """
+    terms = best.hypothesis.terms
+    singles: list[tuple[Term, ...]] = [(t,) for t in terms]
+    found = _places(problem, best, look, look.answers, singles, _RIVALS, name_price)
+    several = _together(terms) if look.linear is not None else []
+    if several:
+        again = [r for t in terms for r in known.get(t, ())]
+        answers = Answers([*look.answers.responses, *again])
+        more = _places(problem, best, look, answers, several, 1, name_price)
+        more = [x for x in more if x.new is not None]
+        for doubtful in (False, True):
+            alike = [x for x in more if x.doubtful == doubtful]
+            found += sorted(alike, key=lambda x: -x.evidence)[:_OF_SEVERAL]
+    if look.linear is None:
+        return found
+    first: dict[tuple[Term, ...], float] = {}
+    for x in found:
+        first[x.gone] = max(first.get(x.gone, -np.inf), min(x.evidence, 0.0))
+    near = [i for i, x in enumerate(found) if x.evidence > first[x.gone] - _NEAR]
+    fitted, evidence = against(
+        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price
+    )
+    for i, h, value in zip(near, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True):
+        found[i] = replace(found[i], hypothesis=h, evidence=float(value))
+    return found
+
+
+def _places(
+    problem: Problem,
+    best: Rival,
+    look: Look,
+    answers: Answers,
+    places: Sequence[tuple[Term, ...]],
+    count: int,
+    name_price: float,
+) -> list[Exchange]:
+    """Nothing, and the ``count`` best candidates, in each of several places, to first order."""
+    own, view = best.hypothesis, look.view
+    rests = [own.without(*gone) for gone in places]
+    gears = [any(t.law.overrides("separates") for t in gone) for gone in places]
+    out = []
+    for gone, rest, gear, left in zip(
+        places, rests, gears, _left(problem, look, rests, gears), strict=True
+    ):
+        keep = np.ones(view.jacobian.shape[2], dtype=bool)
+        for term in gone:
+            keep[own.slice_of(term)] = False
+        lens = Lens(View(left, view.jacobian[:, :, keep], view.floor, view.lengths), answers)
+        chosen = lens.children(lens.bare, count, rest.terms)
+        structures = [lens.bare, *(lens.structure(c) for c in chosen)]
+        hypotheses = [rest.with_terms(s.starts) for s in structures]
+        seen = [Polished(h, s.residual) for h, s in zip(hypotheses, structures, strict=True)]
+        values = evidence_along(view, [Polished(own, view.residual), *seen], name_price)
+        values = np.nan_to_num(values, nan=-np.inf)
+        far = bool(view.above(np.mean(left**2, axis=0), _FAR_APART).any())
+        for s, h, value in zip(structures, hypotheses, values[1:] - values[0], strict=True):
+            new = next(iter(s.starts), None)
+            doubtful = far and new is not None and (gear or look.linear is None)
+            out.append(Exchange(gone, new, h, float(value), doubtful))
+    return out
+
+
+def _left(
+    problem: Problem, look: Look, rests: Sequence[Hypothesis], gears: Sequence[bool]
+) -> list[FloatArray]:
+    """(bins, signals) that each of the rests leaves: simulated without gears and where nothing is
+    of first order, else along the motion.
+    """
+    simulated = [k for k, gear in enumerate(gears) if gear or look.linear is None]
+    along = [k for k in range(len(rests)) if k not in simulated]
+    out: dict[int, FloatArray] = {}
+    if simulated:
+        binned = bins(problem, problem.fit)
+        found = problem.residuals([rests[k] for k in simulated], problem.fit)
+        out = {k: binned.mean(np.nan_to_num(r)) for k, r in zip(simulated, found, strict=True)}
+    if along and look.linear is not None:
+        differences = look.linear.differences([rests[k] for k in along])
+        out |= {k: look.view.residual - d for k, d in zip(along, differences, strict=True)}
+    return [np.nan_to_num(out[k]) for k in range(len(rests))]
+
+
+def _together(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
+    """Terms of one joint that are taken away together, bodies of the whole robot with them."""
+    out: dict[tuple[Term, ...], None] = {}
+    for joint in {t.joint for t in terms if t.joint >= 0}:
+        crowd = [
+            t for t in terms
+            if t.joint == joint or (t.joint < 0 and t.law.family == "rigid_body")
+        ]  # fmt: skip
+        sizes = range(2, len(crowd) + 1) if len(crowd) <= _CROWD else (2, len(crowd))
+        for size in sizes:
+            out.update(dict.fromkeys(itertools.combinations(crowd, size)))
+    return list(out)

@@ -1,0 +1,133 @@
+"""What could stand in the place of what was named, of one name or of several."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_behind_gears import fitted, silent, with_true
+from test_first_order import ELBOW, ROBOT, problem_of
+
+from pytest_twin.diagnosis.contest import FAIR, Contest
+from pytest_twin.diagnosis.exchange import Exchange, exchanges
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.look import look_around
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.rivals import Rival, Selected
+from pytest_twin.diagnosis.select import Selection
+
+MASS, BODY = Term("payload", ROBOT), Term("inertial_parameters", ELBOW)
+SPRING, REFLECTED = Term("joint_spring", ELBOW), Term("armature", ELBOW)
+DRAG, DRY = Term("viscous_friction", ELBOW), Term("coulomb_friction", ELBOW)
+CARRIED = {"mass": 0.3, "distance": 0.2}
+BRAKED = {DRAG: {"coefficient": 0.2}, DRY: {"coulomb": 0.3}}
+
+
+@pytest.fixture(scope="module")
+def loaded() -> Problem:
+    return problem_of("position", {MASS: CARRIED})
+
+
+def settled(contest: Contest, *terms: Term) -> Rival:
+    """Terms, each at its first starting size, fitted to the end."""
+    start = EMPTY
+    for t in terms:
+        start = start.with_term(t, np.array([p.starts[0] for p in t.parameters]))
+    return contest.settled(contest.rivals([start], contest.weights(contest.nominal), FAIR)[0])
+
+
+def around(problem: Problem, contest: Contest, best: Rival) -> list[Exchange]:
+    before = look_around(problem, contest.nominal)
+    known = {t: [r for r in before.answers.responses if r.term == t] for t in before.asked}
+    return exchanges(problem, best, look_around(problem, best), known, contest.name_price)
+
+
+def test_two_that_hold_each_other_up_give_way_to_the_one_in_their_place(loaded: Problem) -> None:
+    contest = Contest(loaded)
+    best = settled(contest, SPRING, REFLECTED)
+    found = [x for x in around(loaded, contest, best) if x.new == MASS and len(x.gone) == 2]
+    (load,) = found
+    assert load.gone == (SPRING, REFLECTED)
+    assert load.evidence > 0.0
+    true = with_true(loaded, MASS, CARRIED)
+    assert load.hypothesis.terms == (MASS,)
+    assert np.prod(load.hypothesis.theta) == pytest.approx(np.prod(true.theta), rel=0.1)
+
+
+def test_a_term_that_stands_among_the_wrong_ones_starts_anew_in_their_place(
+    loaded: Problem,
+) -> None:
+    """A payload that takes off what a heavier link has too much, in the place of both."""
+    contest = Contest(loaded)
+    wrong = with_true(loaded, MASS, {"mass": -0.05, "distance": 0.05})
+    (best,) = contest.rivals(
+        [wrong.with_term(BODY, np.array([0.6]))],
+        contest.weights(contest.nominal), 0, slopes=True,
+    )  # fmt: skip
+    (load,) = [
+        x for x in around(loaded, contest, best)
+        if x.new == MASS and set(x.gone) == {MASS, BODY}
+    ]  # fmt: skip
+    assert load.hypothesis.theta[0] > 0.0
+    assert load.evidence > 0.0
+
+
+def test_what_a_name_does_alone_is_lost_without_it() -> None:
+    problem = problem_of("position", BRAKED)
+    contest = Contest(problem)
+    both = with_true(problem, DRAG, BRAKED[DRAG]).with_term(
+        DRY, with_true(problem, DRY, BRAKED[DRY]).theta
+    )
+    found = around(problem, contest, fitted(contest, both))
+    bare = {x.gone: x.evidence for x in found if x.new is None}
+    assert bare.keys() == {(DRAG,), (DRY,)}
+    assert max(bare.values()) < -30.0
+    # Nothing is offered that stands beside it already.
+    assert not any(x.new in both.without(*x.gone).terms for x in found)
+
+
+def test_a_rival_of_another_motion_is_judged_with_its_own_step(
+    loaded: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    selection = Selection(loaded, silent)
+    best = fitted(selection.contest, EMPTY)
+    # What the step costs differs between the two: the rival is worth what it is at its own.
+    rival = fitted(selection.contest, with_true(loaded, MASS, CARRIED))
+    at: list[Hypothesis] = []
+    monkeypatch.setattr(Problem, "refine_at", lambda self, h: at.append(h))
+    for evidence in (-3.0, -1e5, 10.0):
+        rival.evidence = evidence
+        assert selection._on_its_own(rival, best) is rival
+    assert at == []
+    rival.evidence = -400.0
+    assert selection._on_its_own(rival, best).evidence > 0.0
+    # Nothing of that stays for the others.
+    assert at == [rival.hypothesis, best.hypothesis]
+
+
+def test_what_is_better_in_a_place_may_be_better_still_beside_it() -> None:
+    problem = problem_of("position", BRAKED)
+    selection = Selection(problem, silent)
+    contest = selection.contest
+    best, top = settled(contest, DRAG), settled(contest, DRY)
+    contest.judge([top], best)
+    assert set(selection._beside(best, top).hypothesis.terms) == {DRAG, DRY}
+    # A law that has the other in it is all that is needed.
+    other = problem_of("position", {DRY: BRAKED[DRY]})
+    selection = Selection(other, silent)
+    contest = selection.contest
+    best, top = settled(contest, DRAG), settled(contest, DRY)
+    contest.judge([top], best)
+    assert selection._beside(best, top) is top
+
+
+def test_sideways_comes_from_two_wrong_names_to_the_right_one(loaded: Problem) -> None:
+    selection = Selection(loaded, silent)
+    contest = selection.contest
+    selection.known = {
+        MASS: [
+            r for r in look_around(loaded, contest.nominal).answers.responses if r.term == MASS
+        ]
+    }  # fmt: skip
+    selected = Selected(settled(contest, SPRING, REFLECTED), contest.nominal)
+    assert selection._sideways(selected)
+    assert selected.best.hypothesis.terms == (MASS,)
