@@ -19,10 +19,10 @@ from pytest_twin.diagnosis.deviation import Deviation, deviation
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.laws import ActiveEffects, Forces, Laws, force_slopes
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rigid_terms import Rigid, rigid_terms, upsampled
+from pytest_twin.diagnosis.rigid_terms import Efforts, Rigid, changes_bodies, rigid_terms, upsampled
 from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
+from pytest_twin.effects.base import Effect, FloatArray, Values
 from pytest_twin.effects.rows import BETWEEN_STEPS, EffectValues, with_fixed
 
 _BIN, _COARSEST = 0.02, 0.05
@@ -255,6 +255,8 @@ class Linear:
         self.along: Along = along(problem, hypothesis, segments)
         active = self._active(self.own)
         self.rigid: Rigid = rigid_terms(self.simulator, self.along, active)[0]
+        self.efforts = Efforts(self.simulator, self.along)
+        (self.own_effort,) = self.efforts.of(active, 1)
         self.laws = Laws(self.simulator, self.along, self.rigid)
         self.base: Forces = self.laws.forces(active, 1)
         predicted = Laws(self.simulator, self.along.predicted, self.rigid).forces(active, 1)
@@ -348,7 +350,7 @@ class Linear:
         added = None
         if effect.overrides(*_IN_FORCES):
             added = self.laws.changes(active, len(rows), self._active(self.own), self.base)
-        heavy = _is_rigid(effect, values, joints)
+        heavy = changes_bodies(effect, values, joints)
         masses: dict[int, list[FloatArray]] = {}
         if heavy:
             masses = self._rigid_forces(effect, rows, terms)
@@ -399,8 +401,8 @@ class Linear:
         values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
         copies = len(rows) * len(terms)
         active = self._active({**self._wide(copies), effect.id: values})
-        found = rigid_terms(self.simulator, self.along, active, copies)
-        forces = [-upsampled(f.effort - self.rigid.effort, self.rigid.at, samples) for f in found]
+        efforts = self.efforts.of(active, copies)
+        forces = [-upsampled(e - self.own_effort, self.rigid.at, samples) for e in efforts]
         return {
             term.joint: forces[i * len(rows) : (i + 1) * len(rows)] for i, term in enumerate(terms)
         }
@@ -461,13 +463,13 @@ class Linear:
         active = self._active(values)
         total, drive = self.laws.changes(active, copies, self._active(self.own), self.base)
         columns = [_Column(total[k], drive[k]) for k in range(copies)]
-        if any(_is_rigid(e, v, joints) for e, v in (*active, *self._active(self.own))):
+        if any(changes_bodies(e, v, joints) for e, v in (*active, *self._active(self.own))):
             samples = self.along.position.shape[1]
-            found = rigid_terms(self.simulator, self.along, active, copies)
-            for column, f in zip(columns, found, strict=True):
+            efforts = self.efforts.of(active, copies)
+            for column, effort in zip(columns, efforts, strict=True):
                 assert column.force is not None
                 column.force = column.force - upsampled(
-                    f.effort - self.rigid.effort, self.rigid.at, samples
+                    effort - self.own_effort, self.rigid.at, samples
                 )
         base_reading, base_start = self._read_off(self._active(self.own), 0)
         for k, column in enumerate(columns):
@@ -557,16 +559,3 @@ def _only(values: FloatArray, joint: int) -> FloatArray:
     out = np.zeros_like(values)
     out[..., joint] = values[..., joint]
     return out
-
-
-def _is_rigid(effect: Effect, values: Values, joints: int) -> bool:
-    """Whether an effect changes masses or gravity."""
-    rows = len(next(iter(values.values())))
-    down = np.tile([0.0, 0.0, -9.81], (rows, 1))
-    changed = ModelFields.neutral(down.copy(), joints)
-    effect.fields(changed, values)
-    return bool(
-        changed.added_mass.any()
-        or (changed.inertia_scale != 1.0).any()
-        or (changed.gravity != down).any()
-    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.along import Along
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, moving_apart
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.realization.quiet import quiet
 
@@ -61,12 +62,6 @@ def rigid_terms(
         nudges: (copies, 2, joints) added to positions and velocities; where given, terms are taken
             midway between the measured motion and the predicted one.
     """
-    if nudges is None:
-        unlike, of = _unlike(effects, copies, along.position.shape[2])
-        if len(unlike) < copies:
-            kept = [(e, {n: x[unlike] for n, x in v.items()}) for e, v in effects]
-            some = rigid_terms(simulator, along, kept, len(unlike))
-            return [some[k] for k in of]
     at = coarse(along)
     segments, points = len(along.segments), len(at)
     joints = along.position.shape[2]
@@ -107,22 +102,6 @@ def rigid_terms(
     return found
 
 
-def _unlike(
-    effects: Sequence[tuple[Effect, Values]], copies: int, joints: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Variants of different bodies: the first of each kind, and (copies,) the kind of each."""
-    fields = ModelFields.neutral(np.zeros((copies, 3)), joints)
-    for effect, values in effects:
-        effect.fields(fields, values)
-    bodies = (
-        fields.gravity, fields.added_mass, fields.added_distance, fields.inertia_scale,
-        fields.armature, moving_apart(effects, (copies, joints)),
-    )  # fmt: skip
-    key = np.concatenate([x.reshape(copies, -1) for x in bodies], axis=1)
-    _, first, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    return first, kind.reshape(-1)
-
-
 def slopes(
     simulator: RowSimulator, along: Along, effects: Sequence[tuple[Effect, Values]]
 ) -> tuple[Rigid, FloatArray, FloatArray]:
@@ -144,6 +123,91 @@ def slopes(
         for part in (moved[:n], moved[n:])
     )
     return middle, by_position, by_velocity
+
+
+def changes_bodies(effect: Effect, values: Values, joints: int) -> bool:
+    """Whether an effect changes masses or gravity."""
+    rows = len(next(iter(values.values())))
+    down = np.tile([0.0, 0.0, -1.0], (rows, 1))
+    changed = ModelFields.neutral(down.copy(), joints)
+    effect.fields(changed, values)
+    return bool(
+        changed.added_mass.any()
+        or (changed.inertia_scale != 1.0).any()
+        or (changed.gravity != down).any()
+    )
+
+
+class Efforts:
+    """What a motion asks for of variants of the bodies: linear in their masses and first and second
+    moments (Atkeson, An, Hollerbach, IJRR 5, 1986), so that a few give all. What moves with the
+    motors is as the model has it: that is a law of theirs.
+    """
+
+    def __init__(self, simulator: RowSimulator, along: Along) -> None:
+        """Along a motion of the segments of ``simulator``."""
+        self._simulator = simulator
+        self._along = along
+        self._bare = rigid_terms(simulator, along)[0].effort
+        self._parts: dict[tuple[str, int], FloatArray] = {}
+
+    def of(self, effects: Sequence[tuple[Effect, Values]], copies: int) -> list[FloatArray]:
+        """(segments, len(at), joints) N*m or N that each of ``copies`` variants asks for.
+
+        Args:
+            effects: what changes them, values (copies, joints).
+            copies: how many variants.
+        """
+        joints = self._bare.shape[2]
+        down = np.tile([0.0, 0.0, -1.0], (copies, 1))
+        fields = ModelFields.neutral(down.copy(), joints)
+        for effect, values in effects:
+            effect.fields(fields, values)
+        # Two joints of one body would change it twice.
+        bodies = self._simulator.body_index
+        if len(set(bodies)) < len(bodies) or (fields.gravity != down).any():
+            heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
+            found = rigid_terms(self._simulator, self._along, heavy, copies)
+            return [f.effort for f in found]
+        load, distance = fields.added_mass[:, -1], fields.added_distance[:, -1]
+        sizes = {("scale", j): fields.inertia_scale[:, j] - 1.0 for j in range(joints)}
+        sizes |= {("load", k): load * distance**k for k in range(3)}
+        sizes = {part: x for part, x in sizes.items() if x.any()}
+        self._work_out(sizes)
+        out = []
+        for k in range(copies):
+            total = self._bare.copy()
+            for part, x in sizes.items():
+                if x[k]:
+                    total += x[k] * self._parts[part]
+            out.append(total)
+        return out
+
+    def _work_out(self, wanted: Iterable[tuple[str, int]]) -> None:
+        """Parts that are not known yet: a link twice as heavy, and 1 kg at three places."""
+        missing = {(name, k if name == "scale" else 0) for name, k in wanted} - self._parts.keys()
+        if not missing:
+            return
+        scaled = sorted(k for name, k in missing if name == "scale")
+        places = [0.0, 1.0, -1.0] if ("load", 0) in missing else []
+        joints = self._bare.shape[2]
+        copies = len(scaled) + len(places)
+        heavier, mass, distance = np.zeros((3, copies, joints))
+        heavier[np.arange(len(scaled)), scaled] = 1.0
+        mass[len(scaled) :] = 1.0
+        distance[len(scaled) :] = np.reshape(places, (-1, 1))
+        effects: list[tuple[Effect, Values]] = [
+            (catalogue()["inertial_parameters"], {"relative_error": heavier}),
+            (catalogue()["payload"], {"mass": mass, "distance": distance}),
+        ]
+        found = rigid_terms(self._simulator, self._along, effects, copies)
+        more = [f.effort - self._bare for f in found]
+        self._parts |= {("scale", j): x for j, x in zip(scaled, more, strict=False)}
+        if places:
+            here, ahead, behind = more[len(scaled) :]
+            self._parts["load", 0] = here
+            self._parts["load", 1] = (ahead - behind) / 2.0
+            self._parts["load", 2] = (ahead + behind) / 2.0 - here
 
 
 def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatArray:

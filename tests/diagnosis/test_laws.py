@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from pytest_twin.diagnosis.along import along
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.laws import ActiveEffects, Laws
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rigid_terms import rigid_terms
+from pytest_twin.diagnosis.responses import Linear
+from pytest_twin.diagnosis.rigid_terms import Efforts, rigid_terms
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 
@@ -93,28 +95,56 @@ def test_a_law_that_is_given_up_is_a_change(problem: Problem) -> None:
     assert without[1, :, :, ELBOW] == pytest.approx(without[0, :, :, ELBOW], abs=1e-9 * size)
 
 
-def test_variants_of_the_same_bodies_are_worked_out_once(
+LOAD: Variant = {Term("payload", ROBOT): [0.3, 1.0]}
+HEAVY: Variant = {Term("inertial_parameters", SHOULDER): [0.4]}
+TILTED: Variant = {Term("base_tilt", ROBOT): [0.1, -0.2]}
+SPINNING: Variant = {Term("armature", SHOULDER): [0.1]}
+
+
+def test_efforts_of_bodies_are_those_of_their_parts(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Laws aside they are one body; a gear that gives takes the drive's inertia off the link."""
-    load: Variant = {Term("payload", ROBOT): [0.3, 1.0]}
-    geared: Variant = {**load, Term("armature", SHOULDER): [0.1]}
     variants: list[Variant] = [
-        {}, load, {**load, **DRAG}, geared, {**geared, **SOFT}, {**LATE, **load}
+        {}, LOAD, {**LOAD, **HEAVY}, {Term("payload", ROBOT): [-0.05, 0.4]}, {**TILTED, **LOAD}
     ]  # fmt: skip
     motion, simulator = along(problem, EMPTY, problem.fit), problem.simulator
+    whole = [rigid_terms(simulator, motion, values(problem, [v]))[0].effort for v in variants]
+    efforts = Efforts(simulator, motion)
     asked: list[int] = []
-    batch = type(simulator).batch
+    batch = RowSimulator.batch
 
-    def counted(self: RowSimulator, rows: NDArray[np.int64], effects: ActiveEffects) -> object:
-        asked.append(len(rows))
-        return batch(self, rows, list(effects))
+    def counted(self: RowSimulator, rows: NDArray[np.int64], effects: Any) -> object:
+        asked.append(len(rows) // len(whole[0][0]))
+        return batch(self, rows, effects)
 
-    alone = [rigid_terms(simulator, motion, values(problem, [v]))[0] for v in variants]
     monkeypatch.setattr(RowSimulator, "batch", counted)
-    together = rigid_terms(simulator, motion, values(problem, variants), len(variants))
-    assert asked == [4 * len(alone[0].at)]
-    for mine, other in zip(together, alone, strict=True):
-        assert mine.effort == pytest.approx(other.effort)
-        assert mine.mass == pytest.approx(other.mass)
-    assert np.abs(together[3].mass - together[4].mass).max() > 1e-3 * together[3].mass.max()
+    size = np.abs(whole[0]).max()
+    for found, true in zip(efforts.of(values(problem, variants[:4]), 4), whole, strict=False):
+        assert found == pytest.approx(true, abs=1e-9 * size)
+    # One link, and a mass at three places; a second time nothing is asked.
+    assert asked == [4]
+    efforts.of(values(problem, variants[:4]), 4)
+    assert asked == [4]
+    # Gravity from elsewhere is no part of these.
+    (tilted,) = efforts.of(values(problem, [variants[4]]), 1)
+    assert tilted == pytest.approx(whole[4], abs=1e-9 * size)
+    assert np.abs(tilted - whole[1]).max() > 1e-2 * size
+
+
+@pytest.mark.parametrize("other", [SPINNING, SOFT], ids=["armature", "elasticity"])
+def test_what_moves_with_a_motor_counts_once_beside_other_bodies(
+    problem: Problem, other: Variant
+) -> None:
+    seen = Linear(problem, EMPTY, problem.fit)
+
+    def read(variant: Variant) -> FloatArray:
+        h = EMPTY
+        for term, theta in variant.items():
+            h = h.with_term(term, np.array(theta))
+        return seen.differences([h])[0]
+
+    small: Variant = {Term("payload", ROBOT): [0.01, 1.0]}
+    alone = read(other)
+    most = float(np.abs(alone).max())
+    assert 0.0 < np.abs(read(small)).max() < 0.2 * most
+    assert read({**other, **small}) - read(small) == pytest.approx(alone, abs=1e-3 * most)
