@@ -142,7 +142,8 @@ class RowSimulator:
         """Rows times steps so far: what the engine alone would have had to step."""
         self._inputs(model)
         self._models: dict[int, mujoco.MjModel] = {}
-        self._commands: dict[int, FloatArray] = {}
+        self._commands: dict[tuple[int, int], FloatArray] = {}
+        self._areas: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._contact: ContactGeoms | None = None
         self.directions = self._link_directions(model)
         driven = np.flatnonzero(self.actuator >= 0)
@@ -187,32 +188,56 @@ class RowSimulator:
 
     def _mean_commands(
         self,
-        segment: int,
-        delay: FloatArray | None,
+        rows: NDArray[np.int64],
+        delay: FloatArray,
         steps: int,
         joints: NDArray[np.int64],
-        timestep: float | None = None,
+        timestep: float,
     ) -> FloatArray:
-        """Mean over each step of the held command, (steps, joints); ``delay`` (joints,) s."""
+        """Mean over each step of the held command, (rows, steps, columns).
+
+        Args:
+            rows: segments; joints: (rows, columns) of them.
+            delay: (rows, columns) s.
+            steps: how many.
+            timestep: s.
+        """
+        # Most rows ask for the same: each is worked out once.
+        asked = np.stack([(rows[:, None] * len(self.joints) + joints).ravel(), delay.ravel()])
+        unlike, of = np.unique(asked, axis=1, return_inverse=True)
+        means = np.empty((unlike.shape[1], steps))
+        for i, (which, late) in enumerate(unlike.T):
+            segment, joint = divmod(int(which), len(self.joints))
+            means[i] = self._mean_command(segment, joint, float(late), steps, timestep)
+        return np.swapaxes(means[of.reshape(joints.shape)], 1, 2)
+
+    def _mean_command(
+        self, segment: int, joint: int, delay: float, steps: int, timestep: float
+    ) -> FloatArray:
+        kept = (segment, joint)
+        prompt = delay == 0.0 and timestep == self.timestep
+        if prompt and len(self._commands.get(kept, ())) >= steps:
+            return self._commands[kept][:steps]
         s = self.segments[segment]
-        step = timestep or self.timestep
-        if delay is None and segment in self._commands and len(self._commands[segment]) >= steps:
-            return self._commands[segment][:steps][:, joints]
-        edges = s.start + step * np.arange(steps + 1)
-        far = np.append(s.command_time, s.command_time[-1] + 1e6)
-        area = np.zeros((len(far), s.command.shape[1]))
-        np.cumsum(np.diff(far)[:, None] * s.command, axis=0, out=area[1:])
-        wanted = np.arange(s.command.shape[1]) if delay is None else joints
-        out = np.empty((steps, len(wanted)))
-        for c, j in enumerate(wanted):
-            at = edges if delay is None else edges - delay[c]
-            # Before the first stamp the first command holds.
-            summed = np.interp(at, far, area[:, j]) + np.minimum(at - far[0], 0.0) * s.command[0, j]
-            out[:, c] = np.diff(summed) / step
-        if delay is None:
-            self._commands[segment] = out
-            return out[:, joints]
-        return out
+        at = s.start - delay + timestep * np.arange(steps + 1)
+        far, area = self._command_area(segment)
+        # Before the first stamp the first command holds.
+        summed = np.interp(at, far, area[joint])
+        summed += np.minimum(at - far[0], 0.0) * s.command[0, joint]
+        mean: FloatArray = np.diff(summed) / timestep
+        if prompt:
+            self._commands[kept] = mean
+        return mean
+
+    def _command_area(self, segment: int) -> tuple[FloatArray, FloatArray]:
+        """(stamps + 1,) s and (joints, stamps + 1) integral of the held command up to there."""
+        if segment not in self._areas:
+            s = self.segments[segment]
+            far = np.append(s.command_time, s.command_time[-1] + 1e6)
+            area = np.zeros((s.command.shape[1], len(far)))
+            np.cumsum((np.diff(far)[:, None] * s.command).T, axis=1, out=area[:, 1:])
+            self._areas[segment] = far, area
+        return self._areas[segment]
 
     # -- models
 
@@ -323,11 +348,7 @@ class RowSimulator:
             if added is not None:
                 delay = delay + added
         delay = delay + self.behind(rows, effects, joints.shape[1])
-        late = np.any(delay, axis=1)
-        commands = np.empty((len(rows), steps, joints.shape[1]))
-        for i, (r, j) in enumerate(zip(rows, joints, strict=True)):
-            commands[i] = self._mean_commands(int(r), delay[i] if late[i] else None, steps, j)
-        return np.nan_to_num(commands)
+        return np.nan_to_num(self._mean_commands(rows, delay, steps, joints, self.timestep))
 
     def _columns(
         self, rows: NDArray[np.int64], joints: NDArray[np.int64] | None
@@ -361,13 +382,11 @@ class RowSimulator:
             segment = self.segments[r]
             known[:, i] = np.moveaxis(segment.before(segment.start + before), 1, 2)
         motion = np.ascontiguousarray(np.moveaxis(known[:, of[:, None], joints], -1, 1))
-        command = np.empty(motion.shape[1:])
         late = self.behind(rows, effects, joints.shape[1]) + LEAD
         for effect, v in effects:
             added = effect.command_delay(v)
             late = late if added is None else late + added
-        for i, (r, j) in enumerate(zip(rows, joints, strict=True)):
-            command[:, i] = self._mean_commands(int(r), late[i], steps, j, world.timestep)
+        command = np.moveaxis(self._mean_commands(rows, late, steps, joints, world.timestep), 1, 0)
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):
                 for k in range(steps):

@@ -148,3 +148,31 @@ def test_what_moves_with_a_motor_counts_once_beside_other_bodies(
     most = float(np.abs(alone).max())
     assert 0.0 < np.abs(read(small)).max() < 0.2 * most
     assert read({**other, **small}) - read(small) == pytest.approx(alone, abs=1e-3 * most)
+
+
+def test_late_commands_act_with_their_mean_over_each_step(problem: Problem) -> None:
+    """Held between stamps, the first before its own; at each joint as late as it is there."""
+    simulator = problem.simulator
+    segment = simulator.segments[0]
+    delays = [[0.0, 0.0], [0.0137, 0.0], [0.0137, 0.2], [0.0, 0.0]]
+    rows, steps, fine = np.zeros(4, np.int64), 40, 400
+    late = values(
+        problem,
+        [
+            {Term("command_delay", SHOULDER): [a], Term("command_delay", ELBOW): [b]}
+            for a, b in delays
+        ],
+    )
+    found = simulator.commands(rows, late, steps)
+    assert found.shape == (4, steps, 2)
+    step = simulator.timestep
+    at = segment.start + step / fine * (np.arange(steps * fine) + 0.5)
+    for row, mine in zip(found, delays, strict=True):
+        for j, delay in enumerate(mine):
+            held = np.searchsorted(segment.command_time, at - delay, side="right") - 1
+            true = segment.command[np.maximum(held, 0), j].reshape(steps, fine).mean(axis=1)
+            assert row[:, j] == pytest.approx(true, abs=2e-3)
+    # A joint of its own, later, and fewer steps: nothing stays of what was asked before.
+    elbow = np.array([[ELBOW]])
+    again = simulator.commands(rows[:1], [], 7, elbow)
+    assert np.array_equal(again[0, :, 0], found[0, :7, ELBOW])
