@@ -114,10 +114,8 @@ def _places(
     for gone, rest, gear, left in zip(
         places, rests, gears, _left(problem, look, rests, gears), strict=True
     ):
-        keep = np.ones(view.jacobian.shape[2], dtype=bool)
-        for term in gone:
-            keep[own.slice_of(term)] = False
-        lens = Lens(View(left, view.jacobian[:, :, keep], view.floor, view.lengths), answers)
+        slope = view.jacobian[:, :, own.parameters_without(*gone)]
+        lens = Lens(View(left, slope, view.floor, view.lengths), answers)
         chosen = lens.children(lens.bare, count, rest.terms)
         structures = [lens.bare, *(lens.structure(c) for c in chosen)]
         hypotheses = [rest.with_terms(s.starts) for s in structures]

@@ -75,10 +75,12 @@ class Hypothesis:
 
     def without(self, *gone: Term) -> Hypothesis:
         """These terms fewer."""
-        kept = np.repeat(
-            [t not in gone for t in self.terms], [len(t.parameters) for t in self.terms]
-        )
-        return Hypothesis(tuple(t for t in self.terms if t not in gone), self.theta[kept])
+        kept = tuple(t for t in self.terms if t not in gone)
+        return Hypothesis(kept, self.theta[self.parameters_without(*gone)])
+
+    def parameters_without(self, *gone: Term) -> NDArray[np.bool_]:
+        """(parameters,) which of them belong to other terms."""
+        return np.array([t not in gone for t in self.terms for _ in t.parameters], dtype=bool)
 
     def absorbed(self, gone: Term, into: Term) -> Hypothesis | None:
         """Without ``gone``, its parameters added to those of ``into`` that are the same physics, as

@@ -127,15 +127,19 @@ def slopes(
 
 def changes_bodies(effect: Effect, values: Values, joints: int) -> bool:
     """Whether an effect changes masses or gravity."""
-    rows = len(next(iter(values.values())))
-    down = np.tile([0.0, 0.0, -1.0], (rows, 1))
-    changed = ModelFields.neutral(down.copy(), joints)
-    effect.fields(changed, values)
-    return bool(
-        changed.added_mass.any()
-        or (changed.inertia_scale != 1.0).any()
-        or (changed.gravity != down).any()
-    )
+    changed, tilted = _fields([(effect, values)], len(next(iter(values.values()))), joints)
+    return bool(tilted or changed.added_mass.any() or (changed.inertia_scale != 1.0).any())
+
+
+def _fields(
+    effects: Sequence[tuple[Effect, Values]], copies: int, joints: int
+) -> tuple[ModelFields, bool]:
+    """What effects make of the model's fields, and whether gravity comes from elsewhere."""
+    down = np.tile([0.0, 0.0, -1.0], (copies, 1))
+    fields = ModelFields.neutral(down.copy(), joints)
+    for effect, values in effects:
+        effect.fields(fields, values)
+    return fields, bool((fields.gravity != down).any())
 
 
 class Efforts:
@@ -159,13 +163,10 @@ class Efforts:
             copies: how many variants.
         """
         joints = self._bare.shape[2]
-        down = np.tile([0.0, 0.0, -1.0], (copies, 1))
-        fields = ModelFields.neutral(down.copy(), joints)
-        for effect, values in effects:
-            effect.fields(fields, values)
+        fields, tilted = _fields(effects, copies, joints)
         # Two joints of one body would change it twice.
         bodies = self._simulator.body_index
-        if len(set(bodies)) < len(bodies) or (fields.gravity != down).any():
+        if tilted or len(set(bodies)) < len(bodies):
             heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
             found = rigid_terms(self._simulator, self._along, heavy, copies)
             return [f.effort for f in found]

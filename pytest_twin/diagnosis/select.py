@@ -225,13 +225,16 @@ class Selection:
         """What is the whole robot's in the place of the same at several joints, fitted; each with
         the error of the step as it is there, for their motions lie apart in time.
         """
-        found = []
-        for other in of_the_robot(self.problem, best.hypothesis):
-            self.problem.refine_at(other)
-            found += self.contest.rivals([other], self.contest.weights(best), FAIR)
-        if found:
-            self.problem.refine_at(best.hypothesis)
-        return found
+        return [self._at_its_own(h, best) for h in of_the_robot(self.problem, best.hypothesis)]
+
+    def _at_its_own(self, start: Hypothesis, best: Rival) -> Rival:
+        """A hypothesis fitted with the simulator's step corrected for itself, which then is for
+        ``best`` again.
+        """
+        self.problem.refine_at(start)
+        (rival,) = self.contest.rivals([start], self.contest.weights(best), FAIR)
+        self.problem.refine_at(best.hypothesis)
+        return rival
 
     def _simulated(self, best: Rival, found: Sequence[Exchange]) -> list[tuple[Exchange, Rival]]:
         """Exchanges that are fitted by simulation, with their evidence over ``best``: in each place
@@ -272,10 +275,8 @@ class Selection:
         """
         if not -_DISPUTED < rival.evidence < -_CLEAR:
             return rival
-        self.problem.refine_at(rival.hypothesis)
-        (own,) = self.contest.rivals([rival.hypothesis], self.contest.weights(best), FAIR)
+        own = self._at_its_own(rival.hypothesis, best)
         self.contest.judge([own], best)
-        self.problem.refine_at(best.hypothesis)
         return max(rival, own, key=lambda r: r.evidence)
 
     def _sideways(self, selected: Selected) -> bool:

@@ -342,13 +342,18 @@ class RowSimulator:
             joints: (rows, columns) which; all of them, in their order, by default.
         """
         joints = self._columns(rows, joints)
-        delay = np.zeros(joints.shape)
+        delay = self._late(rows, effects, joints.shape[1])
+        return np.nan_to_num(self._mean_commands(rows, delay, steps, joints, self.timestep))
+
+    def _late(
+        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], columns: int
+    ) -> FloatArray:
+        """How much later than it was sent a command reaches each row, (rows, columns) s."""
+        late = self.behind(rows, effects, columns)
         for effect, v in effects:
             added = effect.command_delay(v)
-            if added is not None:
-                delay = delay + added
-        delay = delay + self.behind(rows, effects, joints.shape[1])
-        return np.nan_to_num(self._mean_commands(rows, delay, steps, joints, self.timestep))
+            late = late if added is None else late + added
+        return late
 
     def _columns(
         self, rows: NDArray[np.int64], joints: NDArray[np.int64] | None
@@ -382,10 +387,7 @@ class RowSimulator:
             segment = self.segments[r]
             known[:, i] = np.moveaxis(segment.before(segment.start + before), 1, 2)
         motion = np.ascontiguousarray(np.moveaxis(known[:, of[:, None], joints], -1, 1))
-        late = self.behind(rows, effects, joints.shape[1]) + LEAD
-        for effect, v in effects:
-            added = effect.command_delay(v)
-            late = late if added is None else late + added
+        late = self._late(rows, effects, joints.shape[1]) + LEAD
         command = np.moveaxis(self._mean_commands(rows, late, steps, joints, world.timestep), 1, 0)
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):
