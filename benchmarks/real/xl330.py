@@ -27,6 +27,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cma
 import numpy as np
 from numpy.typing import NDArray
 
@@ -108,7 +109,7 @@ def absolute_errors(
 def evolve(
     cost: Callable[[FloatArray], FloatArray], size: int, generations: int, seed: int
 ) -> tuple[float, FloatArray]:
-    """Least cost over the unit cube: covariance matrix adaptation (Hansen, 2016).
+    """Least cost over the unit cube: covariance matrix adaptation from the best of random points.
 
     Args:
         cost: of (n, size) points.
@@ -120,46 +121,25 @@ def evolve(
     count = 2 * int(np.ceil(4 + 3 * np.log(size)))
     first = random.uniform(0.05, 0.95, (6 * count, size))
     value = cost(first)
-    mean = best = first[value.argmin()]
-    least = float(value.min())
-    weight = np.log(count / 2 + 0.5) - np.log(np.arange(1, count // 2 + 1))
-    weight /= weight.sum()
-    effective = 1.0 / (weight**2).sum()
-    c_sigma = (effective + 2) / (size + effective + 5)
-    d_sigma = 1 + 2 * max(0.0, np.sqrt((effective - 1) / (size + 1)) - 1) + c_sigma
-    c_c = (4 + effective / size) / (size + 4 + 2 * effective / size)
-    c_1 = 2 / ((size + 1.3) ** 2 + effective)
-    c_mu = min(1 - c_1, 2 * (effective - 2 + 1 / effective) / ((size + 2) ** 2 + effective))
-    expected = np.sqrt(size) * (1 - 1 / (4 * size) + 1 / (21 * size**2))
-    sigma, covariance = 0.2, np.eye(size)
-    path_sigma, path = np.zeros(size), np.zeros(size)
-    for generation in range(1, generations + 1):
-        squares, axes = np.linalg.eigh(covariance)
-        root = np.sqrt(np.maximum(squares, 1e-20))
-        step = (random.standard_normal((count, size)) * root) @ axes.T
-        points = mean + sigma * step
-        inside = np.clip(points, 0.0, 1.0)
-        value = cost(inside)
-        if value.min() < least:
-            least, best = float(value.min()), inside[value.argmin()]
-        if generation % 20 == 0:
-            print(f"  {generation}: {1e3 * least:.1f} mrad", file=sys.stderr, flush=True)
-        chosen = step[np.argsort(value + ((points - inside) ** 2).sum(axis=1))[: count // 2]]
-        move = weight @ chosen
-        mean = mean + sigma * move
-        keep = np.sqrt(c_sigma * (2 - c_sigma) * effective)
-        path_sigma = (1 - c_sigma) * path_sigma + keep * (axes @ ((axes.T @ move) / root))
-        length = float(np.linalg.norm(path_sigma))
-        steady = length / np.sqrt(1 - (1 - c_sigma) ** (2 * generation)) / expected
-        on = float(steady < 1.4 + 2 / (size + 1))
-        path = (1 - c_c) * path + on * np.sqrt(c_c * (2 - c_c) * effective) * move
-        covariance = (
-            (1 - c_1 - c_mu) * covariance
-            + c_1 * (np.outer(path, path) + (1 - on) * c_c * (2 - c_c) * covariance)
-            + c_mu * (chosen.T * weight) @ chosen
-        )
-        sigma = min(0.5, sigma * float(np.exp(c_sigma / d_sigma * (length / expected - 1))))
-    return least, best
+    strategy = cma.CMAEvolutionStrategy(
+        first[value.argmin()],
+        0.2,
+        {
+            "bounds": [0.0, 1.0],
+            "popsize": count,
+            "maxiter": generations,
+            "seed": np.nan,
+            "randn": lambda *shape: random.standard_normal(shape),
+            "verbose": -9,
+        },
+    )
+    while not strategy.stop():
+        points = strategy.ask()
+        strategy.tell(points, list(cost(np.array(points))))
+        if strategy.countiter % 20 == 0:
+            least = 1e3 * strategy.best.f
+            print(f"  {strategy.countiter}: {least:.1f} mrad", file=sys.stderr, flush=True)
+    return float(strategy.best.f), np.asarray(strategy.best.x)
 
 
 def coarse(problem: Problem) -> Problem:

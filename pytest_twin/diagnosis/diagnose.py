@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.patched_replay import stepped_beside, without_delays
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rivals import Selected
-from pytest_twin.diagnosis.searched import Searched, carried, pose, search
+from pytest_twin.diagnosis.searched import Searched, carried, confirmed, pose, search
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict
@@ -192,7 +192,9 @@ def _windowed(
     and the problem in windows.
     """
     cut, kept = pose(realization, found.trials, fixed, threads, [], window=WINDOW)
-    other = search(cut, kept, Selection(cut.problem, say, _CLEAR))
+    other = confirmed(cut, kept, found, Selection(cut.problem, say))
+    if other is None:
+        other = search(cut, kept, Selection(cut.problem, say, _CLEAR))
     if other.supersedes(found):
         notes.append(_IN_WINDOWS)
         return other, cut.problem

@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.look import Look
 from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Response, bins
-from pytest_twin.diagnosis.rivals import Rival
+from pytest_twin.diagnosis.rivals import AS_GOOD, Rival
 from pytest_twin.diagnosis.screen import Answers, Lens, View
 from pytest_twin.effects.base import FloatArray
 
@@ -32,6 +32,8 @@ _RIVALS, _OF_SEVERAL = 6, 4
 _NEAR = 100.0
 # Floors that taking a gear away leaves, beyond which small deviations say nothing of its rivals.
 _FAR_APART = 30.0
+# Evidence that more parameters gain by chance, at most.
+_CHANCE = 15.0
 # Terms of one joint up to which all their subsets are taken away; of more, pairs and all of them.
 _CROWD = 4
 
@@ -95,6 +97,21 @@ def exchanges(
     for i, h, value in zip(near, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True):
         found[i] = replace(found[i], hypothesis=h, evidence=float(value))
     return found
+
+
+def by_chance(
+    found: Sequence[Exchange],
+) -> dict[tuple[tuple[Term, ...], Term | None], float]:
+    """Evidence by which each may be ahead and be no better: where it has more parameters than what
+    it stands for, for what is left is never white, and more of them follow anything a little.
+    """
+    lost = {x.gone: -x.evidence for x in found if x.new is None}
+    out = {}
+    for x in found:
+        more = x.new is not None and x.new.free > sum(t.free for t in x.gone)
+        chance = min(max(AS_GOOD * lost.get(x.gone, 0.0), 0.0), _CHANCE)
+        out[x.gone, x.new] = chance if more else 0.0
+    return out
 
 
 def _places(

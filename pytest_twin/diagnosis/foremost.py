@@ -57,7 +57,7 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
     """
     if not look.answers.responses:
         return None
-    whole = np.mean(contest.nominal.fitted.residual**2, axis=0)
+    whole = _whole(contest, best)
 
     def search(width: int = _WIDTH, most: int = _AT_ONCE) -> Search:
         return Search(
@@ -88,6 +88,18 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
         )  # fmt: skip
         polished += polish(look.linear, look.view, more, _POLISH)
     return _foremost(look.view, polished, best, contest.name_price, say)
+
+
+def _whole(contest: Contest, best: Rival) -> FloatArray:
+    """(signals,) mean square that the model as it came left of what is fitted; less where what no
+    fit has seen keeps a greater share of its own: there a name counts for more.
+    """
+    floor = contest.problem.signal_floor**2
+    whole: FloatArray = np.mean(contest.nominal.fitted.residual**2, axis=0)
+    kept = (np.mean(best.fitted.residual**2, axis=0) + floor) / (whole + floor)
+    unseen = (contest.unseen(best) + floor) / (contest.unseen(contest.nominal) + floor)
+    less: FloatArray = whole * np.minimum(kept / unseen, 1.0)
+    return less
 
 
 def _by_evidence(view: View, polished: Sequence[Polished], name_price: float) -> list[Polished]:

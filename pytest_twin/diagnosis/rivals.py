@@ -13,9 +13,10 @@ from pytest_twin.effects.base import FloatArray
 
 EARNS = 5.0
 """Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many."""
-# Structures this share of the evidence behind the first are as good; with fewer names they have
-# to have this share of it.
-_AS_GOOD, _NAME_BUYS = 0.01, 0.8
+AS_GOOD = 0.01
+"""Structures this share of the evidence behind the first are as good, ..."""
+# ... and with fewer names those that have this share of it.
+_NAME_BUYS = 0.8
 
 
 @dataclass(slots=True)
@@ -67,7 +68,7 @@ def simplest(earning: Sequence[Rival]) -> Rival:
     first = earning[0].evidence
     fewest = min(len(r.hypothesis.terms) for r in earning if r.evidence >= _NAME_BUYS * first)
     alike = [r for r in earning if len(r.hypothesis.terms) == fewest]
-    enough = min((1.0 - _AS_GOOD) * alike[0].evidence, alike[0].evidence - EARNS)
+    enough = min((1.0 - AS_GOOD) * alike[0].evidence, alike[0].evidence - EARNS)
     return min(
         (r for r in alike if r.evidence >= enough), key=lambda r: (r.hypothesis.free, -r.evidence)
     )

@@ -9,16 +9,17 @@ import numpy as np
 
 from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
-from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.patched import AppliedEffect
 from pytest_twin.diagnosis.patched_replay import fixed_values
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.restraint import Pruned, as_named, prune
 from pytest_twin.diagnosis.rivals import Selected
 from pytest_twin.diagnosis.seek import sought
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
+from pytest_twin.diagnosis.verdict import LEFT, JointError, Verdict, verdict
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
@@ -69,9 +70,11 @@ class Searched:
         return self.verdict == "explained" or self.worst <= _MOSTLY < other.worst
 
     def beside(self, other: Searched) -> bool:
-        """Whether this and the other explain most, both, by names of their own."""
+        """Whether this and the other explain most, both, by names of their own, and the other
+        leaves what this may take.
+        """
         named = self.explained.findings and other.explained.findings
-        return bool(named) and max(self.worst, other.worst) <= _MOSTLY
+        return bool(named) and self.worst <= _MOSTLY and LEFT < other.worst <= _MOSTLY
 
     def leaves_less(self, other: Searched) -> bool:
         """Whether what stands of this is better than what stands of the other, prices paid; both of
@@ -88,6 +91,22 @@ def search(prepared: Prepared, trials: TrialSet, selection: Selection) -> Search
     selected = selection.run()
     pruned = prune(prepared.problem, selected)
     return _searched(prepared, trials, selected, pruned)
+
+
+def confirmed(
+    prepared: Prepared, trials: TrialSet, other: Searched, selection: Selection
+) -> Searched | None:
+    """What another search found, fitted here and held against its rivals, if it explains this."""
+    start, contest = other.explained.hypothesis, selection.contest
+    if not start.terms:
+        return None
+    rival = contest.settled(contest.as_it_is(start))
+    before, after = (_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
+    if not all(e.explained for e in _errors(prepared, before, after).values()):
+        return None
+    selected = selection.run(rival)
+    found = _searched(prepared, trials, selected, prune(prepared.problem, selected))
+    return found if found.verdict == "explained" else None
 
 
 def carried(prepared: Prepared, trials: TrialSet, other: Searched) -> Searched:
@@ -111,11 +130,7 @@ def carried(prepared: Prepared, trials: TrialSet, other: Searched) -> Searched:
 def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:
     problem = prepared.problem
     explained = explain(prepared, selected, pruned, (*trials.fit, *trials.held_out))
-    everywhere = np.arange(len(problem.simulator.segments))
-    problem.refine_at(EMPTY)
-    before = problem.residuals([EMPTY], everywhere)[0]
-    problem.refine_at(explained.hypothesis)
-    after = problem.residuals([explained.hypothesis], everywhere)[0]
+    before, after = (_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
     errors = _errors(prepared, before, after)
     word = verdict(errors, explained.findings)
     return Searched(prepared, trials, selected, explained, before, after, errors, word)
@@ -168,6 +183,12 @@ def pose(
                 expected="a model that can be stepped through at least one recording",
             )
         trials = replace(trials, fit=fit, held_out=aside)
+
+
+def _everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
+    """(samples, signals) that it leaves of all segments, the step's error corrected for it."""
+    problem.refine_at(hypothesis)
+    return problem.residuals([hypothesis], np.arange(len(problem.simulator.segments)))[0]
 
 
 def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[str, JointError]:

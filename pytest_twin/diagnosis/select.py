@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
-from pytest_twin.diagnosis.exchange import Exchange, exchanges
+from pytest_twin.diagnosis.exchange import Exchange, by_chance, exchanges
 from pytest_twin.diagnosis.fewer import merged, of_the_robot, simpler
 from pytest_twin.diagnosis.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.front import front
@@ -29,6 +29,8 @@ _MAX_TERMS = 10
 _ROUNDS, _ATTEMPTS = 6, 3
 # Evidence to first order beyond which no simulation would change the verdict.
 _CLEAR = 30.0
+# Share of what is lost without a term that rivals along the motion may be behind and be no worse.
+_HARDLY = 0.05
 # Evidence behind the best that the error of the simulator's step may amount to.
 _DISPUTED = 2000.0
 # Rivals in one place that are simulated.
@@ -64,10 +66,12 @@ class Selection:
         self.last_look: Look | None = None
         self.known: dict[Term, list[Response]] = {}
 
-    def run(self) -> Selected:
-        """Search forward, backward and sideways."""
+    def run(self, start: Rival | None = None) -> Selected:
+        """Search forward, backward and sideways, from the model as it came or from a fit of it."""
         nominal = self.contest.nominal
         selected = Selected(nominal, nominal, tried=self.contest.tried)
+        if start is not None:
+            selected.best = self._backward(start)
         self._grow(selected)
         return self._regrown(selected)
 
@@ -247,8 +251,10 @@ class Selection:
         near, doubtful = [], []
         for place in dict.fromkeys(x.gone for x in found):
             mine = [x for x in found if x.gone == place and x.new is not None]
+            lost = [x.evidence for x in found if x.gone == place and x.new is None]
+            least = 0.0 if spent else min(-_CLEAR, _HARDLY * max(lost, default=0.0))
             for x in sorted(mine, key=lambda x: -x.evidence)[:_MOST_CLOSE]:
-                if x.evidence > (0.0 if spent else -_CLEAR):
+                if x.evidence > least:
                     near.append(x)
                 elif x.doubtful and (len(place) > 1 or not spent):
                     doubtful.append(x)
@@ -294,19 +300,26 @@ class Selection:
         look = look_around(self.problem, best, self.last_look)
         found = exchanges(self.problem, best, look, self.known, self.contest.name_price)
         simulated = self._simulated(best, found)
+        chance = by_chance(found)
         evidence = {(x.gone, x.new): x.evidence for x in found}
         evidence |= {(x.gone, x.new): r.evidence for x, r in simulated}
+        evidence = {place: e - chance[place] for place, e in evidence.items()}
         for term in terms:
-            mine = {new: e for (gone, new), e in evidence.items() if gone == (term,)}
+            # A law that has this one in it says the same where it says no more.
+            mine = {
+                new: e for (gone, new), e in evidence.items()
+                if gone == (term,) and not (new and new.law.holds(term.effect))
+            }  # fmt: skip
             values = np.array([0.0, *mine.values()])
             share = np.exp(np.clip(values - values.max(), -700.0, 0.0))
             share /= share.sum()
             selected.confidence[term] = float(share[0])
             ranked = [(n, float(s)) for n, s in zip(mine, share[1:], strict=True) if n is not None]
             selected.alternatives[term] = sorted(ranked, key=lambda x: -x[1])
-        top = max((r for _, r in simulated), key=lambda r: r.evidence, default=best)
-        if top is best or top.evidence <= 1.0:
+        better = [(x, r) for x, r in simulated if evidence[x.gone, x.new] > 1.0]
+        if not better:
             return False
+        _, top = max(better, key=lambda each: evidence[each[0].gone, each[0].new])
         top = self._beside(best, top)
         self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
         selected.best = self._backward(self.contest.settled(top))

@@ -8,7 +8,7 @@ from test_behind_gears import fitted, silent, with_true
 from test_first_order import ELBOW, ROBOT, problem_of
 
 from pytest_twin.diagnosis.contest import FAIR, Contest
-from pytest_twin.diagnosis.exchange import Exchange, exchanges
+from pytest_twin.diagnosis.exchange import Exchange, by_chance, exchanges
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.look import look_around
 from pytest_twin.diagnosis.problem import Problem
@@ -131,3 +131,54 @@ def test_sideways_comes_from_two_wrong_names_to_the_right_one(loaded: Problem) -
     selected = Selected(settled(contest, SPRING, REFLECTED), contest.nominal)
     assert selection._sideways(selected)
     assert selected.best.hypothesis.terms == (MASS,)
+
+
+def test_a_law_that_has_another_in_it_is_no_rival_of_it() -> None:
+    problem = problem_of("position", {DRY: BRAKED[DRY]})
+    selection = Selection(problem, silent)
+    contest = selection.contest
+    best = settled(contest, DRY)
+    offered = [x.new for x in around(problem, contest, best) if x.gone == (DRY,) and x.new]
+    assert any(new.law.holds(DRY.effect) for new in offered)
+    selected = Selected(best, contest.nominal)
+    assert not selection._sideways(selected)
+    assert selected.alternatives[DRY]
+    assert not any(new.law.holds(DRY.effect) for new, _ in selected.alternatives[DRY])
+
+
+def test_rivals_that_hardly_lose_are_simulated(
+    loaded: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    selection = Selection(loaded, silent)
+    contest = selection.contest
+    best = fitted(contest, with_true(loaded, MASS, CARRIED))
+    monkeypatch.setattr(contest, "rivals", lambda starts, *rest: [best] * len(starts))
+    gone = (MASS,)
+
+    def simulated(lost: float, behind: float) -> list[Term | None]:
+        found = [
+            Exchange(gone, None, EMPTY, lost, False),
+            Exchange(gone, DRAG, with_true(loaded, DRAG, BRAKED[DRAG]), behind, False),
+        ]
+        return [x.new for x, _ in selection._simulated(best, found)]
+
+    assert simulated(lost=-500.0, behind=-20.0) == [DRAG]
+    assert simulated(lost=-500.0, behind=-40.0) == []
+    assert simulated(lost=-5000.0, behind=-200.0) == [DRAG]
+    assert simulated(lost=-5000.0, behind=-300.0) == []
+
+
+def test_more_parameters_are_ahead_by_chance() -> None:
+    """A softer drive that only damps is a brake, and has a parameter more to follow the rest."""
+    gain = Term("controller_gain", ELBOW)
+
+    def allowed(gone: tuple[Term, ...], new: Term, lost: float) -> float:
+        bare = Exchange((DRAG,), None, EMPTY, -lost, False)
+        return by_chance([bare, Exchange(gone, new, EMPTY, 7.0, False)])[gone, new]
+
+    assert allowed((DRAG,), gain, lost=500.0) == pytest.approx(5.0)
+    assert allowed((DRAG,), gain, lost=1e5) == pytest.approx(15.0)
+    # Where nothing is lost nothing is allowed, nor with as many parameters.
+    assert allowed((DRAG,), gain, lost=-3.0) == 0.0
+    assert allowed((DRAG,), DRY, lost=1e5) == 0.0
+    assert allowed((DRAG, DRY), gain, lost=1e5) == 0.0

@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.tryout import Tryout
 
 PUSH = Term("external_force", 0)
 LATE, DRAG = Term("command_delay", ELBOW), Term("viscous_friction", SHOULDER)
-PLAY = Term("backlash", ELBOW)
+PLAY, DRY = Term("backlash", ELBOW), Term("coulomb_friction", ELBOW)
 MASS, SPRING = Term("payload", -1), Term("joint_spring", SHOULDER)
 WEAK = Term("torque_constant", ELBOW)
 
@@ -73,6 +73,28 @@ def test_what_failed_is_not_offered_again() -> None:
     rest = foremost(contest, best, less, silent)
     assert rest is not None
     assert PLAY not in {h.terms[-1] for h in front(problem, best, less, rest)}
+
+
+def test_a_name_counts_for_more_where_what_no_fit_has_seen_keeps_more() -> None:
+    """A slight brake beside a strong one: of what is fitted it takes next to nothing."""
+    dry = {"coulomb": 1.5}
+    slight = Term("viscous_friction", ELBOW)
+    problem = problem_of("position", {DRY: dry, slight: {"coefficient": 0.015}})
+    contest = Contest(problem)
+    best = fitted(contest, with_true(problem, DRY, dry))
+    contest.has_held = True
+    contest.nominal.held_residual = contest.nominal.fitted.residual
+
+    def offered(times: float) -> set[Term]:
+        best.held_residual = times * best.fitted.residual
+        found = foremost(contest, best, look_ahead(problem, best), silent)
+        assert found is not None
+        return {h.terms[-1] for h in found.starts}
+
+    assert offered(times=1.0) == set()
+    assert slight in offered(times=10.0)
+    # What it keeps less of changes nothing.
+    assert offered(times=0.1) == set()
 
 
 def test_what_was_fitted_by_simulation_is_kept_where_it_strays_along_the_motion(

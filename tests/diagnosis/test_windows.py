@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
-from pytest_twin.diagnosis.searched import carried, search
+from pytest_twin.diagnosis.searched import carried, confirmed, search
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.start import free_shifts
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
@@ -79,13 +79,32 @@ def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
     assert finding.parameters["time_constant"].value == pytest.approx(lag, rel=0.02)
     assert whole.prepared is prepared
     assert whole.verdict == "explained"
-    # Both name what explains most, and neither is better than itself.
-    assert whole.beside(other)
+    # Both name what explains most; what leaves next to nothing has nothing to gain.
+    assert whole.beside(replace(other, errors=off(other.errors, times=5.0)))
+    assert not whole.beside(other)
     assert not whole.leaves_less(whole)
     nothing = replace(whole, explained=Explained((), EMPTY), errors=off(whole.errors, times=30.0))
     assert whole.leaves_less(nothing)
     assert not nothing.leaves_less(whole)
     assert not whole.beside(nothing)
+
+
+def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(tmp_path: Path) -> None:
+    realization, trials = hunting(tmp_path, lag=0.01)
+    prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
+    whole = search(prepared, trials, Selection(prepared.problem))
+    cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
+    found = confirmed(cut, trials, whole, Selection(cut.problem))
+    assert found is not None
+    assert found.verdict == "explained"
+    assert found.prepared is cut
+    (finding,) = found.explained.findings
+    assert finding.effect == "actuator_lag"
+    assert finding.confidence == found.selected.confidence[LAGS]
+    # What does not explain the windows, or names nothing, leaves them to a search of their own.
+    for hypothesis in (EMPTY, EMPTY.with_term(Term("encoder_scale", 0), np.array([0.1]))):
+        other = replace(whole, explained=Explained((), hypothesis))
+        assert confirmed(cut, trials, other, Selection(cut.problem)) is None
 
 
 def off(errors: Mapping[str, JointError], times: float) -> dict[str, JointError]:
