@@ -321,7 +321,8 @@ class _Maker:
         where = f"{topic} joint '{joint}'"
         if joint not in self.structure.joint_type:
             known = ", ".join(list(self.structure.joint_type)[:12])
-            raise self.error("the model has no such joint", where, expected=f"one of {known}")
+            expected = f"one of {known}" if known else "a model with joints"
+            raise self.error("the model has no such joint", where, expected=expected)
         limits = self.structure.joint_range.get(joint)
         if values is None or limits is None:
             return

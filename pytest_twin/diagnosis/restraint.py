@@ -26,9 +26,10 @@ _LEFT_SURE, _LEFT_UNSURE = 0.25, 0.2
 # than they are together is none where its joint stays unexplained.
 _UNSURE, _SLIGHT = 0.7, 0.01
 _UNLIKELY, _EVEN = 0.02, 0.5
-# What could be absent, by its own interval, has to take off this many times as much as others; half
-# widths of that within which a name is in doubt where its joint stays unexplained: the right law is
-# known well there, for so much stands out of the noise.
+# What could be absent, by its own interval, or has predicted nothing that no fit has seen, has to
+# take off this many times as much as others; half widths of that interval within which a name is in
+# doubt where its joint stays unexplained: the right law is known well there, for so much stands out
+# of the noise.
 _ABSENT_BAR, _DOUBTED = 2.0, 2.0
 
 
@@ -51,6 +52,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     predicts nothing: terms go until nothing diverges.
     """
     notes: list[str] = []
+    untested = not len(problem.held_out)
     # Once, with every term at work: afterwards each removal leaves more for the others.
     judged = False
     fitted = selected.best.fitted
@@ -69,7 +71,8 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             continue
         known = spread(problem, fitted)
         bars = [
-            STANDS_OUT * (_ABSENT_BAR if _perhaps_absent(fitted, t, known) else 1.0) for t in terms
+            STANDS_OUT * (_ABSENT_BAR if untested or _perhaps_absent(fitted, t, known) else 1.0)
+            for t in terms
         ]
         # What stands with all of them at work is no term's merit.
         others = np.maximum(base**2 - 1.0, 0.0)

@@ -167,7 +167,7 @@ def _spectrum(axes: Axes, view: JointView) -> None:
     _logarithmic(axes, "x", "y")
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"what is left [{view.unit}/\N{SQUARE ROOT}Hz]")
-    axes.legend(loc="lower left")
+    axes.legend(loc="upper right")
 
 
 def _regimes(axes: Axes, view: JointView) -> None:

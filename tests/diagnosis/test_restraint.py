@@ -90,6 +90,20 @@ def test_a_law_that_explains_all_stays(tmp_path: Path) -> None:
     assert [(f.effect, f.joint) for f in found.findings] == [("viscous_friction", "left")]
 
 
+def test_what_predicted_nothing_unseen_has_to_take_off_more(tmp_path: Path) -> None:
+    prepared, _ = bench(tmp_path, viscous=0.003)
+    problem = prepared.problem
+    selected = chosen(prepared, Term("viscous_friction", 0), 0.01)
+    assert prune(problem, selected).fitted.hypothesis.terms
+    problem.held_out = problem.held_out[:0]
+    pruned = prune(problem, selected)
+    assert not pruned.fitted.hypothesis.terms
+    assert pruned.notes == [
+        "viscous_friction at left takes nothing off that stands more than 3 floors high; it is not "
+        "claimed"
+    ]
+
+
 def test_a_search_ends_when_its_replays_are_spent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -252,6 +252,11 @@ def test_a_joint_that_the_model_lacks_is_named() -> None:
         "made.mcap: /joint_states joint 'wrist': the model has no such joint "
         "(expected one of pan, rail)"
     )
+    with pytest.raises(RecordingError, match=r"has no such joint \(expected a model with joints\)"):
+        make_trial(
+            recording(state, sound().series["command"]),
+            replace(STRUCTURE, joint_type={}, joint_range={}),
+        )
 
 
 def test_a_little_beyond_the_range_is_only_marked() -> None:
