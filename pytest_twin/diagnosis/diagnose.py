@@ -192,7 +192,7 @@ def _windowed(
     and the problem in windows.
     """
     cut, kept = pose(realization, found.trials, fixed, threads, [], window=WINDOW)
-    other = confirmed(cut, kept, found, Selection(cut.problem, say))
+    other = confirmed(cut, kept, found, say)
     if other is None:
         other = search(cut, kept, Selection(cut.problem, say, _CLEAR))
     if other.supersedes(found):

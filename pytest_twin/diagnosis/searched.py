@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,12 +94,14 @@ def search(prepared: Prepared, trials: TrialSet, selection: Selection) -> Search
 
 
 def confirmed(
-    prepared: Prepared, trials: TrialSet, other: Searched, selection: Selection
+    prepared: Prepared, trials: TrialSet, other: Searched, say: Callable[[str], None]
 ) -> Searched | None:
     """What another search found, fitted here and held against its rivals, if it explains this."""
-    start, contest = other.explained.hypothesis, selection.contest
+    start = other.explained.hypothesis
     if not start.terms:
         return None
+    selection = Selection(prepared.problem, say)
+    contest = selection.contest
     rival = contest.settled(contest.as_it_is(start))
     before, after = (_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
     if not all(e.explained for e in _errors(prepared, before, after).values()):
