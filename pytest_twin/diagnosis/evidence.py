@@ -16,22 +16,23 @@ def effective_samples(residual: FloatArray, lengths: Sequence[int]) -> FloatArra
     Science 7, 1992), segment by segment.
     """
     total = np.zeros(residual.shape[1])
-    at = 0
-    for n in lengths:
-        part = residual[at : at + n]
-        at += n
-        centered = np.nan_to_num(part - part.mean(axis=0))
+    ends = np.cumsum(lengths)
+    by_length: dict[int, list[int]] = {}
+    for end, n in zip(ends, lengths, strict=True):
+        by_length.setdefault(n, []).append(end - n)
+    for n, starts in by_length.items():
+        # (segments, samples, signals): those of one length together.
+        part = residual[np.array(starts)[:, None] + np.arange(n)]
+        centered = np.nan_to_num(part - part.mean(axis=1, keepdims=True))
         size = 1 << (2 * n - 1).bit_length()
-        spectrum = np.fft.rfft(centered, size, axis=0)
-        covariance = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=0)[:n]
-        scale = np.maximum(covariance[0], 1e-300)
-        rho = covariance / scale
-        for s in range(residual.shape[1]):
-            ends = np.flatnonzero(rho[:, s] <= 0.0)
-            last = int(ends[0]) if ends.size else n
-            time = 1.0 + 2.0 * float(rho[1:last, s].sum())
-            # A segment is never worth less than one sample, a constant one no more than that.
-            total[s] += max(n / time, 1.0)
+        spectrum = np.fft.rfft(centered, size, axis=1)
+        covariance = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=1)[:, :n]
+        rho = covariance / np.maximum(covariance[:, :1], 1e-300)
+        # Positive up to the first that is not.
+        counts = np.logical_and.accumulate(rho[:, 1:] > 0.0, axis=1)
+        time = 1.0 + 2.0 * np.sum(rho[:, 1:], axis=1, where=counts)
+        # A segment is never worth less than one sample, a constant one no more than that.
+        total += np.maximum(n / time, 1.0).sum(axis=0)
     return total
 
 

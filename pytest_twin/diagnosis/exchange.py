@@ -28,12 +28,20 @@ from pytest_twin.effects.base import FloatArray
 # Rivals in a place that are looked at, and those in the place of several terms, of all such places.
 _RIVALS, _OF_SEVERAL = 6, 4
 # Rivals are fitted along the motion that are not further than this evidence behind the fit at hand,
-# or behind the first in their place: laws do not add up where a joint sticks.
+# or behind the first in their place: laws do not add up where a joint sticks; and the first few
+# that take back this share of what is lost without: a grid knows little of their shapes.
 _NEAR = 100.0
+_HALF, _FEW = 0.5, 2
+# Iterations of that: what stands for another starts far from where it ends.
+_POLISH = 8
 # Floors that taking a gear away leaves, beyond which small deviations say nothing of its rivals.
 _FAR_APART = 30.0
 # Evidence that more parameters gain by chance, at most.
 _CHANCE = 15.0
+# Share of what is lost without a law by which one that has it in it has to be ahead, and by which
+# it may be behind such a one and stand in its place: what a simulator does not do quite as reality
+# does, a law with more to it follows a little, and that grows with what the law does.
+_MORE_TO_IT, _AS_MUCH = 0.02, 0.01
 # Terms of one joint up to which all their subsets are taken away; of more, pairs and all of them.
 _CROWD = 4
 
@@ -87,16 +95,26 @@ def exchanges(
             found += sorted(alike, key=lambda x: -x.evidence)[:_OF_SEVERAL]
     if look.linear is None:
         return found
-    first: dict[tuple[Term, ...], float] = {}
-    for x in found:
-        first[x.gone] = max(first.get(x.gone, -np.inf), min(x.evidence, 0.0))
-    near = [i for i, x in enumerate(found) if x.evidence > first[x.gone] - _NEAR]
+    near = _worth_fitting(found)
     fitted, evidence = against(
-        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price
+        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price, _POLISH
     )
     for i, h, value in zip(near, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True):
         found[i] = replace(found[i], hypothesis=h, evidence=float(value))
     return found
+
+
+def _worth_fitting(found: Sequence[Exchange]) -> list[int]:
+    """Numbers of those that may be in front once they are fitted along the motion."""
+    out = []
+    for gone in dict.fromkeys(x.gone for x in found):
+        mine = [i for i, x in enumerate(found) if x.gone == gone]
+        first = max(min(found[i].evidence, 0.0) for i in mine)
+        half = _HALF * min((found[i].evidence for i in mine if found[i].new is None), default=0.0)
+        near = [i for i in mine if found[i].evidence > first - _NEAR]
+        far = [i for i in mine if found[i].new and found[i].evidence > half and i not in near]
+        out += near + sorted(far, key=lambda i: -found[i].evidence)[:_FEW]
+    return out
 
 
 def by_chance(
@@ -104,14 +122,23 @@ def by_chance(
 ) -> dict[tuple[tuple[Term, ...], Term | None], float]:
     """Evidence by which each may be ahead and be no better: where it has more parameters than what
     it stands for, for what is left is never white, and more of them follow anything a little.
+
+    Negative where it may be behind and be as good: what stands there only has it in it.
     """
-    lost = {x.gone: -x.evidence for x in found if x.new is None}
-    out = {}
-    for x in found:
-        more = x.new is not None and x.new.free > sum(t.free for t in x.gone)
-        chance = min(max(AS_GOOD * lost.get(x.gone, 0.0), 0.0), _CHANCE)
-        out[x.gone, x.new] = chance if more else 0.0
-    return out
+    lost = {x.gone: max(-x.evidence, 0.0) for x in found if x.new is None}
+    return {(x.gone, x.new): _by_chance(x, lost.get(x.gone, 0.0)) for x in found}
+
+
+def _by_chance(exchange: Exchange, lost: float) -> float:
+    gone, new = exchange.gone, exchange.new
+    if new is None:
+        return 0.0
+    if len(gone) == 1 and gone[0].effect in new.law.has_in_it:
+        return _MORE_TO_IT * lost
+    if len(gone) == 1 and new.effect in gone[0].law.has_in_it:
+        return -_AS_MUCH * lost
+    more = new.free > sum(t.free for t in gone)
+    return min(AS_GOOD * lost, _CHANCE) if more else 0.0
 
 
 def _places(

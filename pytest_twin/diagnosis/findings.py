@@ -24,6 +24,8 @@ _UNTESTED = 0.8
 _CORRELATED = 0.9
 # A name whose parameter stands at its physical bound is no surer than this.
 _BOUNDED = 0.5
+# s from the start of a window of an effort drive, in which what a name does is measured.
+_SOON = 0.25
 # A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
 _OPEN = 1e3
 
@@ -170,13 +172,24 @@ def explain(
 def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
     """Floors by which the predictions of all but the first differ from it, at the joint where most.
 
-    Of positions; of efforts where no position differs.
+    Of positions; of efforts where no position differs. Windows of effort drives count by what
+    stands soon after each start: an arm that nothing holds runs away from any change, and what acts
+    first has grown most in the end.
     """
     first, *others = problem.predict(hypotheses, problem.tested)
+    segments = [problem.simulator.segments[s] for s in problem.tested]
+    soon = [
+        slice(
+            int(np.searchsorted(s.time, s.start + _SOON)) if s.mode == "effort" and s.amid else None
+        )
+        for s in segments
+    ]
     out = []
     for other in others:
         pairs = list(zip(first, other, strict=True))
-        position = np.concatenate([a.position - b.position for a, b in pairs])
+        position = np.concatenate(
+            [a.position[n] - b.position[n] for (a, b), n in zip(pairs, soon, strict=True)]
+        )
         height = float(in_floors(position, problem.floor).max())
         if height == 0.0 and problem.effort_floor is not None:
             effort = np.concatenate([a.effort - b.effort for a, b in pairs])

@@ -154,9 +154,14 @@ def evidence_along(view: View, polished: Sequence[Polished], name_price: float) 
 
 
 def against(
-    linear: Linear, view: View, best: Rival, others: Sequence[Hypothesis], name_price: float
+    linear: Linear,
+    view: View,
+    best: Rival,
+    others: Sequence[Hypothesis],
+    name_price: float,
+    iterations: int = _POLISH,
 ) -> tuple[list[Hypothesis], FloatArray]:
     """Hypotheses fitted along the measured motion of ``best``, and their evidence over it."""
-    polished = polish(linear, view, others, _POLISH)
+    polished = polish(linear, view, others, iterations)
     values = evidence_along(view, [Polished(best.hypothesis, view.residual), *polished], name_price)
     return [p.hypothesis for p in polished], values[1:] - values[0]

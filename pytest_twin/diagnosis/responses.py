@@ -409,7 +409,7 @@ class Linear:
 
     def _sensed(self, effect: Effect, values: Values, row: int, joint: int) -> _Column:
         """What sensors and clocks change by themselves."""
-        if not effect.overrides("sense", "sense_effort", "sample_time", "unsense"):
+        if not _sensing([(effect, values)]):
             return _Column()
         mine = {n: x[row : row + 1] for n, x in values.items()}
         direct = []
@@ -471,9 +471,14 @@ class Linear:
                 column.force = column.force - upsampled(
                     effort - self.own_effort, self.rigid.at, samples
                 )
-        base_reading, base_start = self._read_off(self._active(self.own), 0)
+        base_reading, base_start = self._read_off(_sensing(self._active(self.own)), 0)
+        sensing, known = _sensing(active), dict[bytes, tuple[list[FloatArray], FloatArray]]()
         for k, column in enumerate(columns):
-            reading, start = self._read_off(active, k)
+            # Few hypotheses differ in what they make of a reading.
+            key = b"".join(x[k].tobytes() for _, v in sensing for x in v.values())
+            if key not in known:
+                known[key] = self._read_off(sensing, k)
+            reading, start = known[key]
             column.direct = [r - b for r, b in zip(reading, base_reading, strict=True)]
             column.initial = start - base_start
         return [
@@ -550,6 +555,14 @@ class Linear:
             parts.append(self.bins.of_segment(i).mean(stacked).astype(np.float32))
         binned = np.concatenate(parts)
         return [np.asarray(binned[:, :, k]) for k in range(len(columns))]
+
+
+def _sensing(active: ActiveEffects) -> ActiveEffects:
+    """Those that change what is read of a motion."""
+    return [
+        (e, v) for e, v in active
+        if e.overrides("sense", "sense_effort", "sample_time", "unsense")
+    ]  # fmt: skip
 
 
 def _only(values: FloatArray, joint: int) -> FloatArray:

@@ -17,6 +17,9 @@ AS_GOOD = 0.01
 """Structures this share of the evidence behind the first are as good, ..."""
 # ... and with fewer names those that have this share of it.
 _NAME_BUYS = 0.8
+# Of two under the floor the one is likelier that leaves this much less, as a factor, of what is
+# fitted and of what is not; below this share of the floor no less is told.
+_QUIETER, _QUIETEST = 1.25, 0.2
 
 
 @dataclass(slots=True)
@@ -72,6 +75,25 @@ def simplest(earning: Sequence[Rival]) -> Rival:
     return min(
         (r for r in alike if r.evidence >= enough), key=lambda r: (r.hypothesis.free, -r.evidence)
     )
+
+
+def quieter(rival: Rival, other: Rival, floor: FloatArray) -> int:
+    """1 where a rival leaves clearly less than another, -1 where clearly more, else 0.
+
+    The floor is the most that need not be explained. Where much less is left, it was estimated too
+    high, and what is under it still tells two laws apart that explain as much.
+    """
+
+    def more(one: FloatArray, two: FloatArray) -> float:
+        levels = (np.maximum(np.mean(r**2, axis=0), (_QUIETEST * floor) ** 2) for r in (one, two))
+        first, second = levels
+        return float(0.5 * np.log(first / second).sum())
+
+    each = [more(other.fitted.residual, rival.fitted.residual)]
+    if len(rival.held_residual):
+        each.append(more(other.held_residual, rival.held_residual))
+    clearly = np.log(_QUIETER)
+    return int(min(each) >= clearly) - int(max(each) <= -clearly)
 
 
 def described(h: Hypothesis) -> str:

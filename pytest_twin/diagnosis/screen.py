@@ -275,9 +275,8 @@ class Lens:
                 rest = b / size - np.einsum("kpq,kq->kp", scaled, np.where(fixed, held * size, 0.0))
                 again = np.linalg.solve(kept, np.where(keep, rest, 0.0)[..., None])[..., 0] / size
                 x = np.clip(np.where(fixed, held, again), lower, upper)
-            explained = 2.0 * np.einsum("kp,skp->ks", x, right) - np.einsum(
-                "kp,skpq,kq->ks", x, normal, x, optimize=True
-            )
+            taken = (normal @ x[None, :, :, None])[..., 0]
+            explained = np.einsum("kp,skp->ks", x, 2.0 * right - taken)
             mean_square = np.maximum(self.squared[None] - explained, 0.0) / self.bins
         return x, mean_square
 

@@ -22,7 +22,7 @@ from pytest_twin.diagnosis.look import Look, look_ahead, look_around, view_of
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Response, linearized
 from pytest_twin.diagnosis.restraint import in_floors
-from pytest_twin.diagnosis.rivals import EARNS, Rival, Selected, described, simplest
+from pytest_twin.diagnosis.rivals import EARNS, Rival, Selected, described, quieter, simplest
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
 
 _MAX_TERMS = 10
@@ -33,6 +33,8 @@ _CLEAR = 30.0
 _HARDLY = 0.05
 # Evidence behind the best that the error of the simulator's step may amount to.
 _DISPUTED = 2000.0
+# Evidence within which what two leave under the floor tells them apart.
+_EVEN = 10.0
 # Rivals in one place that are simulated.
 _MOST_CLOSE = 2
 # Terms that act on one joint and may be a crowd in the place of fewer.
@@ -304,11 +306,15 @@ class Selection:
         evidence = {(x.gone, x.new): x.evidence for x in found}
         evidence |= {(x.gone, x.new): r.evidence for x, r in simulated}
         evidence = {place: e - chance[place] for place, e in evidence.items()}
+        for x, r in simulated:
+            less = quieter(r, best, self.problem.signal_floor)
+            if less and len(x.gone) == 1 and abs(r.evidence) < _EVEN:
+                evidence[x.gone, x.new] = r.evidence + _EVEN * less
         for term in terms:
             # A law that has this one in it says the same where it says no more.
             mine = {
                 new: e for (gone, new), e in evidence.items()
-                if gone == (term,) and not (new and new.law.holds(term.effect))
+                if gone == (term,) and not (new and term.effect in new.law.has_in_it)
             }  # fmt: skip
             values = np.array([0.0, *mine.values()])
             share = np.exp(np.clip(values - values.max(), -700.0, 0.0))

@@ -158,6 +158,7 @@ class TorqueSpeedLimit(Effect):
         "torque_saturation": "a stall against a stop",
         "viscous_friction": "a slow move under load: the limit acts at high effort and speed only",
     }
+    has_in_it = frozenset({"torque_saturation"})
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_saturation": {"inverse_limit": 1.0 / max(values["stall"], 1e-12)}}
@@ -236,6 +237,8 @@ class ControllerGain(Effect):
         "viscous_friction": "the drive off: only friction remains",
         "joint_spring": "the drive off: only a spring pulls",
     }
+    # Damping alone is a brake.
+    has_in_it = frozenset({"torque_constant", "viscous_friction"})
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_constant": {"relative_error": values["stiffness_error"]}}

@@ -212,6 +212,7 @@ class Effect:
         parameters: at least one.
         scope: ``joint``, or ``robot`` where it is the whole robot's.
         confused_with: effect id -> the experiment that tells the two apart.
+        has_in_it: laws that this one comes to at some of its parameters.
         modes: command modes under which it can act.
         remembers: whether a hook keeps a state between steps.
         remembers_path: whether what its ``force`` keeps fades with the way that the joint goes, not
@@ -226,6 +227,7 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]]
     scope: ClassVar[Scope] = "joint"
     confused_with: ClassVar[Mapping[str, str]] = {}
+    has_in_it: ClassVar[frozenset[str]] = frozenset()
     modes: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
     remembers: ClassVar[bool] = False
     remembers_path: ClassVar[bool] = False

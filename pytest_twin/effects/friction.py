@@ -24,6 +24,7 @@ class _DryFriction(Effect):
     """
 
     level: ClassVar[str]
+    has_in_it = frozenset({"coulomb_friction"})
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"coulomb_friction": {"coulomb": values[self.level]}}

@@ -75,6 +75,7 @@ class Backlash(Effect):
         "coulomb_friction": "hold the link by hand",
         "joint_elasticity": "two loads: a gap does not grow with the load",
     }
+    has_in_it = frozenset({"joint_elasticity"})
 
     def holds(self, effect: str) -> Mapping[str, str]:
         """A gear that yields a little yields as its teeth do."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_behind_gears import fitted, silent, with_true
@@ -12,7 +14,7 @@ from pytest_twin.diagnosis.exchange import Exchange, by_chance, exchanges
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.look import look_around
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rivals import Rival, Selected
+from pytest_twin.diagnosis.rivals import Rival, Selected, quieter
 from pytest_twin.diagnosis.select import Selection
 
 MASS, BODY = Term("payload", ROBOT), Term("inertial_parameters", ELBOW)
@@ -139,11 +141,11 @@ def test_a_law_that_has_another_in_it_is_no_rival_of_it() -> None:
     contest = selection.contest
     best = settled(contest, DRY)
     offered = [x.new for x in around(problem, contest, best) if x.gone == (DRY,) and x.new]
-    assert any(new.law.holds(DRY.effect) for new in offered)
+    assert any(DRY.effect in new.law.has_in_it for new in offered)
     selected = Selected(best, contest.nominal)
     assert not selection._sideways(selected)
     assert selected.alternatives[DRY]
-    assert not any(new.law.holds(DRY.effect) for new, _ in selected.alternatives[DRY])
+    assert not any(DRY.effect in new.law.has_in_it for new, _ in selected.alternatives[DRY])
 
 
 def test_rivals_that_hardly_lose_are_simulated(
@@ -168,17 +170,44 @@ def test_rivals_that_hardly_lose_are_simulated(
     assert simulated(lost=-5000.0, behind=-300.0) == []
 
 
+def by_chance_of(gone: tuple[Term, ...], new: Term | None, lost: float) -> float:
+    bare = Exchange(gone, None, EMPTY, -lost, False)
+    return by_chance([bare, Exchange(gone, new, EMPTY, 7.0, False)])[gone, new]
+
+
 def test_more_parameters_are_ahead_by_chance() -> None:
-    """A softer drive that only damps is a brake, and has a parameter more to follow the rest."""
-    gain = Term("controller_gain", ELBOW)
-
-    def allowed(gone: tuple[Term, ...], new: Term, lost: float) -> float:
-        bare = Exchange((DRAG,), None, EMPTY, -lost, False)
-        return by_chance([bare, Exchange(gone, new, EMPTY, 7.0, False)])[gone, new]
-
-    assert allowed((DRAG,), gain, lost=500.0) == pytest.approx(5.0)
-    assert allowed((DRAG,), gain, lost=1e5) == pytest.approx(15.0)
+    assert by_chance_of((BODY,), MASS, lost=500.0) == pytest.approx(5.0)
+    assert by_chance_of((BODY,), MASS, lost=1e5) == pytest.approx(15.0)
     # Where nothing is lost nothing is allowed, nor with as many parameters.
-    assert allowed((DRAG,), gain, lost=-3.0) == 0.0
-    assert allowed((DRAG,), DRY, lost=1e5) == 0.0
-    assert allowed((DRAG, DRY), gain, lost=1e5) == 0.0
+    assert by_chance_of((BODY,), MASS, lost=-3.0) == 0.0
+    assert by_chance_of((DRAG,), DRY, lost=1e5) == 0.0
+    assert by_chance_of((DRAG, DRY), MASS, lost=1e5) == 0.0
+    assert by_chance_of((DRAG,), None, lost=1e5) == 0.0
+
+
+def test_a_law_that_has_another_in_it_is_clearly_ahead_or_gives_way() -> None:
+    """A softer drive that only damps is a brake; friction that hardly varies is dry friction."""
+    gain, turning = Term("controller_gain", ELBOW), Term("position_dependent_friction", ELBOW)
+    assert by_chance_of((DRAG,), gain, lost=1e4) == pytest.approx(200.0)
+    assert by_chance_of((DRY,), turning, lost=1e4) == pytest.approx(200.0)
+    assert by_chance_of((turning,), DRY, lost=1e4) == pytest.approx(-100.0)
+
+
+def test_of_two_under_the_floor_the_quieter_is_the_likelier(loaded: Problem) -> None:
+    """A floor that was estimated too high hides from evidence what still tells two laws apart."""
+    contest = Contest(loaded)
+    rival = fitted(contest, with_true(loaded, MASS, CARRIED))
+    floor = np.full(len(loaded.signal_floor), 1.0)
+
+    def leaving(fit: float, unseen: float) -> Rival:
+        seen = replace(rival.fitted, residual=np.full_like(rival.fitted.residual, fit))
+        return replace(rival, fitted=seen, held_residual=np.full((5, len(floor)), unseen))
+
+    usual = leaving(0.6, 0.5)
+    assert quieter(leaving(0.4, 0.3), usual, floor) == 1
+    assert quieter(usual, leaving(0.4, 0.3), floor) == -1
+    # Both kinds of recordings have to say so, ...
+    assert quieter(leaving(0.4, 0.5), usual, floor) == 0
+    assert quieter(leaving(0.6, 0.3), usual, floor) == 0
+    # ... and far under the floor nothing does.
+    assert quieter(leaving(0.01, 0.01), leaving(0.15, 0.15), floor) == 0

@@ -1,0 +1,40 @@
+"""Which of several names explains most: how far its absence takes the prediction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_behind_gears import with_true
+from test_first_order import ELBOW, problem_of
+
+from pytest_twin.diagnosis.findings import _heights
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+
+WEAK, DRAG = Term("torque_constant", 0), Term("viscous_friction", ELBOW)
+SOON = 0.25
+
+
+def test_windows_of_an_effort_drive_count_by_what_stands_soon() -> None:
+    """Later an arm that nothing holds has run away from any change, and most from the first."""
+    problem = problem_of("effort", {WEAK: {"relative_error": 0.3}})
+    weak = with_true(problem, WEAK, {"relative_error": 0.3})
+    (height,) = _heights(problem, [weak, EMPTY])
+    with_it, without = problem.predict([weak, EMPTY], problem.tested)
+    apart = [a.position - b.position for a, b in zip(with_it, without, strict=True)]
+    soon = [
+        x[problem.simulator.segments[s].time < problem.simulator.segments[s].start + SOON]
+        for x, s in zip(apart, problem.tested, strict=True)
+    ]
+    expected, later = (np.sqrt(np.mean(np.concatenate(x) ** 2)) for x in (soon, apart))
+    assert height == pytest.approx(expected / problem.floor[0])
+    assert later > 1.5 * expected
+
+
+def test_whole_motions_count_in_full() -> None:
+    problem = problem_of("position", {DRAG: {"coefficient": 0.3}})
+    drag = with_true(problem, DRAG, {"coefficient": 0.3})
+    (height,) = _heights(problem, [drag, EMPTY])
+    with_it, without = problem.predict([drag, EMPTY], problem.tested)
+    apart = np.concatenate([a.position - b.position for a, b in zip(with_it, without, strict=True)])
+    level = np.sqrt(np.mean(apart**2, axis=0)) / problem.floor
+    assert height == pytest.approx(level.max())
