@@ -64,6 +64,18 @@ class Exchange:
     evidence: float
     doubtful: bool
 
+    @property
+    def has_it(self) -> bool:
+        """Whether what is new has the one that is gone in it."""
+        (one, *more), new = self.gone, self.new
+        return new is not None and not more and one.effect in new.law.has_in_it
+
+    @property
+    def comes_to(self) -> bool:
+        """Whether what is new is a special case of the one that is gone."""
+        (one, *more), new = self.gone, self.new
+        return new is not None and not more and new.effect in one.law.has_in_it
+
 
 def exchanges(
     problem: Problem,
@@ -130,14 +142,14 @@ def by_chance(
 
 
 def _by_chance(exchange: Exchange, lost: float) -> float:
-    gone, new = exchange.gone, exchange.new
+    new = exchange.new
     if new is None:
         return 0.0
-    if len(gone) == 1 and gone[0].effect in new.law.has_in_it:
+    if exchange.has_it:
         return _MORE_TO_IT * lost
-    if len(gone) == 1 and new.effect in gone[0].law.has_in_it:
+    if exchange.comes_to:
         return -_AS_MUCH * lost
-    more = new.free > sum(t.free for t in gone)
+    more = new.free > sum(t.free for t in exchange.gone)
     return min(AS_GOOD * lost, _CHANCE) if more else 0.0
 
 

@@ -15,6 +15,9 @@ from pytest_twin.effects.base import FloatArray
 _DAMPINGS = (1e-4, 1e-1)
 _FAST, _ENOUGH = 0.5, 1e-4
 _TINY = 1e-6
+# A parameter that moves the prediction by less than this share of what is left, all of it, has no
+# slope but that of rounding: a roll of the base where all axes are level.
+_MUTE = 1e-4
 # Parts of its reach by which a parameter is tried beside its slope.
 _REACHED = (-1.0, -0.25, 0.25, 1.0)
 
@@ -198,8 +201,9 @@ def propose(
     a = (jacobian * weights[:, None]).reshape(-1, h.theta.size) @ _chart(h)
     b = np.nan_to_num(residual * weights).ravel()
     normal, gradient = a.T @ a, a.T @ b
+    moves = np.sqrt(np.mean((jacobian * weights[:, None]) ** 2, axis=(0, 1))) * h.sizes
     # Of a choice rounding has a slope all the same.
-    free = h.movable
+    free = h.movable & (moves > _MUTE * np.sqrt(np.mean(b**2)))
     if not np.isfinite(normal).all() or not free.any():
         return h
     theta = h.theta.copy()

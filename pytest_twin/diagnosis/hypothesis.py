@@ -120,6 +120,16 @@ class Hypothesis:
         return np.array([not p.choice for t in self.terms for p in t.parameters], dtype=bool)
 
     @property
+    def sizes(self) -> FloatArray:
+        """(parameters,) what each is, or the least size that its law is asked at."""
+        least = [
+            min((abs(s) for s in p.starts if s != 0.0), default=1.0)
+            for t in self.terms for p in t.parameters
+        ]  # fmt: skip
+        found: FloatArray = np.maximum(np.abs(self.theta), least)
+        return found
+
+    @property
     def rough(self) -> bool:
         """Whether the motion follows some parameter in leaps."""
         return any(p.step > SMOOTH_STEP for t in self.terms for p in t.parameters)

@@ -21,6 +21,8 @@ _WORSE = 1.05
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.25, 0.2
+# Nor, with several at one joint, with this share and so many floors: they hold each other up.
+_LEFT_SEVERAL, _SEVERAL_FLOORS = 0.05, 50.0
 # A name that rivals could replace has to take this share of the mismatch; one that they would
 # replace, had there been time to simulate them, is none beside others, and one that is less likely
 # than they are together is none where its joint stays unexplained.
@@ -131,6 +133,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
         for t in terms:
             share = _too_little(
                 problem, t, before, base,
+                several=sum(other.joint == t.joint >= 0 for other in terms) > 1,
                 sure=selected.confidence.get(t, 1.0) >= _SURE
                 and not fitted.hypothesis.at_bound(t),
             )  # fmt: skip
@@ -224,11 +227,17 @@ def _perhaps_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1
 
 
 def _too_little(
-    problem: Problem, term: Term, before: FloatArray, after: FloatArray, *, sure: bool
+    problem: Problem,
+    term: Term,
+    before: FloatArray,
+    after: FloatArray,
+    *,
+    several: bool,
+    sure: bool,
 ) -> float:
     """Share of the squared mismatch that is left where a term acts, if it is too much, else 0.
 
-    An unsure name has to explain more.
+    An unsure name has to explain more, and so has one of several at a joint.
     """
     joints = len(problem.joints)
     columns = slice(None) if term.joint < 0 else slice(term.joint, None, joints)
@@ -237,6 +246,8 @@ def _too_little(
     share = left / mismatch if mismatch > 0.0 else 0.0
     top = float(after[columns].max())
     bound = _LEFT_SURE if sure else _LEFT_UNSURE
+    if several and top > _SEVERAL_FLOORS:
+        bound = _LEFT_SEVERAL
     return share if share > bound and top > STANDS_OUT else 0.0
 
 

@@ -41,7 +41,7 @@ def sought(problem: Problem, start: Hypothesis, weights: FloatArray) -> Hypothes
     # It brings half a second of imports, which few diagnoses need.
     import cma
 
-    step = _first_steps(start)[free]
+    step = _STEP * start.sizes[free]
     lower, upper = (bound[free] / step for bound in start.bounds)
 
     def at(point: FloatArray) -> Hypothesis:
@@ -79,13 +79,3 @@ def deviations(problem: Problem, hypotheses: list[Hypothesis], weights: FloatArr
     """Weighted mean absolute deviation of each on the recordings that are fitted."""
     costs = [np.mean(np.abs(r) * weights) for r in problem.residuals(hypotheses, problem.fit)]
     return [float(c) if np.isfinite(c) else _DIVERGED for c in costs]
-
-
-def _first_steps(start: Hypothesis) -> FloatArray:
-    """(parameters,) where a strategy looks first, in multiples of the scales."""
-    least = [
-        min((abs(s) for s in p.starts if s != 0.0), default=1.0)
-        for t in start.terms for p in t.parameters
-    ]  # fmt: skip
-    steps: FloatArray = _STEP * np.maximum(np.abs(start.theta), least)
-    return steps

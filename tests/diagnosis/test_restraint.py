@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.diagnosis.restraint import _perhaps_absent, as_named, prune
+from pytest_twin.diagnosis.restraint import _perhaps_absent, _too_little, as_named, prune
 from pytest_twin.diagnosis.rivals import Rival, Selected
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.formats.mcap import read_recording
@@ -172,3 +172,19 @@ def test_the_joint_region_holds_what_normal_draws_say() -> None:
     draws = random.multivariate_normal(np.zeros(2), correlation, 2000)
     inside = np.mean([known.apart(np.arange(2), d) <= 1.0 for d in draws])
     assert inside == pytest.approx(0.95, abs=0.015)
+
+
+def test_several_names_at_a_joint_have_to_explain_more(tmp_path: Path) -> None:
+    """Alone a name may leave a fifth: others may be missing. Two that leave much are two wrong."""
+    prepared, _ = bench(tmp_path, viscous=0.3)
+    before, term = np.array([400.0, 2.0]), Term("viscous_friction", 0)
+
+    def left(after: float, *, several: bool) -> float:
+        found = np.array([after, 2.0])
+        return _too_little(prepared.problem, term, before, found, several=several, sure=True)
+
+    tenth = 400.0 * np.sqrt(0.1)
+    assert left(tenth, several=False) == 0.0
+    assert left(tenth, several=True) == pytest.approx(0.1, rel=0.01)
+    # A fiftieth is what two right ones may leave of so much.
+    assert left(400.0 * np.sqrt(0.02), several=True) == 0.0
