@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from test_first_order import ELBOW, SHOULDER, problem_of
 
 from pytest_twin.diagnosis.fewer import merged
-from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.fit import fit, propose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect
@@ -70,3 +70,18 @@ def test_other_laws_step_in_their_own_parameters() -> None:
     for law in catalogue().values():
         start = np.array([p.starts[0] for p in law.parameters])
         assert law.from_coordinates(law.coordinates(start)) == pytest.approx(start)
+
+
+def test_what_moves_nothing_stays() -> None:
+    """A roll of the base where all axes are level: its slope is rounding, and leads anywhere."""
+    random = np.random.default_rng(3)
+    tilt = Hypothesis((Term("base_tilt", -1),), np.array([0.0, 0.02]))
+    jacobian = random.standard_normal((200, 1, 2)) * np.array([1e-7, 1.0])
+    residual = 0.01 * jacobian[:, :, 1] + 3e-3 * random.standard_normal((200, 1))
+    moved = propose(tilt, residual, jacobian, np.ones(1), 1e-4)
+    assert moved.theta[0] == 0.0
+    assert moved.theta[1] == pytest.approx(0.03, abs=2e-3)
+    # With a slope of its own it goes where that leads.
+    rolled = residual - 0.01 * jacobian[:, :, 0] * 1e7
+    free = propose(tilt, rolled, jacobian * np.array([1e7, 1.0]), np.ones(1), 1e-4)
+    assert free.theta[0] == pytest.approx(-0.01, abs=2e-3)
