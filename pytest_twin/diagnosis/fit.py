@@ -198,10 +198,11 @@ def propose(
     It is taken in the coordinates of each law. Where slopes overflow it goes nowhere.
     """
     lower, upper = h.bounds
-    a = (jacobian * weights[:, None]).reshape(-1, h.theta.size) @ _chart(h)
+    slopes = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
+    a = slopes @ _chart(h)
     b = np.nan_to_num(residual * weights).ravel()
     normal, gradient = a.T @ a, a.T @ b
-    moves = np.sqrt(np.mean((jacobian * weights[:, None]) ** 2, axis=(0, 1))) * h.sizes
+    moves = np.sqrt(np.mean(slopes**2, axis=0)) * h.sizes
     # Of a choice rounding has a slope all the same.
     free = h.movable & (moves > _MUTE * np.sqrt(np.mean(b**2)))
     if not np.isfinite(normal).all() or not free.any():

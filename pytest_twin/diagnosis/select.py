@@ -307,9 +307,11 @@ class Selection:
         evidence |= {(x.gone, x.new): r.evidence for x, r in simulated}
         evidence = {place: e - chance[place] for place, e in evidence.items()}
         for x, r in simulated:
-            less = quieter(r, best, self.problem.signal_floor)
             alike = len(x.gone) == 1 and not x.has_it and not x.comes_to
-            if alike and less and abs(r.evidence) < _EVEN:
+            if not alike or abs(r.evidence) >= _EVEN:
+                continue
+            less = quieter(r, best, self.problem.signal_floor)
+            if less:
                 evidence[x.gone, x.new] = r.evidence + _EVEN * less
         for term in terms:
             # A law that has this one in it says the same where it says no more.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 
 import numpy as np
@@ -21,11 +22,9 @@ def lockstep(batch: Batch, steps: int, before: Callable[[int], None]) -> None:
     sound = None
     for k in range(steps):
         before(k)
-        try:
+        # Rows that raise keep their state, and the others go on.
+        with contextlib.suppress(SimulationError):
             batch.step(sound)
-        except SimulationError:
-            # The rows that raised kept their state, the others went on.
-            continue
         if k % _LOOK == 0:
             lost = batch.warning[:, :, 1].any(axis=1)
             if lost.any():

@@ -85,3 +85,10 @@ def test_what_moves_nothing_stays() -> None:
     rolled = residual - 0.01 * jacobian[:, :, 0] * 1e7
     free = propose(tilt, rolled, jacobian * np.array([1e7, 1.0]), np.ones(1), 1e-4)
     assert free.theta[0] == pytest.approx(-0.01, abs=2e-3)
+
+
+def test_laws_that_hold_or_come_to_another_say_so() -> None:
+    for law in catalogue().values():
+        values = {p.name: np.float64(p.starts[0]) for p in law.parameters}
+        told = {*law.special_cases(values), *(e for e in catalogue() if law.holds(e))}
+        assert told <= law.has_in_it, law.id
