@@ -1,6 +1,6 @@
 """What parameter fitting alone does on blind cases: mujoco.sysid beside the diagnosis.
 
-    pip install 'mujoco[sysid]'
+    pip install 'pytest-twin[benchmarks]'
     python benchmarks/usual_way.py --cases DIR --results DIR [--truth DIR] --out DIR
     python benchmarks/usual_way.py --delay DIR
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
-from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.fit import fit, weighted_cost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rivals import Rival
@@ -78,6 +78,14 @@ class Contest:
         else:
             held = [np.zeros((0, len(problem.signal_floor)))] * len(fitted)
         return [Rival(f, h) for f, h in zip(fitted, held, strict=True)]
+
+    def nearest(self, hypotheses: Sequence[Hypothesis], weights: FloatArray) -> Hypothesis:
+        """The one that leaves least of what is fitted, each as it is."""
+        if len(hypotheses) == 1:
+            return hypotheses[0]
+        left = self.problem.residuals(hypotheses, self.problem.fit)
+        costs = [weighted_cost(residual, weights) for residual in left]
+        return hypotheses[int(np.argmin(costs))]
 
     def as_it_is(self, hypothesis: Hypothesis, *, slopes: bool = False) -> Rival:
         """A hypothesis that is fitted already, with the simulator's step corrected for it."""

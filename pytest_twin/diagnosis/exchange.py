@@ -18,7 +18,7 @@ import numpy as np
 from pytest_twin.diagnosis.foremost import against, evidence_along
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.look import Look
-from pytest_twin.diagnosis.polish import Polished
+from pytest_twin.diagnosis.polish import FAR_OFF, Polished
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Response, bins
 from pytest_twin.diagnosis.rivals import AS_GOOD, Rival
@@ -32,8 +32,6 @@ _RIVALS, _OF_SEVERAL = 6, 4
 # that take back this share of what is lost without: a grid knows little of their shapes.
 _NEAR = 100.0
 _HALF, _FEW = 0.5, 2
-# Iterations of that: what stands for another starts far from where it ends.
-_POLISH = 8
 # Floors that taking a gear away leaves, beyond which small deviations say nothing of its rivals.
 _FAR_APART = 30.0
 # Evidence that more parameters gain by chance, at most.
@@ -109,7 +107,7 @@ def exchanges(
         return found
     near = _worth_fitting(found)
     fitted, evidence = against(
-        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price, _POLISH
+        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price, FAR_OFF
     )
     for i, h, value in zip(near, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True):
         found[i] = replace(found[i], hypothesis=h, evidence=float(value))

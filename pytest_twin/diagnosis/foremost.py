@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.contest import FRONT, Contest
 from pytest_twin.diagnosis.deepen import deepened
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.look import Look
-from pytest_twin.diagnosis.polish import Polished, polish
+from pytest_twin.diagnosis.polish import NEARBY, Polished, polish
 from pytest_twin.diagnosis.responses import Linear
 from pytest_twin.diagnosis.rivals import EARNS, Rival, described
 from pytest_twin.diagnosis.screen import Lens, Search, View
@@ -25,8 +25,8 @@ from pytest_twin.effects.base import FloatArray
 
 Say = Callable[[str], None]
 # Structures kept at each size, terms added at once, structures of each size and of one term that
-# are fitted along the motion, and iterations of that.
-_WIDTH, _AT_ONCE, _OFFERED, _SINGLE, _POLISH = 10, 4, 2, 8, 3
+# are fitted along the motion.
+_WIDTH, _AT_ONCE, _OFFERED, _SINGLE = 10, 4, 2, 8
 # Structures kept at each size of those that are grown from fitted single terms.
 _NARROW = 4
 
@@ -78,7 +78,7 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
     if look.linear is None:
         singles = [h for h in starts if h.more_terms(best.hypothesis) == 1]
         return Foremost(starts, np.mean(chosen[0].residual ** 2, axis=0), singles)
-    polished = polish(look.linear, look.view, starts, _POLISH)
+    polished = polish(look.linear, look.view, starts, NEARBY)
     polished = _by_evidence(look.view, polished, contest.name_price)
     left = np.mean(polished[0].residual ** 2, axis=0)
     if look.view.above(left, STANDS_OUT).any():
@@ -86,7 +86,7 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
             look.view, look.answers, polished, best.hypothesis,
             lambda: search(_NARROW, _AT_ONCE - 1),
         )  # fmt: skip
-        polished += polish(look.linear, look.view, more, _POLISH)
+        polished += polish(look.linear, look.view, more, NEARBY)
     return _foremost(look.view, polished, best, contest.name_price, say)
 
 
@@ -159,7 +159,7 @@ def against(
     best: Rival,
     others: Sequence[Hypothesis],
     name_price: float,
-    iterations: int = _POLISH,
+    iterations: int,
 ) -> tuple[list[Hypothesis], FloatArray]:
     """Hypotheses fitted along the measured motion of ``best``, and their evidence over it."""
     polished = polish(linear, view, others, iterations)

@@ -17,6 +17,8 @@ from pytest_twin.diagnosis.responses import Linear
 from pytest_twin.diagnosis.screen import View
 from pytest_twin.effects.base import FloatArray
 
+NEARBY, FAR_OFF = 3, 8
+"""Iterations of what starts near where it ends, and of what stands for something else."""
 _DAMPINGS = (1e-4, 1e-2, 1.0)
 _ENOUGH = 3e-3
 _AT_ONCE = 48

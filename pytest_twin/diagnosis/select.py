@@ -19,8 +19,9 @@ from pytest_twin.diagnosis.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.front import front
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.look import Look, look_ahead, look_around, view_of
+from pytest_twin.diagnosis.polish import FAR_OFF, NEARBY
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Response, linearized
+from pytest_twin.diagnosis.responses import Linear, Response, linearized
 from pytest_twin.diagnosis.restraint import in_floors
 from pytest_twin.diagnosis.rivals import EARNS, Rival, Selected, described, quieter, simplest
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
@@ -182,8 +183,11 @@ class Selection:
             return []
         # What the step costs differs between the model as it came and what explains the rest; of
         # that, the simplest is the least to be wrong.
-        self.problem.refine_at(min(starts, key=lambda h: len(h.terms)))
-        return self.contest.heats(starts, self.problem.weights(left), best)
+        fewest = min(len(h.terms) for h in starts)
+        simple = [h for h in starts if len(h.terms) == fewest]
+        weights = self.problem.weights(left)
+        self.problem.refine_at(self.contest.nearest(simple, weights))
+        return self.contest.heats(starts, weights, best)
 
     def _hopeless(self, found: Foremost) -> bool:
         """Whether this is a second look, and even what is best along the motion leaves too much."""
@@ -201,16 +205,11 @@ class Selection:
         """
         while best.hypothesis.terms:
             terms = best.hypothesis.terms
-            doubtful = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
-            doubtful += merged(self.problem, best.hypothesis)
+            fewer = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
-            gears = {t for t in terms if t.law.overrides("separates")}
-            told = [h for h in doubtful if gears <= set(h.terms)]
-            if linear is not None and told:
-                view = view_of(self.problem, best, linear.residual(best.fitted.residual))
-                fitted, evidence = against(linear, view, best, told, self.contest.name_price)
-                doubtful = [h for h in doubtful if not gears <= set(h.terms)]
-                doubtful += [h for h, e in zip(fitted, evidence, strict=True) if e > -_CLEAR]
+            doubtful = self._unclear(best, linear, fewer, NEARBY)
+            one_for_two = merged(self.problem, best.hypothesis)
+            doubtful += self._unclear(best, linear, one_for_two, FAR_OFF)
             doubtful += simpler(self.problem, best.hypothesis)
             rivals = self._of_the_robot(best)
             if not doubtful and not rivals:
@@ -226,6 +225,21 @@ class Selection:
             self.say(f"- {gone} evidence {top.evidence:.1f}")
             best = self.contest.settled(top)
         return best
+
+    def _unclear(
+        self, best: Rival, linear: Linear | None, others: Sequence[Hypothesis], iterations: int
+    ) -> list[Hypothesis]:
+        """Those that are not clearly worse along the motion, fitted there, and those without a gear
+        of the fit at hand, of which that says little.
+        """
+        gears = {t for t in best.hypothesis.terms if t.law.overrides("separates")}
+        told = [h for h in others if gears <= set(h.terms)]
+        if linear is None or not told:
+            return list(others)
+        view = view_of(self.problem, best, linear.residual(best.fitted.residual))
+        fitted, evidence = against(linear, view, best, told, self.contest.name_price, iterations)
+        untold = [h for h in others if not gears <= set(h.terms)]
+        return untold + [h for h, e in zip(fitted, evidence, strict=True) if e > -_CLEAR]
 
     def _of_the_robot(self, best: Rival) -> list[Rival]:
         """What is the whole robot's in the place of the same at several joints, fitted; each with

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_behind_gears import fitted, with_true
 from test_first_order import ELBOW, ROBOT, SHOULDER, problem_of
 
 from pytest_twin.diagnosis.fewer import merged, of_the_robot
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.polish import FAR_OFF
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.responses import linearized
+from pytest_twin.diagnosis.select import Selection
 
 LATE = [Term("command_delay", j) for j in (SHOULDER, ELBOW)]
 DRY = Term("coulomb_friction", ELBOW)
@@ -44,3 +48,22 @@ def test_an_elastic_gear_beside_play_is_its_teeth(problem: Problem) -> None:
     # More than teeth can yield stays within their bounds, and leaves what it does to be seen.
     (soft,) = merged(problem, of((PLAY, [0.03, 0.002]), (SOFT, [0.3, 0.01])))
     assert soft.theta[1] == PLAY.parameters[1].upper
+
+
+def test_a_weak_motor_with_a_brake_too_few_is_a_soft_servo() -> None:
+    """Gains start far from what the two come to, and are followed that far."""
+    gain = Term("controller_gain", ELBOW)
+    weak, brake = Term("torque_constant", ELBOW), Term("viscous_friction", ELBOW)
+    soft = {"stiffness_error": -0.26, "damping_error": -0.4}
+    problem = problem_of("position", {PLAY: {"gap": 0.03, "tooth_compliance": 1e-4}, gain: soft})
+    play = with_true(problem, PLAY, {"gap": 0.03, "tooth_compliance": 1e-4})
+    # Of the servo's 0.7 N m s/rad 0.42 are left: a constant leaves 0.518.
+    two = play
+    for term, value in ((weak, {"relative_error": -0.26}), (brake, {"coefficient": -0.098})):
+        two = two.with_term(term, with_true(problem, term, value).theta)
+    selection = Selection(problem)
+    best = fitted(selection.contest, two)
+    linear = linearized(problem, problem.fit, two)
+    (both,) = selection._unclear(best, linear, merged(problem, two), FAR_OFF)
+    assert set(both.terms) == {PLAY, gain}
+    assert both.theta[both.slice_of(gain)] == pytest.approx([-0.26, -0.4], abs=0.01)

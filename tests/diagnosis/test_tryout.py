@@ -7,6 +7,7 @@ import pytest
 from test_behind_gears import fitted, silent, with_true
 from test_first_order import ELBOW, SHOULDER, problem_of
 
+from pytest_twin.diagnosis import select
 from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.deepen import deepened
 from pytest_twin.diagnosis.fit import weighted_cost
@@ -17,6 +18,7 @@ from pytest_twin.diagnosis.look import look_ahead
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.screen import Search
+from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.tryout import Tryout
 
 PUSH = Term("external_force", 0)
@@ -147,3 +149,24 @@ def test_a_law_at_its_bound_is_known_as_such() -> None:
     (p,) = WEAK.parameters
     assert EMPTY.with_term(WEAK, np.array([p.lower])).at_bound(WEAK)
     assert not EMPTY.with_term(WEAK, np.array([0.5 * p.lower])).at_bound(WEAK)
+
+
+def test_the_step_is_corrected_where_the_simplest_that_leaves_least_is(
+    late: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where another is, the error of the step is another's."""
+    heavy, right = Term("armature", ELBOW), with_true(late, LATE, {"delay": 0.03})
+    wrong = EMPTY.with_term(heavy, np.array([0.5]))
+    both = right.with_term(heavy, np.array([0.0]))
+    starts = [both, wrong, right]
+    at: list[Hypothesis] = []
+
+    def refine_at(problem: Problem, hypothesis: Hypothesis) -> None:
+        at.append(hypothesis)
+
+    monkeypatch.setattr(Problem, "refine_at", refine_at)
+    monkeypatch.setattr(select, "front", lambda *_: starts)
+    selection = Selection(late)
+    nominal = selection.contest.nominal
+    assert selection._tried(nominal, look_ahead(late, nominal))
+    assert at[0] is right
