@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rivals import Rival
 from pytest_twin.diagnosis.screen import candidates, name_price, price
-from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.diagnosis.verdict import STANDS_OUT, worth_a_name
 from pytest_twin.effects.base import FloatArray
 
 QUICK, FAIR, _LONG = 2, 4, 8
@@ -31,11 +31,6 @@ _ROUGH_ROUNDS = 2
 # Replays of all recordings that a search may take, more for every term that was found, and at most:
 # what needs more has no law in the catalogue.
 _MOST_REPLAYS, _MORE_REPLAYS, _ALL_REPLAYS = 300, 50, 450
-# A name must take away this share of what still stands above the floor at some joint, and this
-# share of what the nominal model left there, of so many floors at most: less is the simulator's own
-# imperfection.
-_SHARE_OF_REST = 0.1
-_SHARE_OF_ALL, _MOST_FLOORS = 0.003, 100.0
 
 
 class Contest:
@@ -147,11 +142,7 @@ class Contest:
 
     def worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:
         """Whether mean squares (signals,) fall by enough; ``whole`` of the model as it came."""
-        floor = self.problem.signal_floor**2
-        gone = before - after
-        rest = np.maximum(before - floor, 0.2 * floor)
-        all_of_it = np.clip(whole - floor, 0.2 * floor, _MOST_FLOORS**2 * floor)
-        return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * all_of_it)).any())
+        return worth_a_name(self.problem.signal_floor, before, after, whole)
 
     def heats(self, starts: Sequence[Hypothesis], weights: FloatArray, best: Rival) -> list[Rival]:
         """Rivals by evidence over ``best``: all after one iteration, those in front after more."""

@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rivals import Selected
-from pytest_twin.diagnosis.verdict import STANDS_OUT, JointError
+from pytest_twin.diagnosis.verdict import STANDS_OUT, JointError, worth_a_name
 from pytest_twin.effects.base import FloatArray
 
 _REFIT = 4
@@ -87,6 +87,19 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             notes.append(
                 f"{label(problem, terms[least])} takes nothing off that stands more than "
                 f"{bars[least]:g} floors high; it is not claimed"
+            )
+            fitted = refitted[least]
+            continue
+        one = np.ones(len(base))
+        idle = [
+            k for k, level in enumerate(levels)
+            if not worth_a_name(one, level**2, base**2, before**2)
+        ]  # fmt: skip
+        if idle:
+            least = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
+            notes.append(
+                f"{label(problem, terms[least])} takes too little of what is left without it; it "
+                "is not claimed"
             )
             fitted = refitted[least]
             continue

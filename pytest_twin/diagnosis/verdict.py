@@ -6,6 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from pytest_twin.effects.base import FloatArray
+
 Verdict = Literal["no_mismatch", "explained", "improved", "unexplained"]
 
 AT_FLOOR = 3.0
@@ -17,6 +21,29 @@ LEFT = 0.02
 """Share of the squared mismatch that may be left and still count as explained, ..."""
 LEFT_FLOORS = 10.0
 """... up to this many floors: a large mismatch leaves a large remainder, which is one."""
+
+# A name must take away this share of what still stands above the floor at some joint, and this
+# share of what the nominal model left there, of so many floors at most: less is the simulator's own
+# imperfection.
+_SHARE_OF_REST = 0.1
+_SHARE_OF_ALL, _MOST_FLOORS = 0.003, 100.0
+
+
+def worth_a_name(
+    floor: FloatArray, before: FloatArray, after: FloatArray, whole: FloatArray
+) -> bool:
+    """Whether some signal falls by enough for a name to have made it fall.
+
+    Args:
+        floor: (signals,) deviations that need no explanation.
+        before, after: (signals,) mean squares without the name and with it.
+        whole: the same of the model as it came.
+    """
+    square = floor**2
+    gone = before - after
+    rest = np.maximum(before - square, 0.2 * square)
+    all_of_it = np.clip(whole - square, 0.2 * square, _MOST_FLOORS**2 * square)
+    return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * all_of_it)).any())
 
 
 @dataclass(frozen=True, slots=True)

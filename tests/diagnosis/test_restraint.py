@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.restraint import _perhaps_absent, _too_little, as_named, prune
 from pytest_twin.diagnosis.rivals import Rival, Selected
 from pytest_twin.diagnosis.select import Selection
@@ -47,6 +49,15 @@ def chosen(prepared: Prepared, term: Term, start: float, *, fitted: bool = True)
 
     best = rival(EMPTY.with_term(term, np.array([start])), 8 if fitted else 0)
     return Selected(best, rival(EMPTY, 0), confidence={term: 1.0})
+
+
+def with_sizes(problem: Problem, terms: Sequence[Term], sizes: Sequence[float]) -> Hypothesis:
+    """Laws of one parameter at the first joint, SI units."""
+    found = EMPTY
+    for term, size in zip(terms, sizes, strict=True):
+        (parameter,) = term.parameters
+        found = found.with_term(term, np.array([size / problem.scales.value(parameter, 0)]))
+    return found
 
 
 def test_a_law_at_its_physical_bound_that_leaves_much_is_no_name(tmp_path: Path) -> None:
@@ -120,9 +131,8 @@ def test_what_moves_the_prediction_most_without_it_comes_first(tmp_path: Path) -
     prepared, trials = bench(tmp_path, viscous=0.6, delay=0.002)
     problem = prepared.problem
     terms = (Term("command_delay", 0), Term("viscous_friction", 0))
-    hypothesis = EMPTY
-    for term in terms:
-        hypothesis = hypothesis.with_term(term, np.array([term.parameters[0].starts[0]]))
+    hypothesis = with_sizes(problem, terms, (0.002, 0.6))
+    problem.refine_at(hypothesis)
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [hypothesis], weights, problem.fit, iterations=12)[0]
     best = Rival(fitted, problem.residuals([fitted.hypothesis], problem.held_out)[0])
@@ -188,3 +198,25 @@ def test_several_names_at_a_joint_have_to_explain_more(tmp_path: Path) -> None:
     assert left(tenth, several=True) == pytest.approx(0.1, rel=0.01)
     # A fiftieth is what two right ones may leave of so much.
     assert left(400.0 * np.sqrt(0.02), several=True) == 0.0
+
+
+@pytest.mark.parametrize(("lag", "stays"), [(0.001, False), (0.002, True)])
+def test_a_slight_name_beside_a_strong_one_is_none(tmp_path: Path, lag: float, stays: bool) -> None:
+    """Beside seven hundred floors of friction four may be the simulator's own; eight are not."""
+    prepared, _ = bench(tmp_path, viscous=0.6, lag=lag)
+    problem = prepared.problem
+    terms = (Term("viscous_friction", 0), Term("actuator_lag", 0))
+    hypothesis = with_sizes(problem, terms, (0.6, lag))
+    problem.refine_at(hypothesis)
+    best, bare = (
+        Rival(found, problem.residuals([found.hypothesis], problem.held_out)[0])
+        for found in (
+            fit(problem, [h], 1.0 / problem.signal_floor, problem.fit, iterations=3)[0]
+            for h in (hypothesis, EMPTY)
+        )
+    )
+    selected = Selected(best, bare, confidence=dict.fromkeys(terms, 1.0))
+    pruned = prune(problem, selected)
+    assert pruned.fitted.hypothesis.terms == (terms if stays else terms[:1])
+    idle = "actuator_lag at left takes too little of what is left without it; it is not claimed"
+    assert pruned.notes == ([] if stays else [idle])
