@@ -18,7 +18,7 @@ import numpy as np
 from pytest_twin.diagnosis.foremost import against, evidence_along
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.look import Look
-from pytest_twin.diagnosis.polish import FAR_OFF, Polished
+from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Response, bins
 from pytest_twin.diagnosis.rivals import AS_GOOD, Rival
@@ -107,7 +107,7 @@ def exchanges(
         return found
     near = _worth_fitting(found)
     fitted, evidence = against(
-        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price, FAR_OFF
+        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price
     )
     for i, h, value in zip(near, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True):
         found[i] = replace(found[i], hypothesis=h, evidence=float(value))

@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.contest import FRONT, Contest
 from pytest_twin.diagnosis.deepen import deepened
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.look import Look
-from pytest_twin.diagnosis.polish import NEARBY, Polished, polish
+from pytest_twin.diagnosis.polish import FAR_OFF, NEARBY, Polished, polish
 from pytest_twin.diagnosis.responses import Linear
 from pytest_twin.diagnosis.rivals import EARNS, Rival, described
 from pytest_twin.diagnosis.screen import Lens, Search, View
@@ -159,9 +159,8 @@ def against(
     best: Rival,
     others: Sequence[Hypothesis],
     name_price: float,
-    iterations: int,
 ) -> tuple[list[Hypothesis], FloatArray]:
     """Hypotheses fitted along the measured motion of ``best``, and their evidence over it."""
-    polished = polish(linear, view, others, iterations)
+    polished = polish(linear, view, others, FAR_OFF)
     values = evidence_along(view, [Polished(best.hypothesis, view.residual), *polished], name_price)
     return [p.hypothesis for p in polished], values[1:] - values[0]

@@ -19,7 +19,6 @@ from pytest_twin.diagnosis.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.front import front
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.look import Look, look_ahead, look_around, view_of
-from pytest_twin.diagnosis.polish import FAR_OFF, NEARBY
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Linear, Response, linearized
 from pytest_twin.diagnosis.restraint import in_floors
@@ -207,9 +206,8 @@ class Selection:
             terms = best.hypothesis.terms
             fewer = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
-            doubtful = self._unclear(best, linear, fewer, NEARBY)
-            one_for_two = merged(self.problem, best.hypothesis)
-            doubtful += self._unclear(best, linear, one_for_two, FAR_OFF)
+            fewer += merged(self.problem, best.hypothesis)
+            doubtful = self._unclear(best, linear, fewer)
             doubtful += simpler(self.problem, best.hypothesis)
             rivals = self._of_the_robot(best)
             if not doubtful and not rivals:
@@ -227,7 +225,7 @@ class Selection:
         return best
 
     def _unclear(
-        self, best: Rival, linear: Linear | None, others: Sequence[Hypothesis], iterations: int
+        self, best: Rival, linear: Linear | None, others: Sequence[Hypothesis]
     ) -> list[Hypothesis]:
         """Those that are not clearly worse along the motion, fitted there, and those without a gear
         of the fit at hand, of which that says little.
@@ -237,7 +235,7 @@ class Selection:
         if linear is None or not told:
             return list(others)
         view = view_of(self.problem, best, linear.residual(best.fitted.residual))
-        fitted, evidence = against(linear, view, best, told, self.contest.name_price, iterations)
+        fitted, evidence = against(linear, view, best, told, self.contest.name_price)
         untold = [h for h in others if not gears <= set(h.terms)]
         return untold + [h for h, e in zip(fitted, evidence, strict=True) if e > -_CLEAR]
 

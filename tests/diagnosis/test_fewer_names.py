@@ -9,7 +9,6 @@ from test_first_order import ELBOW, ROBOT, SHOULDER, problem_of
 
 from pytest_twin.diagnosis.fewer import merged, of_the_robot
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.polish import FAR_OFF
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import linearized
 from pytest_twin.diagnosis.select import Selection
@@ -64,6 +63,6 @@ def test_a_weak_motor_with_a_brake_too_few_is_a_soft_servo() -> None:
     selection = Selection(problem)
     best = fitted(selection.contest, two)
     linear = linearized(problem, problem.fit, two)
-    (both,) = selection._unclear(best, linear, merged(problem, two), FAR_OFF)
+    (both,) = selection._unclear(best, linear, merged(problem, two))
     assert set(both.terms) == {PLAY, gain}
     assert both.theta[both.slice_of(gain)] == pytest.approx([-0.26, -0.4], abs=0.01)
