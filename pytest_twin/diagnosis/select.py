@@ -151,15 +151,9 @@ class Selection:
             rivals = [] if self._spent(best) else self._tried(best, look)
             if not rivals:
                 break
-            before, unseen = self.contest.unseen(best), self.contest.unseen(self.contest.nominal)
             for r in rivals:
                 self.say(f"  {described(r.hypothesis)} evidence {r.evidence:.1f}")
-            earning = [
-                r for r in rivals
-                if r.evidence >= EARNS
-                and (r.held_gain > 0.0 or not self.contest.has_held)
-                and self.contest.worth_a_name(before, self.contest.unseen(r), unseen)
-            ]  # fmt: skip
+            earning = [r for r in rivals if self._earns(r, best)]
             strained = {t for r in earning for t in self._strained(r)}
             sound = [r for r in earning if not strained & set(r.hypothesis.terms)]
             if sound:
@@ -289,6 +283,36 @@ class Selection:
         self.contest.judge([beside], best)
         return beside if beside.evidence > top.evidence + EARNS else top
 
+    def _added(self, best: Rival, simulated: Sequence[tuple[Exchange, Rival]]) -> Rival | None:
+        """What was clearly better in a place along the motion, and not once it was simulated, in
+        addition to what stands there, if that earns its name: where the replays are spent, nobody
+        else would add it.
+        """
+        own = best.hypothesis
+        claims = [x for x, _ in simulated if len(x.gone) == 1 and x.evidence > _CLEAR]
+        if not claims:
+            return None
+        claim = max(claims, key=lambda x: x.evidence)
+        (gone,) = claim.gone
+        both = claim.hypothesis.with_term(gone, own.theta[own.slice_of(gone)])
+        # As if it explained all: the weights of what is left now would hold it to what other
+        # signals say.
+        weights = self.problem.weights(np.zeros_like(self.problem.signal_floor))
+        (rival,) = self.contest.rivals([both], weights, FAIR)
+        self.contest.judge([rival], best)
+        return rival if self._earns(rival, best) else None
+
+    def _earns(self, rival: Rival, best: Rival) -> bool:
+        """Whether what a rival has more than ``best`` earns its name."""
+        contest = self.contest
+        return (
+            rival.evidence >= EARNS
+            and (rival.held_gain > 0.0 or not contest.has_held)
+            and contest.worth_a_name(
+                contest.unseen(best), contest.unseen(rival), contest.unseen(contest.nominal)
+            )
+        )
+
     def _on_its_own(self, rival: Rival, best: Rival) -> Rival:
         """A rival whose motion is not quite that of ``best``, with the simulator's step corrected
         for itself: what sets it back may be that error alone.
@@ -338,10 +362,14 @@ class Selection:
             ranked = [(n, float(s)) for n, s in zip(mine, share[1:], strict=True) if n is not None]
             selected.alternatives[term] = sorted(ranked, key=lambda x: -x[1])
         better = [(x, r) for x, r in simulated if evidence[x.gone, x.new] > 1.0]
-        if not better:
-            return False
-        _, top = max(better, key=lambda each: evidence[each[0].gone, each[0].new])
-        top = self._beside(best, top)
+        if better:
+            _, top = max(better, key=lambda each: evidence[each[0].gone, each[0].new])
+            top = self._beside(best, top)
+        else:
+            added = self._added(best, simulated) if self._spent(best) else None
+            if added is None:
+                return False
+            top = added
         self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
         selected.best = self._backward(self.contest.settled(top))
         return True

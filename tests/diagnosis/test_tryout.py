@@ -10,6 +10,7 @@ from test_first_order import ELBOW, SHOULDER, problem_of
 from pytest_twin.diagnosis import select
 from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.deepen import deepened
+from pytest_twin.diagnosis.exchange import Exchange
 from pytest_twin.diagnosis.fit import weighted_cost
 from pytest_twin.diagnosis.foremost import Foremost, foremost
 from pytest_twin.diagnosis.front import front
@@ -17,6 +18,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.look import look_ahead
 from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.rivals import Rival
 from pytest_twin.diagnosis.screen import Search
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.tryout import Tryout
@@ -170,3 +172,24 @@ def test_the_step_is_corrected_where_the_simplest_that_leaves_least_is(
     nominal = selection.contest.nominal
     assert selection._tried(nominal, look_ahead(late, nominal))
     assert at[0] is right
+
+
+def test_what_is_better_in_a_place_but_not_simulated_there_is_tried_in_addition(
+    late: Problem,
+) -> None:
+    """A late command beside a brake: each alone is worse, and no more replays are left."""
+    selection = Selection(late)
+    best = fitted(selection.contest, with_true(late, DRAG, {"coefficient": 0.4}))
+    start = EMPTY.with_term(LATE, np.array([0.02]))
+
+    def added(evidence: float, claimed: Hypothesis = start) -> Rival | None:
+        (new,) = claimed.terms
+        return selection._added(best, [(Exchange((DRAG,), new, claimed, evidence, False), best)])
+
+    found = added(100.0)
+    assert found is not None
+    assert set(found.hypothesis.terms) == {LATE, DRAG}
+    assert found.hypothesis.theta[found.hypothesis.slice_of(LATE)] == pytest.approx(0.03, abs=1e-3)
+    # What is hardly ahead along the motion is not tried, and what earns no name is none.
+    assert added(10.0) is None
+    assert added(100.0, EMPTY.with_term(SPRING, np.array([0.0, 0.0]))) is None
