@@ -24,6 +24,7 @@ from pytest_twin.diagnosis.responses import Linear, Response, linearized
 from pytest_twin.diagnosis.restraint import in_floors
 from pytest_twin.diagnosis.rivals import EARNS, Rival, Selected, described, quieter, simplest
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
+from pytest_twin.effects.base import FloatArray
 
 _MAX_TERMS = 10
 _ROUNDS, _ATTEMPTS = 6, 3
@@ -278,9 +279,7 @@ class Selection:
         gone = [t for t in own.terms if t not in terms]
         if len(gone) != 1 or len(terms) != len(own.terms):
             return top
-        both = top.hypothesis.with_term(gone[0], own.theta[own.slice_of(gone[0])])
-        (beside,) = self.contest.rivals([both], self.contest.weights(best), FAIR)
-        self.contest.judge([beside], best)
+        beside = self._both(top.hypothesis, gone[0], best, self.contest.weights(best))
         return beside if beside.evidence > top.evidence + EARNS else top
 
     def _added(self, best: Rival, simulated: Sequence[tuple[Exchange, Rival]]) -> Rival | None:
@@ -288,19 +287,24 @@ class Selection:
         addition to what stands there, if that earns its name: where the replays are spent, nobody
         else would add it.
         """
-        own = best.hypothesis
         claims = [x for x, _ in simulated if len(x.gone) == 1 and x.evidence > _CLEAR]
         if not claims:
             return None
         claim = max(claims, key=lambda x: x.evidence)
         (gone,) = claim.gone
-        both = claim.hypothesis.with_term(gone, own.theta[own.slice_of(gone)])
         # As if it explained all: the weights of what is left now would hold it to what other
         # signals say.
         weights = self.problem.weights(np.zeros_like(self.problem.signal_floor))
+        rival = self._both(claim.hypothesis, gone, best, weights)
+        return rival if self._earns(rival, best) else None
+
+    def _both(self, claimed: Hypothesis, gone: Term, best: Rival, weights: FloatArray) -> Rival:
+        """What was claimed in the place of a term of ``best``, and that term, fitted and judged."""
+        own = best.hypothesis
+        both = claimed.with_term(gone, own.theta[own.slice_of(gone)])
         (rival,) = self.contest.rivals([both], weights, FAIR)
         self.contest.judge([rival], best)
-        return rival if self._earns(rival, best) else None
+        return rival
 
     def _earns(self, rival: Rival, best: Rival) -> bool:
         """Whether what a rival has more than ``best`` earns its name."""
@@ -362,14 +366,14 @@ class Selection:
             ranked = [(n, float(s)) for n, s in zip(mine, share[1:], strict=True) if n is not None]
             selected.alternatives[term] = sorted(ranked, key=lambda x: -x[1])
         better = [(x, r) for x, r in simulated if evidence[x.gone, x.new] > 1.0]
+        top: Rival | None = None
         if better:
-            _, top = max(better, key=lambda each: evidence[each[0].gone, each[0].new])
-            top = self._beside(best, top)
-        else:
-            added = self._added(best, simulated) if self._spent(best) else None
-            if added is None:
-                return False
-            top = added
+            _, first = max(better, key=lambda each: evidence[each[0].gone, each[0].new])
+            top = self._beside(best, first)
+        elif self._spent(best):
+            top = self._added(best, simulated)
+        if top is None:
+            return False
         self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
         selected.best = self._backward(self.contest.settled(top))
         return True
