@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.noise import effort_noise, greatest_noise, quiet_noise
@@ -33,6 +34,8 @@ NOISE = "sensor noise and quantization"
 # As measured on an arm whose tip taps on a table, and on arms whose drives are sent efforts:
 # impacts and the jumps of a command fall between steps.
 _LEFT_OF_IMPACTS, _LEFT_OF_JUMPS = 0.35, 0.25
+# Share of a step from its ends within which a command changes between steps.
+_EDGE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +125,13 @@ def prepare(
             jumps = {i: _steepest(p.effort) for i, p in enumerate(nominal)}
         else:
             effort_floor = np.minimum(effort_floor, quiet_noise(problem, nominal, owner))
-            jumps = {i: add.effort for i, add in problem.defect.items()}
+            jumps = {
+                i: np.maximum(
+                    np.abs(add.effort),
+                    _steepest(nominal[i].effort) * _commanded_anew(segments[i], simulator.timestep),
+                )
+                for i, add in problem.defect.items()
+            }
         _trust_efforts(problem, effort_floor, jumps)
     parts = {NOISE: noise, "discretization of the simulator": steps}
     return Prepared(problem, tuple(owner), parts)
@@ -190,6 +199,21 @@ def _trust_efforts(problem: Problem, noise: FloatArray, jumps: Mapping[int, Floa
     problem.effort_floor = noise
     for i, jump in jumps.items():
         problem.effort_trust[i] = 1.0 / np.sqrt(1.0 + (jump / noise) ** 2)
+
+
+def _commanded_anew(segment: Segment, step: float) -> NDArray[np.bool_]:
+    """(samples, joints) whether a command changes within the step of the model that a sample is
+    taken in: the drive is sent a mean of both, and the sensor saw one.
+    """
+    first = segment.start + step * np.floor((segment.time - segment.start) / step)
+    change = np.diff(segment.command, axis=0, prepend=segment.command[:1]) != 0.0
+    changes = np.vstack([np.zeros((1, change.shape[1]), int), np.cumsum(change, axis=0)])
+    early, late = (
+        np.searchsorted(segment.command_time, first + part * step, side="right")
+        for part in (_EDGE, 1.0 - _EDGE)
+    )
+    anew: NDArray[np.bool_] = changes[late] > changes[early]
+    return anew
 
 
 def _steepest(effort: FloatArray) -> FloatArray:
