@@ -139,6 +139,26 @@ def by_chance(
     return {(x.gone, x.new): _by_chance(x, lost.get(x.gone, 0.0)) for x in found}
 
 
+def as_simulated(
+    found: Sequence[Exchange], simulated: Sequence[tuple[Exchange, float]]
+) -> dict[tuple[tuple[Term, ...], Term | None], float]:
+    """Evidence of each over the fit at hand: simulated, or along the motion less what simulation
+    took at least off those that seemed nearer in the same place.
+
+    Args:
+        found: all of them.
+        simulated: those that were, with the evidence that they came to.
+    """
+    evidence = {(x.gone, x.new): x.evidence for x in found}
+    told = [(x, e) for x, e in simulated if not x.doubtful]
+    for gone in dict.fromkeys(x.gone for x, _ in told):
+        lost = min(x.evidence - e for x, e in told if x.gone == gone)
+        for x in found:
+            if x.gone == gone and x.new is not None and not x.doubtful:
+                evidence[gone, x.new] -= max(lost, 0.0)
+    return evidence | {(x.gone, x.new): e for x, e in simulated}
+
+
 def _by_chance(exchange: Exchange, lost: float) -> float:
     new = exchange.new
     if new is None:

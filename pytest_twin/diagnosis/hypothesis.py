@@ -109,6 +109,19 @@ class Hypothesis:
             for p, value in zip(term.parameters, self.theta[self.slice_of(term)], strict=True)
         )
 
+    def out_of_shape(self, term: Term) -> bool:
+        """Whether a parameter that shapes the effect stands at a physical bound: the law stands for
+        something else.
+
+        At zero it is a special case (rigid teeth, no damping), and an edge in time may lie at
+        either end of the trial.
+        """
+        return any(
+            p.neutral is None and not p.choice and p.reference != "twelfth"
+            and value != 0.0 and not p.lower < value < p.upper
+            for p, value in zip(term.parameters, self.theta[self.slice_of(term)], strict=True)
+        )  # fmt: skip
+
     @property
     def free(self) -> int:
         """How many parameters a fit moves."""

@@ -220,7 +220,7 @@ def _stretched(
         t for t in hypothesis.terms
         if not (explained.all() if t.joint < 0 else explained[t.joint])
         and (not likely[t] or _perhaps_absent(fitted, t, known, _DOUBTED)
-             or hypothesis.at_bound(t))
+             or hypothesis.at_bound(t) or hypothesis.out_of_shape(t))
     ]  # fmt: skip
 
 

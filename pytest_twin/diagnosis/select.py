@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
-from pytest_twin.diagnosis.exchange import Exchange, by_chance, exchanges
+from pytest_twin.diagnosis.exchange import Exchange, as_simulated, by_chance, exchanges
 from pytest_twin.diagnosis.fewer import merged, of_the_robot, simpler
 from pytest_twin.diagnosis.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.front import front
@@ -343,8 +343,7 @@ class Selection:
         found = exchanges(self.problem, best, look, self.known, self.contest.name_price)
         simulated = self._simulated(best, found)
         chance = by_chance(found)
-        evidence = {(x.gone, x.new): x.evidence for x in found}
-        evidence |= {(x.gone, x.new): r.evidence for x, r in simulated}
+        evidence = as_simulated(found, [(x, r.evidence) for x, r in simulated])
         evidence = {place: e - chance[place] for place, e in evidence.items()}
         for x, r in simulated:
             alike = len(x.gone) == 1 and not x.has_it and not x.comes_to

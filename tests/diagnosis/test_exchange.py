@@ -10,7 +10,7 @@ from test_behind_gears import fitted, silent, with_true
 from test_first_order import ELBOW, ROBOT, problem_of
 
 from pytest_twin.diagnosis.contest import FAIR, Contest
-from pytest_twin.diagnosis.exchange import Exchange, by_chance, exchanges
+from pytest_twin.diagnosis.exchange import Exchange, as_simulated, by_chance, exchanges
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.look import look_around
 from pytest_twin.diagnosis.problem import Problem
@@ -183,6 +183,25 @@ def test_more_parameters_are_ahead_by_chance() -> None:
     assert by_chance_of((DRAG,), DRY, lost=1e5) == 0.0
     assert by_chance_of((DRAG, DRY), MASS, lost=1e5) == 0.0
     assert by_chance_of((DRAG,), None, lost=1e5) == 0.0
+
+
+def test_what_was_not_simulated_loses_what_those_that_seemed_nearer_lost() -> None:
+    """Otherwise what seems good along the motion would be likelier than what was simulated."""
+    bare, drag, dry, mass, gear, elsewhere = found = [
+        Exchange((BODY,), None, EMPTY, -2000.0, False),
+        Exchange((BODY,), DRAG, EMPTY, 41.0, False),
+        Exchange((BODY,), DRY, EMPTY, 29.0, False),
+        Exchange((BODY,), MASS, EMPTY, 27.0, False),
+        Exchange((BODY,), Term("backlash", ELBOW), EMPTY, 500.0, True),
+        Exchange((DRAG,), MASS, EMPTY, 12.0, False),
+    ]
+    evidence = as_simulated(found, [(drag, -60.0), (dry, -3600.0)])
+    assert [evidence[x.gone, x.new] for x in (drag, dry, mass)] == [-60.0, -3600.0, 27.0 - 101.0]
+    # Nothing in their place was to be simulated, along the motion a gear is not told, and another
+    # place says nothing of this one.
+    assert [evidence[x.gone, x.new] for x in (bare, gear, elsewhere)] == [-2000.0, 500.0, 12.0]
+    # What simulation finds better than it seemed says nothing of the others.
+    assert as_simulated(found, [(drag, 90.0)])[mass.gone, mass.new] == 27.0
 
 
 def test_a_law_that_has_another_in_it_is_clearly_ahead_or_gives_way() -> None:

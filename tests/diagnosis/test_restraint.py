@@ -14,10 +14,16 @@ from pytest_twin.diagnosis import contest
 from pytest_twin.diagnosis.findings import explain
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import Spread
+from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.restraint import _perhaps_absent, _too_little, as_named, prune
+from pytest_twin.diagnosis.restraint import (
+    _perhaps_absent,
+    _stretched,
+    _too_little,
+    as_named,
+    prune,
+)
 from pytest_twin.diagnosis.rivals import Rival, Selected
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.formats.mcap import read_recording
@@ -68,6 +74,48 @@ def test_a_law_at_its_physical_bound_that_leaves_much_is_no_name(tmp_path: Path)
     found = explain(prepared, selected, prune(prepared.problem, selected), trials)
     assert not found.findings
     assert any("coulomb_friction at left" in n and "physical bound" in n for n in found.notes)
+
+
+@pytest.mark.parametrize(("speed", "named"), [(0.1, True), (0.003, False), (3.0, False)])
+def test_a_law_out_of_shape_that_does_not_explain_all_is_no_name(
+    tmp_path: Path, speed: float, named: bool
+) -> None:
+    """Friction that falls over a speed at the end of its range stands for something else."""
+    prepared, _ = bench(tmp_path, viscous=0.6)
+    problem, term = prepared.problem, Term("stribeck_friction", 0)
+    shaped = EMPTY.with_term(term, np.array([1.0, 0.5, speed]))
+    assert not shaped.at_bound(term)
+    weights = 1.0 / problem.signal_floor
+    fitted = fit(problem, [shaped], weights, problem.fit, iterations=0, slopes=True)[0]
+
+    def stretched(left: float) -> list[Term]:
+        before, after = np.array([100.0, 1.0]), np.array([left, 1.0])
+        return _stretched(problem, fitted, spread(problem, fitted), before, after, {term: True})
+
+    assert stretched(40.0) == ([] if named else [term])
+    # Where it explains its joint it is as good a name as any.
+    assert stretched(2.0) == []
+
+
+@pytest.mark.parametrize(
+    ("effect", "shape", "is_out"),
+    [
+        ("encoder_bias", 1.0, False),
+        ("backlash", 0.0, False),
+        ("backlash", 0.02, True),
+        ("payload", 4.0, True),
+        ("payload", 1.0, False),
+    ],
+)
+def test_a_special_case_is_not_out_of_shape(effect: str, shape: float, is_out: bool) -> None:
+    """What is in the loop or not, and teeth that are rigid; a tool four reaches away is odd."""
+    term = Term(effect, 0)
+    assert EMPTY.with_term(term, np.array([0.01, shape])).out_of_shape(term) is is_out
+
+
+def test_a_push_may_begin_and_end_with_the_trial() -> None:
+    push = Term("external_force", 0)
+    assert not EMPTY.with_term(push, np.array([0.5, 0.0, 12.0])).out_of_shape(push)
 
 
 def test_names_that_were_judged_elsewhere_stay(tmp_path: Path) -> None:
