@@ -126,8 +126,7 @@ def parameters(robot: Robot, hidden: Hidden, step: float) -> np.ndarray:
     p["gap"] = h("backlash", "gap")
     elastic = h("joint_elasticity", "stiffness")
     p["soft"] = (p["gap"] > 0) | (elastic > 0)
-    # A gap is bridged by teeth that are stiff against the servo.
-    p["tooth"] = np.where(elastic > 0, elastic, 40.0 * np.maximum(p["gain_p"], 1.0))
+    p["tooth"] = np.where(elastic > 0, elastic, [x.teeth for x in j])
     p["tooth_damping"] = np.where(
         elastic > 0,
         elastic * h("joint_elasticity", "damping_time"),

@@ -22,6 +22,7 @@ class Joint:
         axis: (3,) unit.
         mass, center, inertia: of the link, about its centre, principal axes along the frame.
         kp, kv: servo gains; ``effort``: the drive's bound.
+        teeth: N*m/rad, of its gear where that has play: stiff against the drive.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Joint:
     kv: float
     effort: float
     range: float
+    teeth: float
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,7 @@ def draw(rng: np.random.Generator, count: int, mode: str, *, hinges: bool = Fals
         armature = 0.25 * inertia
         kp = (inertia + armature) * bandwidth**2
         kv = 1.2 * (inertia + armature) * bandwidth
+        teeth = 40.0 * kp
         if mode == "velocity":
             # Stiff enough that gravity does not carry the arm away within a recording.
             kp, kv = 0.0, (inertia + armature) * bandwidth * 5.0
@@ -119,7 +122,7 @@ def draw(rng: np.random.Generator, count: int, mode: str, *, hinges: bool = Fals
         out.append(
             Joint(f"joint{i + 1}", slide, origin, j["axis"], j["mass"], j["center"], j["inertia"],
                   damping=0.03 * inertia * bandwidth, friction=0.03 * gravity, armature=armature,
-                  kp=kp, kv=kv, effort=6.0 * gravity + 4.0 * inertia, range=2.4)
+                  kp=kp, kv=kv, effort=6.0 * gravity + 4.0 * inertia, range=2.4, teeth=teeth)
         )  # fmt: skip
     return Robot(f"chain{count}", tuple(out), mode, 0.002 if count > 1 else 0.001)
 
