@@ -30,7 +30,7 @@ from pytest_twin.trial import Trial
 _CAUSE = 0.4
 # Share of the squared mismatch that may be left along the motion where a law of the catalogue is
 # worth a search in windows.
-_CLEAR = 0.05
+_CLEAR = 0.1
 _IN_WINDOWS = (
     f"predicted in windows of {WINDOW:g} s that start from what was measured: over whole "
     "recordings small errors of this motion grow (a servo that hunts, an arm that falls, a speed "

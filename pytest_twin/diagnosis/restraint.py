@@ -55,7 +55,8 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     """
     notes: list[str] = []
     untested = not len(problem.held_out)
-    # Once, with every term at work: afterwards each removal leaves more for the others.
+    # What is left too much is asked once, with every term at work: afterwards each removal leaves
+    # more for the others.
     judged = False
     fitted = selected.best.fitted
     problem.refine_at(EMPTY)
@@ -125,8 +126,6 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             )
             fitted = refitted[least]
             continue
-        if judged:
-            return Pruned(fitted, rests, notes)
         likely = {t: c >= _EVEN for t, c in zip(terms, chances, strict=True)}
         stretched = _stretched(problem, fitted, known, before, base, likely)
         if stretched:
@@ -141,6 +140,8 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
                 )
             fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
             continue
+        if judged:
+            return Pruned(fitted, rests, notes)
         judged = True
         gone = []
         for t in terms:

@@ -4,7 +4,8 @@ Under an effort command an error of the initial velocity grows with time, far ab
 noise; a velocity servo keeps an error of the initial position for ever. Their windows therefore
 have the initial state free, held by a Gaussian prior of what a local cubic leaves open: residuals
 are freed of what a shifted start explains (partialled-out nuisance parameters; Golub, Pereyra, SIAM
-J. Numer. Anal. 10, 1973).
+J. Numer. Anal. 10, 1973). Where the motor of a velocity servo stands behind a gear that gives is
+no reading, and it keeps an error of that, too: it is free within what its load stretches the gear.
 """
 
 from __future__ import annotations
@@ -81,39 +82,78 @@ def free_starts(
     """
     count = len(joints)
     shifts = [free_shifts(s) for s in segments]
+    scales = scales or Scales({})
+    stretch = _stretch(segments, joints, threads, hypothesis, scales)
+    motors = [[int(k) for k in np.flatnonzero(s)] for s in stretch]
     shifted: list[Segment] = []
-    for s, free in zip(segments, shifts, strict=True):
+    for s, free, behind in zip(segments, shifts, motors, strict=True):
         if free:
             shifted.append(s)
         for k in range(free):
             q, v = s.initial_position.copy(), s.initial_velocity.copy()
             (q if k < count else v)[k % count] += _STEP
             shifted.append(replace(s, initial_position=q, initial_velocity=v))
+        for k in behind:
+            shift = np.zeros(count)
+            shift[k] = _STEP
+            shifted.append(replace(s, motor_shift=shift))
     if not shifted:
         return {}
     rows = np.arange(len(shifted))
-    values = effect_values([hypothesis] * len(rows), count, scales or Scales({}))
+    values = effect_values([hypothesis] * len(rows), count, scales)
     found = RowSimulator(shifted, joints, threads=threads).simulate(rows, values)
     out: dict[int, FreeStart] = {}
     at = 0
     for i, free in enumerate(shifts):
         if not free:
             continue
-        base, *moved = found[at : at + free + 1]
-        at += free + 1
+        ways = free + len(motors[i])
+        base, *moved = found[at : at + ways + 1]
+        at += ways + 1
         response = np.stack([(m.position - base.position).ravel() / _STEP for m in moved], axis=1)
         if not np.isfinite(response).all():
             continue
-        out[i] = free_start(response, segments[i], noise, width)
+        out[i] = free_start(response, segments[i], noise, width, stretch[i][motors[i]])
+    return out
+
+
+def _stretch(
+    segments: Sequence[Segment],
+    joints: Sequence[str],
+    threads: int,
+    hypothesis: Hypothesis,
+    scales: Scales,
+) -> FloatArray:
+    """(segments, joints) deviation of where motors start: by as much as usual efforts stretch their
+    gears, where these give and the servo is of velocity.
+    """
+    out = np.zeros((len(segments), len(joints)))
+    rows = np.flatnonzero([s.mode == "velocity" for s in segments])
+    if len(rows) and any(t.law.overrides("separates") for t in hypothesis.terms):
+        values = effect_values([hypothesis] * len(rows), len(joints), scales)
+        simulator = RowSimulator(segments, joints, threads=threads)
+        out[rows] = simulator.gear_stretch(rows, values, scales.of["effort"])
     return out
 
 
 def free_start(
-    response: FloatArray, segment: Segment, noise: FloatArray, width: float
+    response: FloatArray,
+    segment: Segment,
+    noise: FloatArray,
+    width: float,
+    stretch: FloatArray | None = None,
 ) -> FreeStart:
-    """A free start from its (samples * joints, shifts) response; the rest as above."""
+    """A free start from its (samples * joints, shifts) response.
+
+    Args:
+        response: to shifts of the links, then of motors behind gears that give.
+        segment, noise, width: as above.
+        stretch: (motors,) deviation of where those stand, rad or m.
+    """
     weight = np.tile(1.0 / noise**2, len(response) // len(noise))
-    prior = 1.0 / _start_variance(segment, noise, width)[: response.shape[1]]
+    behind = np.zeros(0) if stretch is None else stretch
+    links = response.shape[1] - len(behind)
+    prior = 1.0 / np.concatenate([_start_variance(segment, noise, width)[:links], behind**2])
     normal = response.T @ (weight[:, None] * response) + np.diag(prior)
     # Where a motion runs away shifts of its start all look alike: least squares share them out.
     solve = np.linalg.lstsq(normal, response.T * weight, rcond=None)[0].astype(np.float64)

@@ -40,6 +40,10 @@ class Gear:
         none = np.zeros(like.shape)
         return cls(none != 0.0, none.copy(), none.copy(), none.copy())
 
+    def stretch(self, load: FloatArray) -> FloatArray:
+        """How far a motor that carries a load (rows, joints) stands from its link."""
+        return load / np.maximum(self.stiffness, 1e-9) + np.sign(load) * self.gap / 2.0
+
     def give(
         self, acts: NDArray[np.bool_], compliance: FloatArray, damping_time: FloatArray | None,
         armature: FloatArray, timestep: float,
@@ -124,7 +128,7 @@ class MotorSide:
             servo: effort that the drive takes back over a step for each unit of speed.
             timestep: s.
         """
-        stretch = load / np.maximum(gear.stiffness, 1e-9) + np.sign(load) * gear.gap / 2.0
+        stretch = gear.stretch(load)
         # Where it does not act nothing is transmitted.
         stiffness = np.where(gear.apart, gear.stiffness, 0.0)
         pull = stiffness * timestep + np.where(gear.apart, gear.damping, 0.0)

@@ -62,13 +62,25 @@ def act(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
     return native
 
 
-def _motor_side(world: World, geared: Sequence[tuple[Effect, Values]]) -> MotorSide:
+def gears(world: World, geared: Sequence[tuple[Effect, Values]]) -> Gear:
+    """What stands between motors and links, all laws of it together."""
     gear = Gear.rigid(world.motor_armature)
     for effect, v in geared:
         effect.gear(gear, world, v)
+    return gear
+
+
+def shift_motors(world: World, geared: Sequence[tuple[Effect, Values]], shift: FloatArray) -> None:
+    """Let motors behind gears that give start (rows, joints) apart from where they would."""
+    if world.motor is None:
+        world.motor = _motor_side(world, geared)
+    world.motor.angle = world.motor.angle + shift
+
+
+def _motor_side(world: World, geared: Sequence[tuple[Effect, Values]]) -> MotorSide:
     return MotorSide.at_rest(
-        gear, world.position, world.velocity, world.load, armature=world.motor_armature,
-        damping=world.motor_damping, constant=world.motor_constant,
+        gears(world, geared), world.position, world.velocity, world.load,
+        armature=world.motor_armature, damping=world.motor_damping, constant=world.motor_constant,
         servo=world.damping + world.stiffness * world.timestep, timestep=world.timestep,
     )  # fmt: skip
 

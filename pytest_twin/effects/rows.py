@@ -22,7 +22,16 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World, moving_apart
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
 from pytest_twin.effects.point_mass import with_point_mass
-from pytest_twin.effects.roll_in import LEAD, PATH_STEP, act, follow, roll_in
+from pytest_twin.effects.roll_in import (
+    LEAD,
+    PATH_STEP,
+    Hooks,
+    act,
+    follow,
+    gears,
+    roll_in,
+    shift_motors,
+)
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
@@ -59,7 +68,8 @@ class Segment:
         initial_position, initial_velocity: (joints,).
         history: where the start lies amid a motion, (m,) s on the trial's clock and (m, joints)
             positions and velocities of the whole trial, smoothed.
-        temperature: K above the first trial's, or 0.
+        motor_shift: (joints,) rad or m by which motors behind gears that give start elsewhere than
+            where they would carry their links at rest, or where their windows' lead brought them.
     """
 
     trial: int
@@ -75,6 +85,7 @@ class Segment:
     initial_position: FloatArray
     initial_velocity: FloatArray
     history: tuple[FloatArray, FloatArray, FloatArray] | None = None
+    motor_shift: FloatArray | None = None
 
     @property
     def amid(self) -> bool:
@@ -646,6 +657,7 @@ class RowSimulator:
         if loaded:
             world.load = bias[:, at_dof]
         self.roll_in(world, rows, effects)
+        self._shift_motors(world, rows, hooks)
         commanded = np.ascontiguousarray(commands.swapaxes(0, 1))
         pushed = np.empty((count, joints))
         # Friction may depend on what the motor puts through its gear.
@@ -692,6 +704,27 @@ class RowSimulator:
         effort[steps - 1] += actuator_force[:, at_dof]
         effort[steps] = effort[steps - 1]
         return self._by_row(batch, q, v, effort)
+
+    def _shift_motors(self, world: World, rows: NDArray[np.int64], hooks: Hooks) -> None:
+        shifts = [self.segments[r].motor_shift for r in rows]
+        if hooks["gear"] and any(s is not None for s in shifts):
+            none = np.zeros(len(self.joints))
+            shift = np.array([none if s is None else s for s in shifts])
+            shift_motors(world, hooks["gear"], shift)
+
+    def gear_stretch(
+        self, rows: NDArray[np.int64], values: EffectValues, load: FloatArray
+    ) -> FloatArray:
+        """(rows, joints) how far (joints,) loads stretch gears that give, with half their play, rad
+        or m; 0 where none gives.
+        """
+        effects = _acting(with_fixed(values, self.fixed, len(rows)))
+        geared = hooks_between_steps(effects)["gear"]
+        if not geared:
+            return np.zeros((len(rows), len(self.joints)))
+        with quiet():
+            gear = gears(self.batch(rows, effects)[1], geared)
+        return np.where(gear.apart, gear.stretch(load), 0.0)
 
     @staticmethod
     def _by_row(
