@@ -45,7 +45,7 @@ def cost(problems: Sequence[Problem], since: float) -> Cost:
     wall = time.perf_counter() - since
     problem = problems[0]
     simulator = problem.simulator
-    stepped = sum(p.stepped for p in problems)
+    stepped = sum(p.stepped + p.in_starts for p in problems)
     rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
     before = simulator.stepped

@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.problem import (
     joint_scales,
     nominal_replay,
 )
-from pytest_twin.diagnosis.start import FreeStart, free_starts
+from pytest_twin.diagnosis.start import Starts, free_starts
 from pytest_twin.diagnosis.windows import WINDOW, segments_of, start_width
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
@@ -103,7 +103,7 @@ def prepare(
     problem.start_noise, problem.start_width = noise, start_width(segments[0].time)
     if any(s.amid or s.mode != "position" for s in segments):
 
-        def free(hypothesis: Hypothesis) -> dict[int, FreeStart]:
+        def free(hypothesis: Hypothesis) -> Starts:
             return free_starts(
                 segments, joints, noise, problem.start_width, threads, hypothesis, scales
             )

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
-from pytest_twin.diagnosis.start import FreeStart
+from pytest_twin.diagnosis.start import FreeStart, Starts
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
 
@@ -58,6 +58,7 @@ class Problem:
         refined: the same segments with a finer step, to measure what the model's own step costs.
         defect: segment -> what the finer step adds to a prediction of the current best
             hypothesis; every prediction is corrected by it (defect correction, Stetter 1978).
+        in_starts: steps that were simulated to find them.
         step_left: share of the step's error that the correction leaves, at most an eighth as
             measured on arms in the air.
         starts: segment -> its free initial state, where errors of it would grow.
@@ -75,13 +76,14 @@ class Problem:
     refined: RowSimulator | None = None
     defect: dict[int, Predicted] = field(default_factory=dict)
     starts: dict[int, FreeStart] = field(default_factory=dict)
-    free: Callable[[Hypothesis], dict[int, FreeStart]] | None = None
+    free: Callable[[Hypothesis], Starts] | None = None
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
     start_width: float = 0.0
+    in_starts: int = 0
     step_left: float = 0.125
-    _refined_at: dict[
-        tuple[tuple[Term, ...], bytes], tuple[dict[int, Predicted], dict[int, FreeStart]]
-    ] = field(default_factory=dict)
+    _refined_at: dict[tuple[tuple[Term, ...], bytes], tuple[dict[int, Predicted], Starts]] = field(
+        default_factory=dict
+    )
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -134,10 +136,13 @@ class Problem:
             if len(self._refined_at) >= _REMEMBERED:
                 self._refined_at.pop(next(iter(self._refined_at)))
             self._refined_at[key] = self._refined(hypothesis)
-        self.defect, self.starts = self._refined_at[key]
+        self.defect, starts = self._refined_at[key]
+        self._start_at(starts)
 
-    def _refined(self, hypothesis: Hypothesis) -> tuple[dict[int, Predicted], dict[int, FreeStart]]:
-        starts = self.starts if self.free is None else self.free(hypothesis)
+    def _refined(self, hypothesis: Hypothesis) -> tuple[dict[int, Predicted], Starts]:
+        starts = Starts(self.starts, {}) if self.free is None else self.free(hypothesis)
+        self.in_starts += starts.stepped
+        self._start_at(starts)
         if self.refined is None:
             return {}, starts
         rows = np.arange(len(self.simulator.segments))
@@ -147,6 +152,14 @@ class Problem:
         errors = (step_error(c, f) for c, f in zip(coarse, fine, strict=True))
         found = {i: add for i, add in enumerate(errors) if np.isfinite(add.position).all()}
         return found, starts
+
+    def _start_at(self, starts: Starts) -> None:
+        self.starts = starts.free
+        for simulator in filter(None, (self.simulator, self.refined)):
+            for i, s in enumerate(simulator.segments):
+                shift = starts.motor_shifts.get(i)
+                if s.motor_shift is not shift:
+                    simulator.segments[i] = replace(s, motor_shift=shift)
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]

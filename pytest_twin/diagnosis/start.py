@@ -10,8 +10,9 @@ no reading, and it keeps an error of that, too: it is free within what its load 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 
 import numpy as np
 
@@ -20,6 +21,11 @@ from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
 
 _STEP = 1e-4
+# Deviations away where motors are tried to start, and at most; the share of a segment's misfit that
+# is clearly less; how often they are then moved, by this share of a deviation at least, and no
+# further where that leaves this share of the misfit.
+_TRIED, _FAR, _CLEARLY = (-2.0, -1.0, 1.0, 2.0), 3.0, 0.95
+_PLACINGS, _SETTLED, _NO_WORSE = 6, 0.005, 1.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +34,14 @@ class FreeStart:
 
     Attributes:
         response: (samples * joints, shifts) positions per unit of what is free, as
-            :func:`free_shifts` counts.
+            :func:`free_shifts` counts, then of motors behind gears that give.
         solve: (shifts, samples * joints) the start's most probable shift under a residual.
+        motors: (joints,) deviation of where those start, rad or m; 0 where they are their links.
     """
 
     response: FloatArray
     solve: FloatArray
+    motors: FloatArray
 
     def freed(self, residual: FloatArray) -> FloatArray:
         """(samples, joints) residual without what a shifted start explains."""
@@ -46,6 +54,29 @@ class FreeStart:
         flat = residuals.reshape(-1, residuals.shape[2])
         left: FloatArray = flat - self.response @ (self.solve @ flat)
         return left.reshape(residuals.shape)
+
+    def motor_shift(self, residual: FloatArray) -> FloatArray:
+        """(joints,) by how much motors most probably start elsewhere, under (samples, joints)."""
+        shift = np.zeros(len(self.motors))
+        behind = self.motors > 0.0
+        if behind.any():
+            shift[behind] = (self.solve @ residual.ravel())[-int(behind.sum()) :]
+        return shift
+
+
+@dataclass(frozen=True, slots=True)
+class Starts:
+    """Where segments start, by their numbers.
+
+    Attributes:
+        free: of those that would keep an error of it.
+        motor_shifts: (joints,) rad or m, as :class:`Segment` has them.
+        stepped: steps that were simulated to find them.
+    """
+
+    free: dict[int, FreeStart]
+    motor_shifts: dict[int, FloatArray]
+    stepped: int = 0
 
 
 def free_shifts(segment: Segment) -> int:
@@ -68,8 +99,12 @@ def free_starts(
     threads: int,
     hypothesis: Hypothesis = EMPTY,
     scales: Scales | None = None,
-) -> dict[int, FreeStart]:
+) -> Starts:
     """A free start for every segment that would keep an error of it.
+
+    A gear stretches by more than small shifts tell, and within its play a shift says nothing:
+    motors are tried on either side, then moved to where they seem to start (Gauss, Newton) as long
+    as that leaves no more.
 
     Args:
         segments: all of the problem.
@@ -80,40 +115,80 @@ def free_starts(
         hypothesis, scales: around which the shifted starts are simulated: under friction a shift
             of the velocity dies out, without it it grows with time.
     """
-    count = len(joints)
-    shifts = [free_shifts(s) for s in segments]
     scales = scales or Scales({})
     stretch = _stretch(segments, joints, threads, hypothesis, scales)
-    motors = [[int(k) for k in np.flatnonzero(s)] for s in stretch]
-    shifted: list[Segment] = []
-    for s, free, behind in zip(segments, shifts, motors, strict=True):
-        if free:
-            shifted.append(s)
-        for k in range(free):
-            q, v = s.initial_position.copy(), s.initial_velocity.copy()
-            (q if k < count else v)[k % count] += _STEP
-            shifted.append(replace(s, initial_position=q, initial_velocity=v))
-        for k in behind:
-            shift = np.zeros(count)
-            shift[k] = _STEP
-            shifted.append(replace(s, motor_shift=shift))
-    if not shifted:
-        return {}
-    rows = np.arange(len(shifted))
-    values = effect_values([hypothesis] * len(rows), count, scales)
-    found = RowSimulator(shifted, joints, threads=threads).simulate(rows, values)
-    out: dict[int, FreeStart] = {}
-    at = 0
-    for i, free in enumerate(shifts):
-        if not free:
-            continue
-        ways = free + len(motors[i])
-        base, *moved = found[at : at + ways + 1]
-        at += ways + 1
-        response = np.stack([(m.position - base.position).ravel() / _STEP for m in moved], axis=1)
-        if not np.isfinite(response).all():
-            continue
-        out[i] = free_start(response, segments[i], noise, width, stretch[i][motors[i]])
+
+    stepped = 0
+
+    def around(shifts: Mapping[int, FloatArray]) -> dict[int, _Around]:
+        nonlocal stepped
+        moved = {i: replace(segments[i], motor_shift=shift) for i, shift in shifts.items()}
+        shifted = [_shifted(s, stretch[i]) for i, s in moved.items()]
+        if not shifted:
+            return {}
+        simulator = RowSimulator(list(chain(*shifted)), joints, threads=threads)
+        rows = np.arange(len(simulator.segments))
+        values = effect_values([hypothesis] * len(rows), len(joints), scales)
+        found = iter(simulator.simulate(rows, values))
+        stepped += simulator.stepped
+        out = {}
+        for (i, s), each in zip(moved.items(), shifted, strict=True):
+            base, *others = islice(found, len(each))
+            response = [(p.position - base.position).ravel() / _STEP for p in others]
+            if np.isfinite(response).all():
+                start = free_start(np.stack(response, axis=1), s, noise, width, stretch[i])
+                off = s.position - base.position
+                out[i] = _Around(start, off, float(np.sum((start.freed(off) / noise) ** 2)))
+        return out
+
+    none = np.zeros(len(joints))
+    found = around({i: none for i, s in enumerate(segments) if free_shifts(s)})
+    shifts = {i: none for i in found if stretch[i].any()}
+
+    def better(tried: Mapping[int, FloatArray], share: float) -> list[int]:
+        """Segments that keep less than a share where their motors are tried elsewhere."""
+        there = around(tried)
+        less = [i for i, a in there.items() if a.left < share * found[i].left]
+        found.update({i: there[i] for i in less})
+        shifts.update({i: tried[i] for i in less})
+        return less
+
+    apart = list(shifts)
+    for far in _TRIED if apart else ():
+        better({i: far * stretch[i] for i in apart}, _CLEARLY)
+    for _ in range(_PLACINGS):
+        steps = {i: found[i].start.motor_shift(found[i].off) for i in apart}
+        apart = [i for i, step in steps.items() if (np.abs(step) > _SETTLED * stretch[i]).any()]
+        if not apart:
+            break
+        most = {i: _FAR * stretch[i] for i in apart}
+        tried = {i: np.clip(shifts[i] + steps[i], -most[i], most[i]) for i in apart}
+        apart = better(tried, _NO_WORSE)
+    return Starts({i: a.start for i, a in found.items()}, shifts, stepped)
+
+
+@dataclass(frozen=True, slots=True)
+class _Around:
+    """A segment's start, what was measured beside what is predicted there, (samples, joints), and
+    the squared sum of what a shifted start leaves of that, in deviations of a sample.
+    """
+
+    start: FreeStart
+    off: FloatArray
+    left: float
+
+
+def _shifted(segment: Segment, stretch: FloatArray) -> list[Segment]:
+    """A segment, and with each of its shifts."""
+    out, count = [segment], len(stretch)
+    for k in range(free_shifts(segment)):
+        q, v = segment.initial_position.copy(), segment.initial_velocity.copy()
+        (q if k < count else v)[k % count] += _STEP
+        out.append(replace(segment, initial_position=q, initial_velocity=v))
+    for j in np.flatnonzero(stretch):
+        motor = np.zeros(count) if segment.motor_shift is None else segment.motor_shift.copy()
+        motor[j] += _STEP
+        out.append(replace(segment, motor_shift=motor))
     return out
 
 
@@ -141,23 +216,24 @@ def free_start(
     segment: Segment,
     noise: FloatArray,
     width: float,
-    stretch: FloatArray | None = None,
+    motors: FloatArray | None = None,
 ) -> FreeStart:
     """A free start from its (samples * joints, shifts) response.
 
     Args:
         response: to shifts of the links, then of motors behind gears that give.
         segment, noise, width: as above.
-        stretch: (motors,) deviation of where those stand, rad or m.
+        motors: (joints,) deviation of where those start, rad or m; 0 where they are their links.
     """
     weight = np.tile(1.0 / noise**2, len(response) // len(noise))
-    behind = np.zeros(0) if stretch is None else stretch
+    motors = np.zeros(len(noise)) if motors is None else motors
+    behind = motors[motors > 0.0]
     links = response.shape[1] - len(behind)
     prior = 1.0 / np.concatenate([_start_variance(segment, noise, width)[:links], behind**2])
     normal = response.T @ (weight[:, None] * response) + np.diag(prior)
     # Where a motion runs away shifts of its start all look alike: least squares share them out.
     solve = np.linalg.lstsq(normal, response.T * weight, rcond=None)[0].astype(np.float64)
-    return FreeStart(response, solve)
+    return FreeStart(response, solve, motors)
 
 
 def _start_variance(segment: Segment, noise: FloatArray, width: float) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
-from pytest_twin.diagnosis.start import free_starts
+from pytest_twin.diagnosis.start import Starts, free_starts
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator, Segment
 
@@ -34,6 +34,8 @@ WHEEL = """
 </mujoco>
 """
 SOFT = Hypothesis((Term("joint_elasticity", 0),), np.array([1.0 / STIFFNESS, DAMPING_TIME]))
+
+PLAY = Hypothesis((Term("backlash", 0),), np.array([GAP, 0.01]))
 
 
 def resting(seconds: float = SECONDS) -> Segment:
@@ -69,38 +71,53 @@ def test_a_link_follows_its_motor_to_where_that_starts() -> None:
     ), "without a gear that gives the motor is where the link is"
 
 
-def test_residuals_are_freed_of_where_the_motor_starts() -> None:
-    segment = resting()
-    there = position(segment, SOFT)
-    off = position(replace(segment, motor_shift=np.full(1, 0.5 * EFFORT / STIFFNESS)), SOFT) - there
-    noise = np.full(1, NOISE)
-    around = free_starts([segment], JOINTS, noise, WIDTH, 1, SOFT, SCALES)[0]
-    rigid = free_starts([segment], JOINTS, noise, WIDTH, 1, EMPTY, SCALES)[0]
-    assert np.abs(off).max() > 100.0 * NOISE
-    assert np.sqrt(np.mean(around.freed(off) ** 2)) < NOISE
-    assert np.sqrt(np.mean(rigid.freed(off) ** 2)) > 30.0 * NOISE, "links alone do not explain it"
+def recorded(segment: Segment, hypothesis: Hypothesis, shift: float, seed: int = 3) -> Segment:
+    """What the sensor reads where the motor starts shifted."""
+    there = position(replace(segment, motor_shift=np.full(1, shift)), hypothesis)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(there.shape)
+    return replace(segment, position=there + noise)
 
 
-def test_a_motor_starts_no_further_off_than_its_gear_stretches() -> None:
+def starts(segment: Segment, hypothesis: Hypothesis) -> Starts:
+    return free_starts([segment], JOINTS, np.full(1, NOISE), WIDTH, 1, hypothesis, SCALES)
+
+
+def left(segment: Segment, around: Starts, hypothesis: Hypothesis) -> float:
+    """In deviations of a sample."""
+    predicted = position(replace(segment, motor_shift=around.motor_shifts.get(0)), hypothesis)
+    off = around.free[0].freed(segment.position - predicted)
+    return float(np.sqrt(np.mean(off**2))) / NOISE
+
+
+@pytest.mark.parametrize("hypothesis", [SOFT, PLAY], ids=["soft", "play"])
+@pytest.mark.parametrize("share", [-0.8, 0.3, 0.8])
+def test_a_motor_is_found_where_it_started(hypothesis: Hypothesis, share: float) -> None:
     segment = resting()
+    shift = share * (EFFORT / STIFFNESS if hypothesis is SOFT else 0.5 * GAP)
+    segment = recorded(segment, hypothesis, shift)
+    around = starts(segment, hypothesis)
+    # A flank is met in one step or the next.
+    assert left(segment, around, hypothesis) < 1.5
+    assert around.motor_shifts[0] == pytest.approx(shift, abs=2e-3)
+    links = starts(segment, EMPTY)
+    assert not links.motor_shifts
+    assert left(segment, links, hypothesis) > 30.0, "links alone do not explain it"
+
+
+def test_a_motor_starts_within_a_few_stretches_of_its_gear() -> None:
     far = 40.0 * EFFORT / STIFFNESS
-    moved = position(replace(segment, motor_shift=np.full(1, far)), SOFT) - position(segment, SOFT)
-    noise = np.full(1, 0.01)
-    freed = free_starts([segment], JOINTS, noise, WIDTH, 1, SOFT, SCALES)[0].solve @ moved.ravel()
-    # A prior of one stretch against all samples: little is held back, and not nothing.
-    assert 0.99 * far < freed[-1] < far
+    found = starts(recorded(resting(), SOFT, far), SOFT).motor_shifts[0]
+    assert found == pytest.approx(3.0 * EFFORT / STIFFNESS, rel=0.01)
 
 
 def test_play_counts_by_half_of_it_and_position_servos_hold_their_motors() -> None:
-    play = Hypothesis((Term("backlash", 0),), np.array([GAP, 0.01]))
     segment = resting(0.5)
     simulator = RowSimulator([segment], JOINTS, threads=1)
     stretch = simulator.gear_stretch(
-        np.array([0]), effect_values([play], 1, SCALES), np.full(1, EFFORT)
+        np.array([0]), effect_values([PLAY], 1, SCALES), np.full(1, EFFORT)
     )
     assert stretch[0, 0] == pytest.approx(0.5 * GAP + 0.01 * EFFORT)
-    noise = np.full(1, NOISE)
-    free = free_starts([segment], JOINTS, noise, WIDTH, 1, play, SCALES)[0]
+    free = starts(segment, PLAY).free[0]
     assert free.response.shape == (len(segment.time), 2), "the link's position and the motor's"
     servo = replace(segment, mode="position", command=np.zeros_like(segment.command))
-    assert not free_starts([servo], JOINTS, noise, WIDTH, 1, play, SCALES)
+    assert not starts(servo, PLAY).free
