@@ -199,7 +199,7 @@ def _windowed(
         notes.append(_IN_WINDOWS)
         return other, cut.problem
     if other.beside(found):
-        whole = carried(found.prepared, found.trials, other)
+        whole = carried(found, other)
         if whole.leaves_less(found):
             notes.append(_NAMED_IN_WINDOWS)
             return whole, cut.problem

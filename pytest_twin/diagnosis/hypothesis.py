@@ -69,6 +69,14 @@ class Hypothesis:
             added = added.with_term(term, start)
         return added
 
+    def with_values_of(self, other: Hypothesis) -> Hypothesis:
+        """The same terms, with another's values of those that both have."""
+        theta = self.theta.copy()
+        for t in self.terms:
+            if t in other.terms:
+                theta[self.slice_of(t)] = other.theta[other.slice_of(t)]
+        return self.with_theta(theta)
+
     def more_terms(self, than: Hypothesis) -> int:
         """How many terms it has more than another."""
         return len(self.terms) - len(than.terms)

@@ -19,7 +19,7 @@ from pytest_twin.diagnosis.rivals import Selected
 from pytest_twin.diagnosis.seek import sought
 from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import LEFT, JointError, Verdict, verdict
+from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
@@ -28,6 +28,8 @@ from pytest_twin.realization import Realization
 _UNSEEN = 1e6
 # Share of the squared mismatch that may be left where a search explains what another does not.
 _MOSTLY = 0.1
+# Share that has to be left for names from windows to be sought over whole motions.
+_SOME = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ class Searched:
         leaves what this may take.
         """
         named = self.explained.findings and other.explained.findings
-        return bool(named) and self.worst <= _MOSTLY and LEFT < other.worst <= _MOSTLY
+        return bool(named) and self.worst <= _MOSTLY and _SOME < other.worst <= _MOSTLY
 
     def leaves_less(self, other: Searched) -> bool:
         """Whether what stands of this is better than what stands of the other, prices paid; both of
@@ -111,22 +113,24 @@ def confirmed(
     return found if found.verdict == "explained" else None
 
 
-def carried(prepared: Prepared, trials: TrialSet, other: Searched) -> Searched:
-    """What another search found in windows, fitted over whole motions.
+def carried(found: Searched, other: Searched) -> Searched:
+    """What another search found in windows, fitted over the whole motions of the first.
 
     Names stand as they were found there: where a joint sticks and slips, whole motions part
-    wherever a slide ends, and what one name changes drowns in that.
+    wherever a slide ends, and what one name changes drowns in that. What both searches named is
+    sought from the values of either.
     """
-    problem, named = prepared.problem, other.selected
+    problem, named = found.prepared.problem, other.selected
     contest = Contest(problem)
-    start = named.best.hypothesis
+    start, mine = named.best.hypothesis, found.selected.best.hypothesis
+    both = start.with_values_of(mine)
     problem.refine_at(start)
-    found = sought(problem, start, contest.weights(contest.nominal))
-    best = contest.as_it_is(found, slopes=True)
+    end = sought(problem, [start, both], contest.weights(contest.nominal))
+    best = contest.as_it_is(end, slopes=True)
     selected = Selected(
         best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
     )
-    return _searched(prepared, trials, selected, as_named(problem, best.fitted))
+    return _searched(found.prepared, found.trials, selected, as_named(problem, best.fitted))
 
 
 def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:
