@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import grid
 from pytest_twin.diagnosis.rivals import Rival
 from pytest_twin.diagnosis.screen import candidates
+from pytest_twin.diagnosis.softer import softened
 from pytest_twin.diagnosis.tryout import Tryout
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
@@ -39,6 +40,9 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
     tryout = Tryout(problem, best, left)
     if _bent(look, left, clear=bool(starts) and starts[0] in found.singles):
         scanned = _scanned(tryout, best, look, found)
+        if not best.hypothesis.terms:
+            whole = np.mean(look.view.residual**2, axis=0)
+            scanned += softened(problem, best.hypothesis, whole)
     else:
         scanned = _yielding(tryout, best, look, found)
     alike = {h.terms for h in scanned}

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, Parameter, Values, World
+from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values, World
 
 
 class ActuatorLag(Effect):
@@ -228,7 +228,8 @@ class ControllerGain(Effect):
     law = "effort = (1 + stiffness_error) kp (setpoint - q) - (1 + damping_error) kv v"
     source = "PD law; Siciliano et al., Robotics (2009), sec. 8.5"
     parameters = (
-        Parameter("stiffness_error", "one", 0.0, -0.9, 4.0, (0.1,)),
+        # A vendor's model may have a gain that is fifty times what the firmware holds.
+        Parameter("stiffness_error", "one", 0.0, -0.998, 4.0, (0.1,)),
         Parameter("damping_error", "one", 0.0, -1.0, 4.0, (0.1,)),
     )
     modes = ("position", "velocity")
@@ -242,6 +243,16 @@ class ControllerGain(Effect):
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_constant": {"relative_error": values["stiffness_error"]}}
+
+    def coordinates(self, parameters: FloatArray) -> FloatArray:
+        """A softer servo gives way in proportion to the reciprocal of its stiffness."""
+        stiffness, damping = parameters
+        return np.array([np.log1p(stiffness), damping])
+
+    def from_coordinates(self, coordinates: FloatArray) -> FloatArray:
+        """The inverse."""
+        stiffness, damping = coordinates
+        return np.array([np.expm1(stiffness), damping])
 
     def gains(self, world: World, values: Values) -> None:
         stiffness, damping = 1.0 + values["stiffness_error"], 1.0 + values["damping_error"]
