@@ -13,17 +13,20 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import FloatArray
 
-_GAIN = "controller_gain"
+_GAIN, _FRICTION = "controller_gain", "coulomb_friction"
 # Shares of the model's stiffness that are tried; less far ones are found along the motion, and what
 # would be softer still has another cause.
 _SOFTNESS = (0.1, 0.05, 0.02, 0.01, 0.005)
+# Dry friction that is tried, in multiples of its reference.
+_DRY = 0.05
 # Floors beyond which a joint is far off, and the share of its mismatch that a softer drive may
 # leave.
 _FAR, _LEFT = 10.0, 0.5
 
 
 def softened(problem: Problem, bare: Hypothesis, whole: FloatArray) -> list[Hypothesis]:
-    """Softer servos at all joints that need them, and at each of them alone.
+    """Softer servos at all joints that need them, the same with dry friction, which a stiff servo
+    does not show, and softer servos at each of the joints alone.
 
     Args:
         problem: what to explain.
@@ -46,4 +49,8 @@ def softened(problem: Problem, bare: Hypothesis, whole: FloatArray) -> list[Hypo
         if best < len(sizes) - 1 and left[best, t.joint] < _LEFT * whole[t.joint]:
             starts[t] = sizes[best]
     alone = [bare.with_term(t, size) for t, size in starts.items()]
-    return [bare.with_terms(starts), *alone] if len(alone) > 1 else alone
+    together = bare.with_terms(starts)
+    rubbing = together.with_terms({Term(_FRICTION, t.joint): np.array([_DRY]) for t in starts})
+    if not starts:
+        return []
+    return [together, rubbing, *(alone if len(alone) > 1 else [])]

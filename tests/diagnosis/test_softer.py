@@ -44,9 +44,10 @@ def problem_of(folder: Path) -> tuple[Problem, np.ndarray]:
 
 def test_gains_far_off_are_tried_at_all_joints_and_at_each(tmp_path: Path) -> None:
     problem, whole = problem_of(vendor(tmp_path, STIFFER, BRAKED))
-    together, *alone = softened(problem, EMPTY, whole)
+    together, rubbing, *alone = softened(problem, EMPTY, whole)
     gains = tuple(Term("controller_gain", j) for j in range(len(JOINTS)))
     assert together.terms == gains
+    assert rubbing.terms == (*gains, *(Term("coulomb_friction", t.joint) for t in gains))
     assert [h.terms for h in alone] == [(t,) for t in gains]
     share = 1.0 + together.theta[::2]
     assert np.all((share > 0.5 / STIFFER) & (share < 3.0 / STIFFER))
