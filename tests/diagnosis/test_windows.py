@@ -74,7 +74,8 @@ def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
     other = search(cut, trials, Selection(cut.problem))
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
-    whole = carried(prepared, trials, other)
+    found = search(prepared, trials, Selection(prepared.problem))
+    whole = carried(found, other)
     (finding,) = whole.explained.findings
     assert (finding.effect, finding.confidence) == ("actuator_lag", other.selected.confidence[LAGS])
     assert finding.parameters["time_constant"].value == pytest.approx(lag, rel=0.02)
