@@ -55,7 +55,7 @@ class Contest:
 
     def weights(self, rival: Rival) -> FloatArray:
         """(signals,) reciprocal deviations of what a rival leaves."""
-        return self.problem.weights(np.mean(rival.fitted.residual**2, axis=0))
+        return self.problem.weights(rival.fitted.mean_square)
 
     def rivals(
         self,
@@ -125,19 +125,18 @@ class Contest:
 
     def unseen(self, rival: Rival) -> FloatArray:
         """(signals,) mean square on what no fit has seen, where there is such a thing."""
-        residual = rival.held_residual if self.has_held else rival.fitted.residual
-        mean_square: FloatArray = np.mean(residual**2, axis=0)
+        if not self.has_held:
+            return rival.fitted.mean_square
+        mean_square: FloatArray = np.mean(rival.held_residual**2, axis=0)
         return mean_square
 
     def worth_a_search(self, rival: Rival) -> bool:
         """Whether any joint has left what would be worth a name if all of it went."""
         floor = self.problem.signal_floor**2
-        fit = np.mean(rival.fitted.residual**2, axis=0)
+        fit = rival.fitted.mean_square
         left = np.maximum(self.unseen(rival), fit)
         least = np.where(left > STANDS_OUT**2 * floor, floor, left)
-        whole = np.maximum(
-            self.unseen(self.nominal), np.mean(self.nominal.fitted.residual**2, axis=0)
-        )
+        whole = np.maximum(self.unseen(self.nominal), self.nominal.fitted.mean_square)
         return self.worth_a_name(left, least, whole)
 
     def worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:

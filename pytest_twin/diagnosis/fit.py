@@ -39,6 +39,12 @@ class Fitted:
     jacobian: FloatArray
     cost: float
 
+    @property
+    def mean_square(self) -> FloatArray:
+        """(signals,) of the residual."""
+        mean_square: FloatArray = np.mean(self.residual**2, axis=0)
+        return mean_square
+
 
 def fit(
     problem: Problem,

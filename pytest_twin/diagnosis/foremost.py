@@ -67,7 +67,7 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
     levels = search().levels(Lens(look.view, look.answers))
     if not levels:
         # No slope leads anywhere: what is simulated may all the same.
-        return Foremost([], np.mean(look.view.residual**2, axis=0), [])
+        return Foremost([], look.view.mean_square, [])
     # Shapes of single terms are known as well as their grids are: more of them get a chance.
     chosen = [
         structure
@@ -95,8 +95,8 @@ def _whole(contest: Contest, best: Rival) -> FloatArray:
     fit has seen keeps a greater share of its own: there a name counts for more.
     """
     floor = contest.problem.signal_floor**2
-    whole: FloatArray = np.mean(contest.nominal.fitted.residual**2, axis=0)
-    kept = (np.mean(best.fitted.residual**2, axis=0) + floor) / (whole + floor)
+    whole = contest.nominal.fitted.mean_square
+    kept = (best.fitted.mean_square + floor) / (whole + floor)
     unseen = (contest.unseen(best) + floor) / (contest.unseen(contest.nominal) + floor)
     less: FloatArray = whole * np.minimum(kept / unseen, 1.0)
     return less

@@ -41,8 +41,7 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
     if _bent(look, left, clear=bool(starts) and starts[0] in found.singles):
         scanned = _scanned(tryout, best, look, found)
         if not best.hypothesis.terms:
-            whole = np.mean(look.view.residual**2, axis=0)
-            scanned += softened(problem, best.hypothesis, whole)
+            scanned += softened(problem, best.hypothesis, look.view.mean_square)
     else:
         scanned = _yielding(tryout, best, look, found)
     alike = {h.terms for h in scanned}
@@ -86,7 +85,7 @@ def _bent(look: Look, left: FloatArray, *, clear: bool) -> bool:
     view = look.view
     if look.linear is None:
         return bool(view.above(left, _FIRST_ORDER).any())
-    far = view.above(np.mean(view.residual**2, axis=0), _FIRST_ORDER).any()
+    far = view.above(view.mean_square, _FIRST_ORDER).any()
     return bool(far and not (clear and not view.above(left, _NEARLY).any()))
 
 
@@ -97,7 +96,7 @@ def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[H
     seen = {*terms, *best.hypothesis.terms}
     terms += [t for t in _gears(problem, look, found.left, _FIRST_ORDER) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
-    whole = np.mean(look.view.residual**2, axis=0)
+    whole = look.view.mean_square
     # Once, around the model as it came: they are many replays, and what is left later is less far.
     limited = [] if best.hypothesis.terms else _limits(problem, whole)
     limits = [t for t in limited if t not in look.failed]

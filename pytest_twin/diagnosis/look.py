@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.responses import Linear, answered, bins, linearized, simulated
@@ -66,7 +64,7 @@ def _behind_gears(problem: Problem, best: Rival, linear: Linear) -> set[int]:
     if not gears:
         return gears
     view = view_of(problem, best, linear.residual(best.fitted.residual))
-    stands = view.above(np.mean(view.residual**2, axis=0), STANDS_OUT)
+    stands = view.above(view.mean_square, STANDS_OUT)
     return {j for j in gears if stands[j]}
 
 

@@ -67,6 +67,12 @@ class View:
     floor: FloatArray
     lengths: Sequence[int]
 
+    @property
+    def mean_square(self) -> FloatArray:
+        """(signals,) of the residual."""
+        mean_square: FloatArray = np.mean(self.residual**2, axis=0)
+        return mean_square
+
     def above(self, mean_square: FloatArray, floors: float) -> NDArray[np.bool_]:
         """(signals,) whether a mean square is more than so many floors."""
         return np.asarray(mean_square > (floors * self.floor) ** 2)

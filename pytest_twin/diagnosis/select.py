@@ -188,7 +188,7 @@ class Selection:
         if self.share_left >= 1.0:
             return False
         floor = self.problem.signal_floor
-        whole = np.mean(self.contest.nominal.fitted.residual**2, axis=0)
+        whole = self.contest.nominal.fitted.mean_square
         share = float(np.sum(found.left / floor**2) / np.sum(whole / floor**2))
         return share > self.share_left
 

@@ -32,7 +32,7 @@ def sharpened(linear: Linear, view: View, answers: Answers, best: Hypothesis) ->
         best: the hypothesis at hand.
     """
     joints = len(linear.problem.joints)
-    far = np.sqrt(np.mean(view.residual**2, axis=0))[:joints] > _FAR * view.floor[:joints]
+    far = np.sqrt(view.mean_square)[:joints] > _FAR * view.floor[:joints]
     if not far.any():
         return []
     lens = Lens(view, answers)

@@ -48,9 +48,9 @@ def softened(problem: Problem, bare: Hypothesis, whole: FloatArray) -> list[Hypo
         best = int(np.argmin(left[:, t.joint]))
         if best < len(sizes) - 1 and left[best, t.joint] < _LEFT * whole[t.joint]:
             starts[t] = sizes[best]
+    if not starts:
+        return []
     alone = [bare.with_term(t, size) for t, size in starts.items()]
     together = bare.with_terms(starts)
     rubbing = together.with_terms({Term(_FRICTION, t.joint): np.array([_DRY]) for t in starts})
-    if not starts:
-        return []
     return [together, rubbing, *(alone if len(alone) > 1 else [])]

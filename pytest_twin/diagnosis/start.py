@@ -115,56 +115,25 @@ def free_starts(
         hypothesis, scales: around which the shifted starts are simulated: under friction a shift
             of the velocity dies out, without it it grows with time.
     """
+    if not any(map(free_shifts, segments)):
+        return Starts({}, {})
     scales = scales or Scales({})
-    stretch = _stretch(segments, joints, threads, hypothesis, scales)
-
-    stepped = 0
-
-    def around(shifts: Mapping[int, FloatArray]) -> dict[int, _Around]:
-        nonlocal stepped
-        moved = {i: replace(segments[i], motor_shift=shift) for i, shift in shifts.items()}
-        shifted = [_shifted(s, stretch[i]) for i, s in moved.items()]
-        if not shifted:
-            return {}
-        simulator = RowSimulator(list(chain(*shifted)), joints, threads=threads)
-        rows = np.arange(len(simulator.segments))
-        values = effect_values([hypothesis] * len(rows), len(joints), scales)
-        found = iter(simulator.simulate(rows, values))
-        stepped += simulator.stepped
-        out = {}
-        for (i, s), each in zip(moved.items(), shifted, strict=True):
-            base, *others = islice(found, len(each))
-            response = [(p.position - base.position).ravel() / _STEP for p in others]
-            if np.isfinite(response).all():
-                start = free_start(np.stack(response, axis=1), s, noise, width, stretch[i])
-                off = s.position - base.position
-                out[i] = _Around(start, off, float(np.sum((start.freed(off) / noise) ** 2)))
-        return out
-
-    none = np.zeros(len(joints))
-    found = around({i: none for i, s in enumerate(segments) if free_shifts(s)})
-    shifts = {i: none for i in found if stretch[i].any()}
-
-    def better(tried: Mapping[int, FloatArray], share: float) -> list[int]:
-        """Segments that keep less than a share where their motors are tried elsewhere."""
-        there = around(tried)
-        less = [i for i, a in there.items() if a.left < share * found[i].left]
-        found.update({i: there[i] for i in less})
-        shifts.update({i: tried[i] for i in less})
-        return less
-
-    apart = list(shifts)
-    for far in _TRIED if apart else ():
-        better({i: far * stretch[i] for i in apart}, _CLEARLY)
+    simulator = RowSimulator(segments, joints, threads=threads)
+    stretch = _stretch(simulator, hypothesis, scales)
+    placing = _Placing(simulator, noise, width, hypothesis, scales, stretch)
+    for far in _TRIED if placing.shifts else ():
+        placing.improved({i: far * stretch[i] for i in placing.shifts}, _CLEARLY)
+    apart = list(placing.shifts)
     for _ in range(_PLACINGS):
-        steps = {i: found[i].start.motor_shift(found[i].off) for i in apart}
+        steps = {i: placing.found[i].motor_step for i in apart}
         apart = [i for i, step in steps.items() if (np.abs(step) > _SETTLED * stretch[i]).any()]
         if not apart:
             break
         most = {i: _FAR * stretch[i] for i in apart}
-        tried = {i: np.clip(shifts[i] + steps[i], -most[i], most[i]) for i in apart}
-        apart = better(tried, _NO_WORSE)
-    return Starts({i: a.start for i, a in found.items()}, shifts, stepped)
+        tried = {i: np.clip(placing.shifts[i] + steps[i], -most[i], most[i]) for i in apart}
+        apart = placing.improved(tried, _NO_WORSE)
+    free = {i: around.start for i, around in placing.found.items()}
+    return Starts(free, placing.shifts, placing.stepped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +145,69 @@ class _Around:
     start: FreeStart
     off: FloatArray
     left: float
+
+    @property
+    def motor_step(self) -> FloatArray:
+        """(joints,) by how much motors seem to start elsewhere."""
+        return self.start.motor_shift(self.off)
+
+
+class _Placing:
+    """Free starts of segments, with motors where they were found to leave least.
+
+    Attributes:
+        found: segment -> its start.
+        shifts: segment -> where its motors start, of those whose gears give.
+        stepped: steps that were simulated.
+    """
+
+    def __init__(
+        self,
+        simulator: RowSimulator,
+        noise: FloatArray,
+        width: float,
+        hypothesis: Hypothesis,
+        scales: Scales,
+        stretch: FloatArray,
+    ) -> None:
+        self._simulator, self._noise, self._width = simulator, noise, width
+        self._hypothesis, self._scales, self._stretch = hypothesis, scales, stretch
+        self.stepped = 0
+        none = np.zeros(len(simulator.joints))
+        free = [i for i, s in enumerate(simulator.segments) if free_shifts(s)]
+        self.found = self._around(dict.fromkeys(free, none))
+        self.shifts = {i: none for i in self.found if stretch[i].any()}
+
+    def improved(self, tried: Mapping[int, FloatArray], share: float) -> list[int]:
+        """Segments that keep less than a share where their motors are tried: these stay there."""
+        there = self._around(tried)
+        less = [i for i, around in there.items() if around.left < share * self.found[i].left]
+        self.found.update({i: there[i] for i in less})
+        self.shifts.update({i: tried[i] for i in less})
+        return less
+
+    def _around(self, shifts: Mapping[int, FloatArray]) -> dict[int, _Around]:
+        known = self._simulator
+        moved = {i: replace(known.segments[i], motor_shift=x) for i, x in shifts.items()}
+        shifted = [_shifted(s, self._stretch[i]) for i, s in moved.items()]
+        if not shifted:
+            return {}
+        simulator = RowSimulator(list(chain(*shifted)), known.joints, threads=known.threads)
+        rows = np.arange(len(simulator.segments))
+        values = effect_values([self._hypothesis] * len(rows), len(known.joints), self._scales)
+        found = iter(simulator.simulate(rows, values))
+        self.stepped += simulator.stepped
+        out = {}
+        for (i, s), each in zip(moved.items(), shifted, strict=True):
+            base, *others = islice(found, len(each))
+            response = [(p.position - base.position).ravel() / _STEP for p in others]
+            if np.isfinite(response).all():
+                of_shifts = np.stack(response, axis=1)
+                start = free_start(of_shifts, s, self._noise, self._width, self._stretch[i])
+                off = s.position - base.position
+                left = float(np.sum((start.freed(off) / self._noise) ** 2))
+                out[i] = _Around(start, off, left)
+        return out
 
 
 def _shifted(segment: Segment, stretch: FloatArray) -> list[Segment]:
@@ -192,21 +224,15 @@ def _shifted(segment: Segment, stretch: FloatArray) -> list[Segment]:
     return out
 
 
-def _stretch(
-    segments: Sequence[Segment],
-    joints: Sequence[str],
-    threads: int,
-    hypothesis: Hypothesis,
-    scales: Scales,
-) -> FloatArray:
+def _stretch(simulator: RowSimulator, hypothesis: Hypothesis, scales: Scales) -> FloatArray:
     """(segments, joints) deviation of where motors start: by as much as usual efforts stretch their
     gears, where these give and the servo is of velocity.
     """
-    out = np.zeros((len(segments), len(joints)))
+    segments, joints = simulator.segments, len(simulator.joints)
+    out = np.zeros((len(segments), joints))
     rows = np.flatnonzero([s.mode == "velocity" for s in segments])
     if len(rows) and any(t.law.overrides("separates") for t in hypothesis.terms):
-        values = effect_values([hypothesis] * len(rows), len(joints), scales)
-        simulator = RowSimulator(segments, joints, threads=threads)
+        values = effect_values([hypothesis] * len(rows), joints, scales)
         out[rows] = simulator.gear_stretch(rows, values, scales.of["effort"])
     return out
 
