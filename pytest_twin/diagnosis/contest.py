@@ -6,13 +6,14 @@ Log-likelihood on the fit recordings less half a log of the effective samples fo
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.fit import fit, weighted_cost
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.rivals import Rival
 from pytest_twin.diagnosis.screen import candidates, name_price, price
@@ -28,9 +29,9 @@ _NECK = 0.05
 # Evidence behind the best after the first iterations beyond which no more would help a rival.
 _FAR_BEHIND = 500.0
 _ROUGH_ROUNDS = 2
-# Replays of all recordings that a search may take, more for every term that was found, and at most:
-# what needs more has no law in the catalogue.
-_MOST_REPLAYS, _MORE_REPLAYS, _ALL_REPLAYS = 300, 50, 450
+# Replays of all recordings that a search may take, more for every term that was found, for so many
+# at each joint: a crowd that needs more has no law in the catalogue.
+_MOST_REPLAYS, _MORE_REPLAYS, _COUNTED = 300, 50, 3
 
 
 class Contest:
@@ -174,8 +175,9 @@ class Contest:
             rival = settled
         return rival
 
-    def spent(self, names: int) -> bool:
-        """Whether as much was simulated as a search that found so many may take."""
+    def spent(self, found: Sequence[Term]) -> bool:
+        """Whether as much was simulated as a search that found these may take."""
         once = int(self.problem.simulator.steps.sum())
+        names = sum(min(n, _COUNTED) for n in Counter(t.joint for t in found).values())
         most = _MOST_REPLAYS + _MORE_REPLAYS * names
-        return self.problem.stepped - self.since > min(most, _ALL_REPLAYS) * once
+        return self.problem.stepped - self.since > most * once

@@ -114,6 +114,42 @@ def exchanges(
     return found
 
 
+def beside_all(
+    best: Rival, look: Look, found: Sequence[Exchange], clear: float, name_price: float
+) -> dict[Term, tuple[Hypothesis, float]]:
+    """What is clearly better in the place of something, beside everything: fitted along the motion,
+    with its evidence over the fit at hand.
+
+    What explains something else is better in every place, and a rival of nothing: it stands in a
+    place as far as it is better there than beside what is there.
+
+    Args:
+        best: the fit at hand.
+        look: around it.
+        found: what could stand in the places of its terms.
+        clear: evidence beyond which something is clearly better.
+        name_price: evidence that a name costs.
+    """
+    better: dict[Term, Exchange] = {}
+    for x in sorted(found, key=lambda x: x.evidence):
+        if x.new is not None and not x.doubtful and x.evidence > clear:
+            better[x.new] = x
+    if look.linear is None or not better:
+        return {}
+    both = [_beside(best.hypothesis, new, x.hypothesis) for new, x in better.items()]
+    fitted, evidence = against(look.linear, look.view, best, both, name_price)
+    values = np.nan_to_num(evidence, nan=-np.inf)
+    return {
+        new: (h, float(value))
+        for new, h, value in zip(better, fitted, values, strict=True)
+        if value > 0.0
+    }
+
+
+def _beside(own: Hypothesis, new: Term, other: Hypothesis) -> Hypothesis:
+    return own.with_term(new, other.theta[other.slice_of(new)])
+
+
 def _worth_fitting(found: Sequence[Exchange]) -> list[int]:
     """Numbers of those that may be in front once they are fitted along the motion."""
     out = []

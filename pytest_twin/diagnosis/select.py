@@ -8,12 +8,19 @@ that could stand in its place. A crowd at one joint is grown once more from its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
-from pytest_twin.diagnosis.exchange import Exchange, as_simulated, by_chance, exchanges
+from pytest_twin.diagnosis.exchange import (
+    Exchange,
+    as_simulated,
+    beside_all,
+    by_chance,
+    exchanges,
+)
 from pytest_twin.diagnosis.fewer import merged, of_the_robot, simpler
 from pytest_twin.diagnosis.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.front import front
@@ -24,9 +31,8 @@ from pytest_twin.diagnosis.responses import Linear, Response, linearized
 from pytest_twin.diagnosis.restraint import in_floors
 from pytest_twin.diagnosis.rivals import EARNS, Rival, Selected, described, quieter, simplest
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
-from pytest_twin.effects.base import FloatArray
 
-_MAX_TERMS = 10
+_MAX_TERMS = 20
 _ROUNDS, _ATTEMPTS = 6, 3
 # Evidence to first order beyond which no simulation would change the verdict.
 _CLEAR = 30.0
@@ -64,10 +70,12 @@ class Selection:
         self.share_left = share_left
         self.attempts = _ATTEMPTS if share_left >= 1.0 else 1
         self.contest = Contest(problem)
-        self.regrown = 0
+        self.regrown: tuple[Term, ...] = ()
         self.first: tuple[Term, ...] | None = None
         self.last_look: Look | None = None
         self.known: dict[Term, list[Response]] = {}
+        self.lost: dict[tuple[Term, ...], float] = {}
+        """Evidence of what the best fit was simulated without: its terms, over it."""
 
     def run(self, start: Rival | None = None) -> Selected:
         """Search forward, backward and sideways, from the model as it came or from a fit of it."""
@@ -115,7 +123,7 @@ class Selection:
         root = max(rivals, key=lambda r: r.evidence)
         if root.hypothesis.terms == self.first:
             return selected
-        self.regrown = len(terms)
+        self.regrown = terms
         self.say(f"again from {described(root.hypothesis)}")
         other = Selected(self.contest.settled(root), selected.nominal, tried=selected.tried)
         self._grow(other)
@@ -136,7 +144,7 @@ class Selection:
         ]  # fmt: skip
 
     def _spent(self, best: Rival) -> bool:
-        return self.contest.spent(len(best.hypothesis.terms) + self.regrown)
+        return self.contest.spent((*best.hypothesis.terms, *self.regrown))
 
     def _forward(self, best: Rival) -> Rival | None:
         """A better fit with more terms, if there is one.
@@ -198,6 +206,7 @@ class Selection:
         What clearly pays along the motion is not simulated, gears apart: along it they say little.
         """
         while best.hypothesis.terms:
+            self.lost = {}
             terms = best.hypothesis.terms
             fewer = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
@@ -211,7 +220,9 @@ class Selection:
             iterations = QUICK if linear is None else FAIR
             self.contest.judge(rivals, best)
             rivals += self.contest.against(doubtful, best, iterations)
-            top = max(rivals, key=lambda r: r.evidence)
+            rivals.sort(key=lambda r: r.evidence)
+            self.lost = {r.hypothesis.terms: r.evidence for r in rivals}
+            top = rivals[-1]
             if top.evidence < -EARNS / 2:
                 break
             gone = set(best.hypothesis.terms) - set(top.hypothesis.terms)
@@ -249,17 +260,23 @@ class Selection:
         self.problem.refine_at(best.hypothesis)
         return rival
 
-    def _simulated(self, best: Rival, found: Sequence[Exchange]) -> list[tuple[Exchange, Rival]]:
+    def _simulated(
+        self, best: Rival, found: Sequence[Exchange], beside: Container[Term | None]
+    ) -> list[tuple[Exchange, Rival]]:
         """Exchanges that are fitted by simulation, with their evidence over ``best``: in each place
         the nearest two that are not far behind along the motion, and those where that says nothing.
 
         Once the replays are spent, what seems better, for no name would be sure of what was not
-        seen, and what may stand for several.
+        seen, and what may stand for several. Never what is better ``beside`` what stands there.
         """
         spent = self._spent(best)
         near, doubtful = [], []
         for place in dict.fromkeys(x.gone for x in found):
-            mine = [x for x in found if x.gone == place and x.new is not None]
+            mine = [
+                x for x in found
+                if x.gone == place and x.new is not None
+                and not (x.new in beside and x.evidence < 0.0)
+            ]  # fmt: skip
             lost = [x.evidence for x in found if x.gone == place and x.new is None]
             least = 0.0 if spent else min(-_CLEAR, _HARDLY * max(lost, default=0.0))
             for x in sorted(mine, key=lambda x: -x.evidence)[:_MOST_CLOSE]:
@@ -279,32 +296,42 @@ class Selection:
         gone = [t for t in own.terms if t not in terms]
         if len(gone) != 1 or len(terms) != len(own.terms):
             return top
-        beside = self._both(top.hypothesis, gone[0], best, self.contest.weights(best))
+        both = self._with(top.hypothesis, gone[0], best)
+        (beside,) = self.contest.rivals([both], self.contest.weights(best), FAIR)
+        self.contest.judge([beside], best)
         return beside if beside.evidence > top.evidence + EARNS else top
 
-    def _added(self, best: Rival, simulated: Sequence[tuple[Exchange, Rival]]) -> Rival | None:
-        """What was clearly better in a place along the motion, and not once it was simulated, in
-        addition to what stands there, if that earns its name: where the replays are spent, nobody
-        else would add it.
+    def _added(
+        self,
+        best: Rival,
+        simulated: Sequence[tuple[Exchange, Rival]],
+        beside: Iterable[tuple[Hypothesis, float]],
+    ) -> Rival | None:
+        """What was clearly better along the motion, in a place and not once it was simulated, or
+        beside everything, in addition to all that stands, if that earns its name: where the replays
+        are spent, nobody else would add it.
         """
-        claims = [x for x, _ in simulated if len(x.gone) == 1 and x.evidence > _CLEAR]
+        claims = [
+            (self._with(x.hypothesis, x.gone[0], best), x.evidence)
+            for x, _ in simulated
+            if len(x.gone) == 1 and x.evidence > _CLEAR
+        ]
+        claims += [(h, evidence) for h, evidence in beside if evidence > _CLEAR]
         if not claims:
             return None
-        claim = max(claims, key=lambda x: x.evidence)
-        (gone,) = claim.gone
+        claim, _ = max(claims, key=lambda each: each[1])
         # As if it explained all: the weights of what is left now would hold it to what other
         # signals say.
         weights = self.problem.weights(np.zeros_like(self.problem.signal_floor))
-        rival = self._both(claim.hypothesis, gone, best, weights)
+        (rival,) = self.contest.rivals([claim], weights, FAIR)
+        self.contest.judge([rival], best)
         return rival if self._earns(rival, best) else None
 
-    def _both(self, claimed: Hypothesis, gone: Term, best: Rival, weights: FloatArray) -> Rival:
-        """What was claimed in the place of a term of ``best``, and that term, fitted and judged."""
+    @staticmethod
+    def _with(claimed: Hypothesis, gone: Term, best: Rival) -> Hypothesis:
+        """What was claimed in the place of a term of ``best``, and that term."""
         own = best.hypothesis
-        both = claimed.with_term(gone, own.theta[own.slice_of(gone)])
-        (rival,) = self.contest.rivals([both], weights, FAIR)
-        self.contest.judge([rival], best)
-        return rival
+        return claimed.with_term(gone, own.theta[own.slice_of(gone)])
 
     def _earns(self, rival: Rival, best: Rival) -> bool:
         """Whether what a rival has more than ``best`` earns its name."""
@@ -340,11 +367,21 @@ class Selection:
         if not terms:
             return False
         look = look_around(self.problem, best, self.last_look)
-        found = exchanges(self.problem, best, look, self.known, self.contest.name_price)
-        simulated = self._simulated(best, found)
+        price = self.contest.name_price
+        found = exchanges(self.problem, best, look, self.known, price)
+        beside = beside_all(best, look, found, _CLEAR, price)
+        found = [
+            replace(x, evidence=x.evidence - beside[x.new][1]) if x.new in beside else x
+            for x in found
+        ]
+        simulated = self._simulated(best, found, beside)
         chance = by_chance(found)
         evidence = as_simulated(found, [(x, r.evidence) for x, r in simulated])
         evidence = {place: e - chance[place] for place, e in evidence.items()}
+        for x in found:
+            without = best.hypothesis.without(*x.gone).terms
+            if x.new is None and without in self.lost:
+                evidence[x.gone, None] = self.lost[without]
         for x, r in simulated:
             alike = len(x.gone) == 1 and not x.has_it and not x.comes_to
             if not alike or abs(r.evidence) >= _EVEN:
@@ -369,8 +406,8 @@ class Selection:
         if better:
             _, first = max(better, key=lambda each: evidence[each[0].gone, each[0].new])
             top = self._beside(best, first)
-        elif self._spent(best):
-            top = self._added(best, simulated)
+        elif beside or self._spent(best):
+            top = self._added(best, simulated, beside.values())
         if top is None:
             return False
         self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")

@@ -7,10 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_behind_gears import fitted, silent, with_true
-from test_first_order import ELBOW, ROBOT, problem_of
+from test_first_order import ELBOW, ROBOT, SHOULDER, problem_of
 
 from pytest_twin.diagnosis.contest import FAIR, Contest
-from pytest_twin.diagnosis.exchange import Exchange, as_simulated, by_chance, exchanges
+from pytest_twin.diagnosis.exchange import (
+    Exchange,
+    as_simulated,
+    beside_all,
+    by_chance,
+    exchanges,
+)
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.look import look_around
 from pytest_twin.diagnosis.problem import Problem
@@ -135,6 +141,61 @@ def test_sideways_comes_from_two_wrong_names_to_the_right_one(loaded: Problem) -
     assert selected.best.hypothesis.terms == (MASS,)
 
 
+def test_what_explains_something_else_is_a_rival_of_nothing() -> None:
+    """A little drag at the elbow, which was named, and more dry friction at the shoulder."""
+    rubs = Term("coulomb_friction", SHOULDER)
+    problem = problem_of("position", {DRAG: BRAKED[DRAG], rubs: {"coulomb": 1.0}})
+    selection = Selection(problem, silent)
+    best = settled(selection.contest, DRAG)
+    look = look_around(problem, best)
+    found = around(problem, selection.contest, best)
+    price = selection.contest.name_price
+    beside = beside_all(best, look, found, 30.0, price)
+    hypothesis, evidence = beside[rubs]
+    assert set(hypothesis.terms) == {DRAG, rubs}
+    assert hypothesis.theta[hypothesis.slice_of(rubs)] > 0.0
+    (instead,) = [x for x in found if x.gone == (DRAG,) and x.new == rubs]
+    assert evidence > instead.evidence > 30.0, "better in the drag's place, and better beside it"
+    assert not beside_all(best, look, found, evidence + 1.0, price), "nothing is clearly better"
+
+    selected = Selected(best, selection.contest.nominal)
+    assert selection._sideways(selected)
+    assert set(selected.best.hypothesis.terms) == {DRAG, rubs}
+    assert selected.confidence[DRAG] > 0.99
+    assert all(
+        rival.joint != SHOULDER for rival, share in selected.alternatives[DRAG] if share > 0.01
+    )
+
+
+def test_what_is_right_in_a_place_is_a_rival_though_it_is_better_beside_it_too() -> None:
+    problem = problem_of("position", {DRY: BRAKED[DRY]})
+    selection = Selection(problem, silent)
+    best = settled(selection.contest, DRAG)
+    found = around(problem, selection.contest, best)
+    beside = beside_all(best, look_around(problem, best), found, 30.0, selection.contest.name_price)
+    (instead,) = [x for x in found if x.gone == (DRAG,) and x.new == DRY]
+    assert 30.0 < beside[DRY][1] < instead.evidence, "the name that is not needed has its price"
+    selected = Selected(best, selection.contest.nominal)
+    assert selection._sideways(selected)
+    assert selected.best.hypothesis.terms == (DRY,)
+    assert selected.confidence[DRAG] < 1e-3
+
+
+def test_what_was_simulated_without_a_name_counts_in_its_place() -> None:
+    problem = problem_of("position", {DRAG: BRAKED[DRAG]})
+    selection = Selection(problem, silent)
+    selected = Selected(settled(selection.contest, DRAG), selection.contest.nominal)
+    assert not selection._sideways(selected)
+    assert selected.confidence[DRAG] > 0.9
+    selection.lost = {(): 20.0}
+    selection._sideways(selected)
+    assert selected.confidence[DRAG] < 1e-3
+    # Where it was not simulated, or is not what was, the measured motion has its say.
+    selection.lost = {(SPRING,): 20.0}
+    selection._sideways(selected)
+    assert selected.confidence[DRAG] > 0.9
+
+
 def test_a_law_that_has_another_in_it_is_no_rival_of_it() -> None:
     problem = problem_of("position", {DRY: BRAKED[DRY]})
     selection = Selection(problem, silent)
@@ -162,7 +223,7 @@ def test_rivals_that_hardly_lose_are_simulated(
             Exchange(gone, None, EMPTY, lost, False),
             Exchange(gone, DRAG, with_true(loaded, DRAG, BRAKED[DRAG]), behind, False),
         ]
-        return [x.new for x, _ in selection._simulated(best, found)]
+        return [x.new for x, _ in selection._simulated(best, found, ())]
 
     assert simulated(lost=-500.0, behind=-20.0) == [DRAG]
     assert simulated(lost=-500.0, behind=-40.0) == []

@@ -174,6 +174,22 @@ def test_a_search_ends_when_its_replays_are_spent(
     assert prepared.problem.stepped - stepped < 10 * prepared.problem.simulator.steps.sum()
 
 
+def test_names_at_other_joints_have_replays_of_their_own(tmp_path: Path) -> None:
+    prepared, _ = bench(tmp_path, delay=0.02)
+    problem = prepared.problem
+    here = contest.Contest(problem)
+    names = ("viscous_friction", "coulomb_friction", "armature", "joint_spring", "effort_bias")
+    crowd = [Term(name, 0) for name in names]
+    apart = [*crowd[:3], Term("viscous_friction", 1)]
+    once = int(problem.simulator.steps.sum())
+    problem.simulator.stepped += 475 * once
+    assert here.spent([])
+    assert here.spent(crowd), "a crowd at one joint counts as three"
+    assert not here.spent(apart)
+    problem.simulator.stepped += 50 * once
+    assert here.spent(apart)
+
+
 def test_what_moves_the_prediction_most_without_it_comes_first(tmp_path: Path) -> None:
     """Much friction on one pendulum, a short delay on the other, named the other way round."""
     prepared, trials = bench(tmp_path, viscous=0.6, delay=0.002)

@@ -184,7 +184,8 @@ def test_what_is_better_in_a_place_but_not_simulated_there_is_tried_in_addition(
 
     def added(evidence: float, claimed: Hypothesis = start) -> Rival | None:
         (new,) = claimed.terms
-        return selection._added(best, [(Exchange((DRAG,), new, claimed, evidence, False), best)])
+        one = [(Exchange((DRAG,), new, claimed, evidence, False), best)]
+        return selection._added(best, one, ())
 
     found = added(100.0)
     assert found is not None
