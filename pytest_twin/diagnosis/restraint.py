@@ -33,6 +33,8 @@ _UNLIKELY, _EVEN = 0.02, 0.5
 # doubt where its joint stays unexplained: the right law is known well there, for so much stands out
 # of the noise.
 _ABSENT_BAR, _DOUBTED = 2.0, 2.0
+# Share of the squared mismatch that without a name is left in addition, where it is no doubt.
+_NEEDED = 0.25
 
 
 @dataclass(slots=True)
@@ -127,7 +129,10 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
             fitted = refitted[least]
             continue
         likely = {t: c >= _EVEN for t, c in zip(terms, chances, strict=True)}
-        stretched = _stretched(problem, fitted, known, before, base, likely)
+        needed = {
+            t: _much_left(problem, t, before, base, v) for t, v in zip(terms, levels, strict=True)
+        }
+        stretched = _stretched(problem, fitted, known, before, base, likely, needed)
         if stretched:
             rest = fitted.hypothesis.without(*stretched)
             for t in stretched:
@@ -208,9 +213,10 @@ def _stretched(
     before: FloatArray,
     after: FloatArray,
     likely: Mapping[Term, bool],
+    needed: Mapping[Term, bool],
 ) -> list[Term]:
-    """Terms at a physical bound, perhaps absent, or not likely, at joints that stay unexplained
-    with them.
+    """Terms at a physical bound, perhaps absent and not needed, or not likely, at joints that stay
+    unexplained with them.
     """
     hypothesis, joints = fitted.hypothesis, len(problem.joints)
     explained = np.array([
@@ -220,9 +226,20 @@ def _stretched(
     return [
         t for t in hypothesis.terms
         if not (explained.all() if t.joint < 0 else explained[t.joint])
-        and (not likely[t] or _perhaps_absent(fitted, t, known, _DOUBTED)
-             or hypothesis.at_bound(t) or hypothesis.out_of_shape(t))
+        and (not likely[t] or hypothesis.at_bound(t) or hypothesis.out_of_shape(t)
+             or (not needed[t] and _perhaps_absent(fitted, t, known, _DOUBTED)))
     ]  # fmt: skip
+
+
+def _much_left(
+    problem: Problem, term: Term, before: FloatArray, base: FloatArray, without: FloatArray
+) -> bool:
+    """Whether without a term so much more is left where it acts, refitted, that something like it
+    is there, however wide its interval: that is what small deviations say.
+    """
+    columns = slice(None) if term.joint < 0 else slice(term.joint, None, len(problem.joints))
+    more = without[columns] ** 2 - base[columns] ** 2
+    return bool((more > _NEEDED * before[columns] ** 2).any())
 
 
 def _perhaps_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.restraint import (
+    _much_left,
     _perhaps_absent,
     _stretched,
     _too_little,
@@ -90,11 +92,35 @@ def test_a_law_out_of_shape_that_does_not_explain_all_is_no_name(
 
     def stretched(left: float) -> list[Term]:
         before, after = np.array([100.0, 1.0]), np.array([left, 1.0])
-        return _stretched(problem, fitted, spread(problem, fitted), before, after, {term: True})
+        known = spread(problem, fitted)
+        return _stretched(problem, fitted, known, before, after, {term: True}, {term: False})
 
     assert stretched(40.0) == ([] if named else [term])
     # Where it explains its joint it is as good a name as any.
     assert stretched(2.0) == []
+
+
+@pytest.mark.parametrize(("without", "named"), [(50.0, False), (70.0, True)])
+def test_a_name_of_wide_interval_stays_where_much_more_is_left_without_it(
+    tmp_path: Path, without: float, named: bool
+) -> None:
+    """A motion that hardly follows the law to first order, and refitted without it much is left."""
+    prepared, _ = bench(tmp_path, viscous=0.6)
+    problem, term = prepared.problem, Term("viscous_friction", 0)
+    start = with_sizes(problem, (term,), (0.6,))
+    weights = 1.0 / problem.signal_floor
+    fitted = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)[0]
+    flat = replace(fitted, jacobian=1e-6 * fitted.jacobian)
+    before, base = np.array([100.0, 1.0]), np.array([40.0, 1.0])
+    much = _much_left(problem, term, before, base, np.array([without, 1.0]))
+    assert much is named
+
+    def stretched(fit_at_hand: Fitted, needed: bool) -> list[Term]:
+        known = spread(problem, fit_at_hand)
+        return _stretched(problem, fit_at_hand, known, before, base, {term: True}, {term: needed})
+
+    assert stretched(flat, much) == ([] if named else [term])
+    assert stretched(fitted, False) == []
 
 
 @pytest.mark.parametrize(
