@@ -30,8 +30,8 @@ from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.patched import Patched
-from pytest_twin.diagnosis.patched_replay import replay_patched
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 

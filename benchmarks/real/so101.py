@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.patched import Patched
-from pytest_twin.diagnosis.patched_replay import replay_patched
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial

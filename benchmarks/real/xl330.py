@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.patched import Patched
-from pytest_twin.diagnosis.patched_replay import replay_patched
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue

@@ -216,8 +216,8 @@ class Replay(Check):
 
 def _replayed(realization: Realization, trial: Trial, progress: Progress) -> Replayed:
     """The replay, with what a diagnosis put beside the model where it did."""
-    from pytest_twin.diagnosis.patched import patched_of
-    from pytest_twin.diagnosis.patched_replay import replay_whole
+    from pytest_twin.diagnosis.patched.model import patched_of
+    from pytest_twin.diagnosis.patched.replay import replay_whole
     from pytest_twin.replay import replay
 
     patched = patched_of(realization)

@@ -19,7 +19,7 @@ from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES, Twin, load_twin
 
 if TYPE_CHECKING:
-    from pytest_twin.diagnosis.patched import Patched
+    from pytest_twin.diagnosis.patched.model import Patched
     from pytest_twin.effects.rows import Predicted
     from pytest_twin.realization import Realization
     from pytest_twin.replay import Replayed
@@ -168,7 +168,7 @@ def load_model(file: Path) -> LoadedModel:
     Raises:
         TwinError: it cannot be loaded.
     """
-    from pytest_twin.diagnosis.patched import patched_of
+    from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.realization import load
 
     twin: Twin | None = None
@@ -186,7 +186,7 @@ def load_model(file: Path) -> LoadedModel:
 
 def _predict(loaded: LoadedModel, trial: Trial) -> tuple[JointSeries, tuple[str, ...]]:
     """The joint states that the model predicts for a trial, and notes."""
-    from pytest_twin.diagnosis.patched_replay import beside_in_words, replay_patched
+    from pytest_twin.diagnosis.patched.replay import beside_in_words, replay_patched
     from pytest_twin.replay import replay
 
     stamps = trial.stamps

@@ -12,13 +12,13 @@ import numpy as np
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
-from pytest_twin.diagnosis.patched import AppliedEffect, Patched
-from pytest_twin.diagnosis.patched_replay import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.replay import stepped_beside, without_delays
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import Searched, carried, confirmed, pose, search
-from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import WINDOW

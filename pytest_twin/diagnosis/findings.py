@@ -14,8 +14,8 @@ from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.locate import Where, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.restraint import Pruned, in_floors, joint_name, label
-from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.search.restraint import Pruned, in_floors, joint_name, label
+from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.effects.base import FloatArray, Parameter
 from pytest_twin.trial import Trial
 

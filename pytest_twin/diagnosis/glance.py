@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
+from pytest_twin.diagnosis.first_order.responses import bins, responses
+from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View, candidates
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import MissingForce, Where, missing_force, motions, place_of
-from pytest_twin.diagnosis.patched import Patched
-from pytest_twin.diagnosis.patched_replay import (
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.replay import (
     fixed_values,
     replay_whole,
     stepped_beside,
@@ -25,8 +27,6 @@ from pytest_twin.diagnosis.patched_replay import (
 )
 from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import bins, responses
-from pytest_twin.diagnosis.screen import Answers, Lens, View, candidates
 from pytest_twin.diagnosis.smoothing import smooth_state
 from pytest_twin.diagnosis.verdict import AT_FLOOR
 from pytest_twin.effects.base import FloatArray

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pytest_twin.diagnosis.contest import Contest
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
-from pytest_twin.diagnosis.patched import AppliedEffect
-from pytest_twin.diagnosis.patched_replay import fixed_values
+from pytest_twin.diagnosis.patched.model import AppliedEffect
+from pytest_twin.diagnosis.patched.replay import fixed_values
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.restraint import Pruned, as_named, prune
-from pytest_twin.diagnosis.rivals import Selected
-from pytest_twin.diagnosis.seek import sought
-from pytest_twin.diagnosis.select import Selection
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
+from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.search.seek import sought
+from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
 from pytest_twin.effects.base import FloatArray

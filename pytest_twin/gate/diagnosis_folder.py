@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.diagnosis.diagnose import diagnose
-from pytest_twin.diagnosis.patched import Patched
-from pytest_twin.diagnosis.patched_write import write_realization
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats import atomic
 from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE

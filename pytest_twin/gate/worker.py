@@ -57,7 +57,7 @@ def glance(twin: str, spec: str, realization: str) -> dict[str, str]:
         TwinError: the recording or the model cannot be used for it.
     """
     from pytest_twin.diagnosis.glance import glance as look
-    from pytest_twin.diagnosis.patched import patched_of
+    from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.report.glance import glance_words
 
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
@@ -90,7 +90,7 @@ def diagnose(
     Raises:
         TwinError: the model or the recordings cannot be used.
     """
-    from pytest_twin.diagnosis.patched import patched_of
+    from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
 

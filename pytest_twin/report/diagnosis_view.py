@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from pytest_twin.diagnosis.diagnose import Diagnosis
-    from pytest_twin.diagnosis.patched import AppliedEffect, Patched
+    from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 
 FloatArray = NDArray[np.float64]
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from test_first_order import ELBOW, problem_of
 
-from pytest_twin.diagnosis.contest import Contest
-from pytest_twin.diagnosis.foremost import foremost
-from pytest_twin.diagnosis.front import front
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.look import look_ahead
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rivals import Rival
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.foremost import foremost
+from pytest_twin.diagnosis.search.front import front
+from pytest_twin.diagnosis.search.look import look_ahead
+from pytest_twin.diagnosis.search.rivals import Rival
 
 PLAY, FRICTION, LATE = (
     Term(effect, ELBOW) for effect in ("backlash", "asymmetric_friction", "command_delay")

@@ -13,13 +13,13 @@ from touching_arm import FRICTION, SOLREF, case, mjcf
 
 from pytest_twin import cli
 from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import motions, place_of
-from pytest_twin.diagnosis.native_contact import write_contact
-from pytest_twin.diagnosis.patched_replay import replay_patched
-from pytest_twin.diagnosis.patched_write import write_realization
+from pytest_twin.diagnosis.patched.native_contact import write_contact
+from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.diagnosis.screen import candidates
 from pytest_twin.effects.contact_geoms import contact_geoms
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial

@@ -8,14 +8,14 @@ from test_behind_gears import with_true
 from test_first_order import SHOULDER, look, problem_of
 
 from pytest_twin.diagnosis import fit as fit_module
-from pytest_twin.diagnosis.contest import Contest
+from pytest_twin.diagnosis.first_order.polish import polish
+from pytest_twin.diagnosis.first_order.responses import Response
+from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View
 from pytest_twin.diagnosis.fit import fit, reached
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.look import look_ahead
-from pytest_twin.diagnosis.polish import polish
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Response
-from pytest_twin.diagnosis.screen import Answers, Lens, View
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.look import look_ahead
 from pytest_twin.effects.base import FloatArray
 
 PUSH = Term("external_force", SHOULDER)

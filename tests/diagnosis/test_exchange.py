@@ -9,19 +9,19 @@ import pytest
 from test_behind_gears import fitted, silent, with_true
 from test_first_order import ELBOW, ROBOT, SHOULDER, problem_of
 
-from pytest_twin.diagnosis.contest import FAIR, Contest
-from pytest_twin.diagnosis.exchange import (
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.contest import FAIR, Contest
+from pytest_twin.diagnosis.search.exchange import (
     Exchange,
     as_simulated,
     beside_all,
     by_chance,
     exchanges,
 )
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.look import look_around
-from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rivals import Rival, Selected, quieter
-from pytest_twin.diagnosis.select import Selection
+from pytest_twin.diagnosis.search.look import look_around
+from pytest_twin.diagnosis.search.rivals import Rival, Selected, quieter
+from pytest_twin.diagnosis.search.select import Selection
 
 MASS, BODY = Term("payload", ROBOT), Term("inertial_parameters", ELBOW)
 SPRING, REFLECTED = Term("joint_spring", ELBOW), Term("armature", ELBOW)

@@ -7,11 +7,11 @@ import pytest
 from test_behind_gears import fitted, with_true
 from test_first_order import ELBOW, ROBOT, SHOULDER, problem_of
 
-from pytest_twin.diagnosis.fewer import merged, of_the_robot
+from pytest_twin.diagnosis.first_order.responses import linearized
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import linearized
-from pytest_twin.diagnosis.select import Selection
+from pytest_twin.diagnosis.search.fewer import merged, of_the_robot
+from pytest_twin.diagnosis.search.select import Selection
 
 LATE = [Term("command_delay", j) for j in (SHOULDER, ELBOW)]
 DRY = Term("coulomb_friction", ELBOW)

@@ -17,8 +17,8 @@ from pytest_twin.diagnosis.findings import estimate, explain, finding_json
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
-from pytest_twin.diagnosis.restraint import prune
-from pytest_twin.diagnosis.rivals import Rival, Selected
+from pytest_twin.diagnosis.search.restraint import prune
+from pytest_twin.diagnosis.search.rivals import Rival, Selected
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Parameter
 from pytest_twin.formats.mcap import read_recording

@@ -15,14 +15,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.along import Along, along
-from pytest_twin.diagnosis.deviation import Deviation, deviation
+from pytest_twin.diagnosis.first_order.along import Along, along
+from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
+from pytest_twin.diagnosis.first_order.laws import Laws, force_slopes
+from pytest_twin.diagnosis.first_order.responses import bins, linearized, responses
+from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms, upsampled
+from pytest_twin.diagnosis.first_order.screen import (
+    Answers,
+    Lens,
+    Search,
+    Structure,
+    View,
+    candidates,
+)
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.laws import Laws, force_slopes
 from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
-from pytest_twin.diagnosis.responses import bins, linearized, responses
-from pytest_twin.diagnosis.rigid_terms import rigid_terms, upsampled
-from pytest_twin.diagnosis.screen import Answers, Lens, Search, Structure, View, candidates
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.diagnosis.start import free_starts
 from pytest_twin.effects import catalogue

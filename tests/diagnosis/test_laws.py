@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 from test_first_order import ELBOW, ROBOT, SHOULDER, FloatArray, problem_of
 
-from pytest_twin.diagnosis.along import along
+from pytest_twin.diagnosis.first_order.along import along
+from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Laws
+from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.rigid_terms import Efforts, rigid_terms
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
-from pytest_twin.diagnosis.laws import ActiveEffects, Laws
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Linear
-from pytest_twin.diagnosis.rigid_terms import Efforts, rigid_terms
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 

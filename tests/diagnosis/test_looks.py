@@ -7,12 +7,12 @@ import pytest
 from test_behind_gears import fitted, with_true
 from test_first_order import ELBOW, SHOULDER, problem_of
 
-from pytest_twin.diagnosis.contest import Contest
+from pytest_twin.diagnosis.first_order.responses import Linear, bins
+from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Term
-from pytest_twin.diagnosis.look import look_around
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Linear, bins
-from pytest_twin.diagnosis.screen import candidates
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.look import look_around
 
 DRAG, DRY = Term("viscous_friction", ELBOW), Term("coulomb_friction", SHOULDER)
 HIDDEN = {DRAG: {"coefficient": 0.2}, DRY: {"coulomb": 0.3}}

@@ -12,9 +12,9 @@ from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.patched import read_effects
-from pytest_twin.diagnosis.patched_replay import replay_patched
-from pytest_twin.diagnosis.patched_write import write_realization
+from pytest_twin.diagnosis.patched.model import read_effects
+from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError

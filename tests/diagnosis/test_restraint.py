@@ -11,14 +11,14 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis import contest
 from pytest_twin.diagnosis.findings import explain
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.restraint import (
+from pytest_twin.diagnosis.search import contest
+from pytest_twin.diagnosis.search.restraint import (
     _much_left,
     _perhaps_absent,
     _stretched,
@@ -26,8 +26,8 @@ from pytest_twin.diagnosis.restraint import (
     as_named,
     prune,
 )
-from pytest_twin.diagnosis.rivals import Rival, Selected
-from pytest_twin.diagnosis.select import Selection
+from pytest_twin.diagnosis.search.rivals import Rival, Selected
+from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 

@@ -7,7 +7,7 @@ import pytest
 
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.rivals import Rival, simplest
+from pytest_twin.diagnosis.search.rivals import Rival, simplest
 
 COULOMB, VISCOUS = Term("coulomb_friction", 0), Term("viscous_friction", 0)
 STRIBECK, GAIN = Term("stribeck_friction", 0), Term("controller_gain", 0)

@@ -11,7 +11,7 @@ from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.seek import deviations, sought
+from pytest_twin.diagnosis.search.seek import deviations, sought
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import make_trial
 

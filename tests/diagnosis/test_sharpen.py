@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from test_first_order import ELBOW, SHOULDER, problem_of
 
-from pytest_twin.diagnosis import front
-from pytest_twin.diagnosis.contest import Contest
+from pytest_twin.diagnosis.first_order.responses import bins, linearized
+from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View, candidates
+from pytest_twin.diagnosis.first_order.sharpen import sharpened
 from pytest_twin.diagnosis.fit import fit, propose
-from pytest_twin.diagnosis.foremost import Foremost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.look import look_around
-from pytest_twin.diagnosis.responses import bins, linearized
-from pytest_twin.diagnosis.screen import Answers, Lens, View, candidates
-from pytest_twin.diagnosis.select import Selection
-from pytest_twin.diagnosis.sharpen import sharpened
+from pytest_twin.diagnosis.search import front
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.foremost import Foremost
+from pytest_twin.diagnosis.search.look import look_around
+from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.effects import catalogue
 
 

@@ -13,7 +13,7 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.softer import softened
+from pytest_twin.diagnosis.search.softer import softened
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.formats.mcap import TOPICS
 from pytest_twin.realization import Realization

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_first_order import ELBOW, SHOULDER, problem_of
 
-from pytest_twin.diagnosis.fewer import merged
 from pytest_twin.diagnosis.fit import fit, propose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.search.fewer import merged
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect
 

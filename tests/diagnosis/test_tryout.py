@@ -7,21 +7,21 @@ import pytest
 from test_behind_gears import fitted, silent, with_true
 from test_first_order import ELBOW, SHOULDER, problem_of
 
-from pytest_twin.diagnosis import select
-from pytest_twin.diagnosis.contest import Contest
-from pytest_twin.diagnosis.deepen import deepened
-from pytest_twin.diagnosis.exchange import Exchange
+from pytest_twin.diagnosis.first_order.deepen import deepened
+from pytest_twin.diagnosis.first_order.polish import Polished, polish
+from pytest_twin.diagnosis.first_order.screen import Search
 from pytest_twin.diagnosis.fit import weighted_cost
-from pytest_twin.diagnosis.foremost import Foremost, foremost
-from pytest_twin.diagnosis.front import front
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.look import look_ahead
-from pytest_twin.diagnosis.polish import Polished, polish
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rivals import Rival
-from pytest_twin.diagnosis.screen import Search
-from pytest_twin.diagnosis.select import Selection
-from pytest_twin.diagnosis.tryout import Tryout
+from pytest_twin.diagnosis.search import select
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.exchange import Exchange
+from pytest_twin.diagnosis.search.foremost import Foremost, foremost
+from pytest_twin.diagnosis.search.front import front
+from pytest_twin.diagnosis.search.look import look_ahead
+from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.search.tryout import Tryout
 
 PUSH = Term("external_force", 0)
 LATE, DRAG = Term("command_delay", ELBOW), Term("viscous_friction", SHOULDER)

@@ -16,8 +16,8 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import carried, confirmed, search
-from pytest_twin.diagnosis.select import Selection
 from pytest_twin.diagnosis.start import free_shifts
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError

@@ -14,12 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.along import Along, along
-from pytest_twin.diagnosis.deviation import Deviation, deviation
+from pytest_twin.diagnosis.first_order.along import Along, along
+from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
+from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Forces, Laws, force_slopes
+from pytest_twin.diagnosis.first_order.rigid_terms import (
+    Efforts,
+    Rigid,
+    changes_bodies,
+    rigid_terms,
+    upsampled,
+)
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
-from pytest_twin.diagnosis.laws import ActiveEffects, Forces, Laws, force_slopes
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rigid_terms import Efforts, Rigid, changes_bodies, rigid_terms, upsampled
 from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, Values

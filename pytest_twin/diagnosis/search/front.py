@@ -10,15 +10,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pytest_twin.diagnosis.foremost import Foremost
+from pytest_twin.diagnosis.first_order.responses import grid
+from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.look import Look
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import grid
-from pytest_twin.diagnosis.rivals import Rival
-from pytest_twin.diagnosis.screen import candidates
-from pytest_twin.diagnosis.softer import softened
-from pytest_twin.diagnosis.tryout import Tryout
+from pytest_twin.diagnosis.search.foremost import Foremost
+from pytest_twin.diagnosis.search.look import Look
+from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.search.softer import softened
+from pytest_twin.diagnosis.search.tryout import Tryout
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.diagnosis.patched import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects import catalogue

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_twin.diagnosis.along import Along
-from pytest_twin.diagnosis.laws import ActiveEffects, Forces
-from pytest_twin.diagnosis.rigid_terms import slopes, upsampled
+from pytest_twin.diagnosis.first_order.along import Along
+from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Forces
+from pytest_twin.diagnosis.first_order.rigid_terms import slopes, upsampled
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 
@@ -74,7 +74,7 @@ def deviation(
         effects: of the hypothesis, values (1, joints).
         measured, predicted: what acts along either motion under the hypothesis.
         slopes_of_forces: stiffness and damping of what else depends on the state, as
-            :func:`~pytest_twin.diagnosis.laws.force_slopes` has it.
+            :func:`~pytest_twin.diagnosis.first_order.laws.force_slopes` has it.
     """
     n = along.position.shape[2]
     middle, slope_q, slope_v = slopes(simulator, along, effects)

@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pytest_twin.diagnosis.foremost import against, evidence_along
+from pytest_twin.diagnosis.first_order.polish import Polished
+from pytest_twin.diagnosis.first_order.responses import Response, bins
+from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.look import Look
-from pytest_twin.diagnosis.polish import Polished
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Response, bins
-from pytest_twin.diagnosis.rivals import AS_GOOD, Rival
-from pytest_twin.diagnosis.screen import Answers, Lens, View
+from pytest_twin.diagnosis.search.foremost import against, evidence_along
+from pytest_twin.diagnosis.search.look import Look
+from pytest_twin.diagnosis.search.rivals import AS_GOOD, Rival
 from pytest_twin.effects.base import FloatArray
 
 # Rivals in a place that are looked at, and those in the place of several terms, of all such places.

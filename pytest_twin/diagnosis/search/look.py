@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from pytest_twin.diagnosis.first_order.responses import (
+    Linear,
+    answered,
+    bins,
+    linearized,
+    simulated,
+)
+from pytest_twin.diagnosis.first_order.screen import Answers, View, candidates
+from pytest_twin.diagnosis.first_order.sharpen import sharpened
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Linear, answered, bins, linearized, simulated
-from pytest_twin.diagnosis.rivals import Rival
-from pytest_twin.diagnosis.screen import Answers, View, candidates
-from pytest_twin.diagnosis.sharpen import sharpened
+from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
 

@@ -9,7 +9,7 @@ import numpy as np
 from pytest_twin.diagnosis.fit import weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rivals import Rival
+from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.effects.base import FloatArray
 
 

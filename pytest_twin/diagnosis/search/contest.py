@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
+from pytest_twin.diagnosis.first_order.screen import candidates, name_price, price
 from pytest_twin.diagnosis.fit import fit, weighted_cost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rivals import Rival
-from pytest_twin.diagnosis.screen import candidates, name_price, price
+from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT, worth_a_name
 from pytest_twin.effects.base import FloatArray
 

@@ -13,23 +13,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from pytest_twin.diagnosis.contest import FAIR, QUICK, Contest
-from pytest_twin.diagnosis.exchange import (
+from pytest_twin.diagnosis.first_order.responses import Linear, Response, linearized
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.contest import FAIR, QUICK, Contest
+from pytest_twin.diagnosis.search.exchange import (
     Exchange,
     as_simulated,
     beside_all,
     by_chance,
     exchanges,
 )
-from pytest_twin.diagnosis.fewer import merged, of_the_robot, simpler
-from pytest_twin.diagnosis.foremost import Foremost, against, foremost
-from pytest_twin.diagnosis.front import front
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.look import Look, look_ahead, look_around, view_of
-from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.responses import Linear, Response, linearized
-from pytest_twin.diagnosis.restraint import in_floors
-from pytest_twin.diagnosis.rivals import EARNS, Rival, Selected, described, quieter, simplest
+from pytest_twin.diagnosis.search.fewer import merged, of_the_robot, simpler
+from pytest_twin.diagnosis.search.foremost import Foremost, against, foremost
+from pytest_twin.diagnosis.search.front import front
+from pytest_twin.diagnosis.search.look import Look, look_ahead, look_around, view_of
+from pytest_twin.diagnosis.search.restraint import in_floors
+from pytest_twin.diagnosis.search.rivals import EARNS, Rival, Selected, described, quieter, simplest
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
 
 _MAX_TERMS = 20

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.along import Along
+from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
 from pytest_twin.effects.rows import RowSimulator

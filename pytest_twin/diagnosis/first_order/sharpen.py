@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pytest_twin.diagnosis.first_order.polish import polish
+from pytest_twin.diagnosis.first_order.responses import Linear, Response
+from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis
-from pytest_twin.diagnosis.polish import polish
-from pytest_twin.diagnosis.responses import Linear, Response
-from pytest_twin.diagnosis.screen import Answers, Lens, View
 
 _SIZES = 6
 """Starting sizes of its switch that mark a law as one that bends."""

@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from pytest_twin.diagnosis.first_order.polish import Polished
+from pytest_twin.diagnosis.first_order.screen import Answers, Lens, Search, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.polish import Polished
-from pytest_twin.diagnosis.screen import Answers, Lens, Search, View
 from pytest_twin.effects.base import FloatArray
 
 # Single terms that are grown.

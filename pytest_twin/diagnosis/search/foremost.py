@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_twin.diagnosis.contest import FRONT, Contest
-from pytest_twin.diagnosis.deepen import deepened
+from pytest_twin.diagnosis.first_order.deepen import deepened
+from pytest_twin.diagnosis.first_order.polish import FAR_OFF, NEARBY, Polished, polish
+from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.screen import Lens, Search, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.look import Look
-from pytest_twin.diagnosis.polish import FAR_OFF, NEARBY, Polished, polish
-from pytest_twin.diagnosis.responses import Linear
-from pytest_twin.diagnosis.rivals import EARNS, Rival, described
-from pytest_twin.diagnosis.screen import Lens, Search, View
+from pytest_twin.diagnosis.search.contest import FRONT, Contest
+from pytest_twin.diagnosis.search.look import Look
+from pytest_twin.diagnosis.search.rivals import EARNS, Rival, described
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.base import FloatArray
 

@@ -11,7 +11,7 @@ from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.rivals import Selected
+from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.verdict import STANDS_OUT, JointError, worth_a_name
 from pytest_twin.effects.base import FloatArray
 

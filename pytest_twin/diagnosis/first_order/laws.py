@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.along import Along
-from pytest_twin.diagnosis.rigid_terms import Rigid, upsampled
+from pytest_twin.diagnosis.first_order.along import Along
+from pytest_twin.diagnosis.first_order.rigid_terms import Rigid, upsampled
 from pytest_twin.effects.base import (
     Effect,
     FloatArray,

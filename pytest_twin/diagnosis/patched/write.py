@@ -13,8 +13,8 @@ from typing import Any
 import yaml
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis
-from pytest_twin.diagnosis.native import NativeWriter
-from pytest_twin.diagnosis.patched import MODEL_FILE, Patched, effects_json
+from pytest_twin.diagnosis.patched.model import MODEL_FILE, Patched, effects_json
+from pytest_twin.diagnosis.patched.native import NativeWriter
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.formats import atomic
 from pytest_twin.realization import Realization

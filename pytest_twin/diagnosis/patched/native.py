@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import Term
-from pytest_twin.diagnosis.native_contact import write_contact
-from pytest_twin.diagnosis.patched import AppliedEffect
+from pytest_twin.diagnosis.patched.model import AppliedEffect
+from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import FloatArray, ModelFields

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.screen import View
 from pytest_twin.diagnosis.fit import nudged, proposals, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
-from pytest_twin.diagnosis.responses import Linear
-from pytest_twin.diagnosis.screen import View
 from pytest_twin.effects.base import FloatArray
 
 NEARBY, FAR_OFF = 3, 8

@@ -1,0 +1,1 @@
+"""The model with what was found: written, read back and replayed."""
