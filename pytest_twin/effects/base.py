@@ -134,6 +134,7 @@ class World:
         motor_armature, motor_damping, motor_constant: of the motor's side, where a gear gives:
             there the link has no armature, damping, dry friction or drive of its own. The last is
             effort that always acts on the motor, N*m or N.
+        link_inertia: least that a link puts against its gear, kg*m^2 or kg.
         motor: its side of the gears; None where all are rigid.
         state: memory of effects between steps, by effect id.
     """
@@ -157,6 +158,7 @@ class World:
     motor_armature: FloatArray
     motor_damping: FloatArray
     motor_constant: FloatArray
+    link_inertia: FloatArray
     motor: MotorSide | None = None
     state: dict[str, Any] = field(default_factory=dict)
 

@@ -15,6 +15,8 @@ FloatArray = NDArray[np.float64]
 
 _RING = 0.6
 """Damping of teeth, in units of the root of stiffness times inertia."""
+_KEPT = 0.5
+"""Share of its speed against the motor that a link may lose in a step, which it feels late."""
 _STIFFEST = 0.5
 """Stiffest gear, in units of inertia over a step squared."""
 
@@ -46,7 +48,7 @@ class Gear:
 
     def give(
         self, acts: NDArray[np.bool_], compliance: FloatArray, damping_time: FloatArray | None,
-        armature: FloatArray, timestep: float,
+        armature: FloatArray, link_inertia: FloatArray, timestep: float,
     ) -> None:  # fmt: skip
         """Yield by a compliance in series with what yields already.
 
@@ -55,6 +57,8 @@ class Gear:
             compliance: rad/(N*m) or m/N.
             damping_time: s, damping over stiffness; by default so much that the motor hardly rings.
             armature: of the motor, kg*m^2 or kg: teeth are no stiffer than a step resolves.
+            link_inertia: what they push on the other side: a link feels them a step late, and one
+                that is light beside its motor would be thrown back and forth.
             timestep: s.
         """
         inertia = np.maximum(armature, 1e-9)
@@ -68,9 +72,25 @@ class Gear:
             )
         else:
             damping = damping_time * stiffness
+        share = _resolved(stiffness * timestep + damping, inertia, link_inertia, timestep)
+        stiffness, damping = share * stiffness, share * damping
         self.apart = self.apart | acts
         self.stiffness = np.where(acts, stiffness, self.stiffness)
         self.damping = np.where(acts, damping, self.damping)
+
+
+def _resolved(
+    teeth: FloatArray, motor: FloatArray, link: FloatArray, timestep: float
+) -> FloatArray:
+    """Share of what teeth add for each unit of speed at which a step takes from a link no more than
+    :data:`_KEPT` of its speed against the motor, which itself gives way within the step.
+    """
+    # teeth in series with the motor's momentum over a step: at most as much of the link's.
+    most = _KEPT * link / timestep
+    momentum = motor / timestep
+    bound = most < momentum
+    least = np.where(bound, momentum - most, 1.0)
+    return np.where(bound, np.minimum(1.0, most * momentum / least / teeth), 1.0)
 
 
 @dataclass(slots=True)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World, moving_apart
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
+from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.point_mass import with_point_mass
 from pytest_twin.effects.roll_in import (
     LEAD,
@@ -41,10 +42,12 @@ EffectValues = Mapping[str, Values]
 
 _MAX_ROWS = 384
 _WORTH_THREADS = 64
+# Poses of a segment that are asked for the inertia of its links.
+_POSES = 8
 OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
-    "motor_constant",
+    "motor_constant", "link_inertia",
 )  # fmt: skip
 _LAW = ("gain", "stiffness", "damping", "offset")
 _UNBOUNDED = 1e9
@@ -149,6 +152,7 @@ class RowSimulator:
         )
         self.fixed: EffectValues = {}
         """Effects under every row: parameters as (1, joints) arrays."""
+        self._link_inertia: dict[int, FloatArray] = {}
         self.stepped = 0
         """Rows times steps so far: what the engine alone would have had to step."""
         self._inputs(model)
@@ -337,6 +341,17 @@ class RowSimulator:
         self._write_fields(batch, rows, models, effects, world)
         return batch, world
 
+    def link_inertia(self, rows: NDArray[np.int64]) -> FloatArray:
+        """(rows, joints) the least inertia that links put against their gears along a segment,
+        kg*m^2 or kg.
+        """
+        for r in {int(r) for r in rows} - set(self._link_inertia):
+            s = self.segments[r]
+            poses = s.position[:: max(len(s.position) // _POSES, 1)]
+            known = link_inertia(s.model, poses, self.qpos_index, self.dof_index)
+            self._link_inertia[r] = known
+        return np.array([self._link_inertia[int(r)] for r in rows])
+
     def commands(
         self,
         rows: NDArray[np.int64],
@@ -477,6 +492,7 @@ class RowSimulator:
             motor_armature=np.zeros(count),
             motor_damping=np.zeros(count),
             motor_constant=np.zeros(count),
+            link_inertia=np.full(count, np.inf),
         )
         bare = (self.servo == "effort") & ~driven
         world.gain[:, bare] = 1.0
@@ -541,6 +557,7 @@ class RowSimulator:
             # What sits on the motor side leaves the link; laws between steps carry it.
             world.motor_armature = batch.expand("dof_armature")[:, dof]
             world.motor_damping = batch.expand("dof_damping")[:, dof]
+            world.link_inertia = self.link_inertia(rows)
             for name in ("dof_damping", "dof_armature", "dof_frictionloss"):
                 array = batch.expand(name)
                 array[:, dof] = np.where(soft, 0.0, array[:, dof])

@@ -88,7 +88,7 @@ class Backlash(Effect):
         gear.gap = gear.gap + values["gap"]
         gear.give(
             self.separates(values), values["tooth_compliance"], None,
-            world.motor_armature, world.timestep,
+            world.motor_armature, world.link_inertia, world.timestep,
         )  # fmt: skip
 
 
@@ -122,5 +122,5 @@ class JointElasticity(Effect):
     def gear(self, gear: Gear, world: World, values: Values) -> None:
         gear.give(
             self.separates(values), values["compliance"], values["damping_time"],
-            world.motor_armature, world.timestep,
+            world.motor_armature, world.link_inertia, world.timestep,
         )  # fmt: skip

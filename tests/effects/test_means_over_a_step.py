@@ -30,6 +30,7 @@ def world(timestep: float) -> World:
         stiffness=one, damping=one, offset=one, lower=one - np.inf, upper=one + np.inf,
         servo=np.array(["position"]), delivered=one, friction_level=one, applied=one, load=one,
         motor_armature=one, motor_damping=one, motor_constant=one,
+        link_inertia=one + np.inf,
     )  # fmt: skip
 
 

@@ -37,7 +37,7 @@ _BLOCK = 64
 """Steps that are prepared and closed together: few enough to stay in a core's cache."""
 _PER_ROW = (
     "gain", "stiffness", "damping", "offset", "lower", "upper", "friction_level",
-    "motor_armature", "motor_damping",
+    "motor_armature", "motor_damping", "link_inertia",
 )  # fmt: skip
 _AT_ONCE, _SAMPLES, _STEPS = 0, 1, 2
 """Pace of a joint's laws: all samples at once, sample by sample, at the model's own step."""
@@ -245,6 +245,9 @@ class Laws:
             if effect.family != "contact":
                 effect.fields(changed, v)
         soft = moving_apart(effects, lanes.joint.shape)
+        if soft.any():
+            known = simulator.link_inertia(np.asarray(self.along.segments))
+            world.link_inertia = lanes.of_segment(known)
         world.friction_level = np.maximum(changed.friction, 0.0)
         own = of([m.dof_armature[dof] for m in models])
         world.motor_armature = own + changed.armature
