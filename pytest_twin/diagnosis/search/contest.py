@@ -7,7 +7,7 @@ Log-likelihood on the fit recordings less half a log of the effective samples fo
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -19,13 +19,16 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT, worth_a_name
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.rows import Predicted
 
 QUICK, FAIR, _LONG = 2, 4, 8
 """Iterations of a fit that ranks, and of one that decides."""
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many; share
 # of the first one's evidence within which they are judged once more.
 _IN_FRONT, FRONT = 150.0, 4
-_NECK = 0.05
+# Share of the best one's evidence within which rivals are judged each with the simulator's step
+# corrected for itself, and floors by which that has to move the prediction for another fit.
+_NECK, _MOVED = 0.3, 0.3
 # Evidence behind the best after the first iterations beyond which no more would help a rival.
 _FAR_BEHIND = 500.0
 _ROUGH_ROUNDS = 2
@@ -156,12 +159,28 @@ class Contest:
         rivals.sort(key=lambda r: -r.evidence)
         contenders = [r for r in rivals if r.evidence > (1.0 - _NECK) * rivals[0].evidence > 0.0]
         if len(contenders) > 1:
-            # Neck and neck they are judged where the simulator's step is corrected for them.
-            self.problem.refine_at(rivals[0].hypothesis)
-            again = self.rivals([r.hypothesis for r in contenders], weights, QUICK)
-            rivals[: len(contenders)] = again
-            self.judge(again, best, min(again, key=lambda r: r.fitted.cost))
+            own = [self._at_its_own(r, weights) for r in contenders]
+            rivals[: len(contenders)] = own
+            self.judge(own, best, min(own, key=lambda r: r.fitted.cost))
         return sorted(rivals, key=lambda r: -r.evidence)
+
+    def _at_its_own(self, rival: Rival, weights: FloatArray) -> Rival:
+        """A rival with the simulator's step corrected for itself, fitted on where that moves it: a
+        gear that gives costs a step more than what it is confused with.
+        """
+        before = self.problem.defect
+        self.problem.refine_at(rival.hypothesis)
+        moved = self._apart(before, self.problem.defect) > _MOVED
+        return self.rivals([rival.hypothesis], weights, QUICK if moved else 0)[0]
+
+    def _apart(self, one: Mapping[int, Predicted], other: Mapping[int, Predicted]) -> float:
+        """By how many floors two corrections of what is fitted differ, where they do most."""
+        both = [int(i) for i in self.problem.fit if i in one and i in other]
+        if not both:
+            return 0.0
+        difference = np.concatenate([one[i].position - other[i].position for i in both])
+        rms = np.sqrt(np.mean(difference**2, axis=0))
+        return float(np.max(rms / self.problem.signal_floor[: len(rms)]))
 
     def settled(self, rival: Rival) -> Rival:
         """The rival fitted to the end, with the simulator's step corrected where it now stands."""
