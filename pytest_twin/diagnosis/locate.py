@@ -28,6 +28,8 @@ _MERGE = 0.25
 _TOUCHING = 0.01
 """m from a surface, as the model has it: contact for the eye that looks for one."""
 _COVER = 0.8
+# Share of the greatest speed below which a joint stands still.
+_STILL = 0.02
 _MOST_WINDOWS = 12
 _LIFT, _SHARE = 1.5, 0.45
 _EDGES = 33
@@ -203,6 +205,10 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
     end = np.concatenate([np.full(len(m.time), m.time[-1]) for m in paths])
     speed, push = np.abs(v), np.abs(a)
     slow, fast = (float(x) for x in np.quantile(speed, (0.3, 0.75)))
+    # A joint that mostly stands has no slow and fast in all of its time, but while it moves.
+    slow = max(slow, _STILL * float(speed.max()))
+    if fast <= slow < speed.max():
+        fast = float(np.median(speed[speed > slow]))
     hard = float(np.quantile(push, 0.75))
     heavy, light = (float(x) for x in np.quantile(np.abs(load), (0.75, 0.3)))
     low, high = (float(x) for x in np.quantile(q, (0.25, 0.75)))
@@ -233,7 +239,10 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
 def _near_reversal(m: Motion, joint: int) -> NDArray[np.bool_]:
     """(n,) within 0.15 s of a change of direction."""
     v = m.velocity[:, joint]
-    turn = m.time[:-1][np.signbit(v[:-1]) != np.signbit(v[1:])]
+    # Where a joint rests between, it stops and starts.
+    moving = np.flatnonzero(np.abs(v) > _STILL * np.abs(v).max())
+    turned = np.flatnonzero(np.diff(np.signbit(v[moving])))
+    turn = m.time[moving[np.union1d(turned, turned + 1)]]
     if not turn.size:
         return np.zeros(len(v), dtype=bool)
     nearest = np.abs(m.time[:, None] - turn[None, :]).min(axis=1)

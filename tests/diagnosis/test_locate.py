@@ -14,6 +14,7 @@ from pytest_twin.diagnosis.locate import (
     blame_windows,
     missing_force,
     place_of,
+    regimes,
 )
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.smoothing import derivatives
@@ -86,6 +87,24 @@ def test_the_regime_is_the_slice_that_holds_more_blame_than_time() -> None:
     assert 0.2 < low < 0.3 < high < 0.4
     assert place_of([swing], np.ones_like(time), 0, "rad").summary == "throughout the motion"
     assert set(fast.windows) == {"a.mcap"}
+
+
+def test_a_joint_that_mostly_rests_is_slow_and_fast_while_it_moves() -> None:
+    """Out at 4 s, back at 7 s, at rest between: of a millionth of a radian its sensor is made."""
+    time = np.arange(0.0, 10.0, 0.01)
+    out = 0.5 * (1.0 + np.tanh((time - 4.0) / 0.1)) - 0.5 * (1.0 + np.tanh((time - 7.0) / 0.1))
+    rested = motion(time, out + 1e-9 * np.sin(300.0 * time))
+    found = dict(regimes([rested], 0, "rad"))
+    (slow,) = [text for text in found if text.startswith("slow")]
+    (fast,) = [text for text in found if text.startswith("fast")]
+    top = np.abs(rested.velocity).max()
+    assert float(slow.split("<")[1].split()[0]) == pytest.approx(0.02 * top, rel=0.1)
+    assert float(fast.split(">")[1].split()[0]) > 0.1 * top
+    (turns,) = [mask for text, mask in found.items() if text.startswith("reversals")]
+    # It turns once: where it stops and where it starts again.
+    assert time[turns].min() > 4.0
+    assert time[turns].max() < 7.0
+    assert not turns[(time > 5.0) & (time < 6.0)].any()
 
 
 @pytest.mark.parametrize("cause", [0, 1])
