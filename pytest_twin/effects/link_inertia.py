@@ -10,7 +10,7 @@ from pytest_twin.effects.base import FloatArray
 
 
 def link_inertia(
-    model: mujoco.MjModel,
+    data: mujoco.MjData,
     positions: FloatArray,
     qpos_index: NDArray[np.int64],
     dof_index: NDArray[np.int64],
@@ -21,11 +21,12 @@ def link_inertia(
     Dynamics Algorithms, 2008, ch. 7): a base joint whose arm is free to fold moves little of it.
 
     Args:
-        model: with armatures.
+        data: to work with, of a model with armatures.
         positions: (n, joints) rad or m; joints of other columns stand at their zero.
         qpos_index, dof_index: (joints,) of the columns.
     """
-    data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    model = data.model
+    mass = np.zeros((model.nv, model.nv))
     least = np.full(len(dof_index), np.inf)
     for position in positions:
         data.qpos[qpos_index] = position

@@ -42,8 +42,8 @@ EffectValues = Mapping[str, Values]
 
 _MAX_ROWS = 384
 _WORTH_THREADS = 64
-# Poses of a segment that are asked for the inertia of its links.
-_POSES = 8
+# Poses of a segment that are asked for the inertia of its links, at most, and s between two.
+_POSES, _POSE_SECONDS = 8, 0.2
 OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
@@ -152,7 +152,7 @@ class RowSimulator:
         )
         self.fixed: EffectValues = {}
         """Effects under every row: parameters as (1, joints) arrays."""
-        self._link_inertia: dict[int, FloatArray] = {}
+        self._link_inertia: dict[int, tuple[FloatArray, FloatArray]] = {}
         self.stepped = 0
         """Rows times steps so far: what the engine alone would have had to step."""
         self._inputs(model)
@@ -345,12 +345,19 @@ class RowSimulator:
         """(rows, joints) the least inertia that links put against their gears along a segment,
         kg*m^2 or kg.
         """
-        for r in {int(r) for r in rows} - set(self._link_inertia):
-            s = self.segments[r]
-            poses = s.position[:: max(len(s.position) // _POSES, 1)]
-            known = link_inertia(s.model, poses, self.qpos_index, self.dof_index)
-            self._link_inertia[r] = known
-        return np.array([self._link_inertia[int(r)] for r in rows])
+        segments = [self.segments[r] for r in rows]
+        # Segments that start elsewhere share what was measured, which is kept: so it stays its own.
+        new = {id(s.position): s for s in segments if id(s.position) not in self._link_inertia}
+        models = {id(s.model): s.model for s in new.values()}
+        data = {key: mujoco.MjData(model) for key, model in models.items()}
+        for key, s in new.items():
+            apart = int(np.searchsorted(s.time, s.time[0] + _POSE_SECONDS))
+            apart = max(apart, len(s.time) // _POSES, 1)
+            least = link_inertia(
+                data[id(s.model)], s.position[::apart], self.qpos_index, self.dof_index
+            )
+            self._link_inertia[key] = (s.position, least)
+        return np.array([self._link_inertia[id(s.position)][1] for s in segments])
 
     def commands(
         self,

@@ -47,12 +47,12 @@ def accelerated(joint: int, pose: FloatArray) -> float:
 
 
 def test_inertia_of_a_link_is_what_an_effort_at_it_meets() -> None:
-    model = mujoco.MjModel.from_xml_string(ARM)
+    data = mujoco.MjData(mujoco.MjModel.from_xml_string(ARM))
     columns = np.arange(3)
     met = np.array([[accelerated(j, pose) for j in range(3)] for pose in POSES])
     for pose, expected in zip(POSES, met, strict=True):
-        assert link_inertia(model, pose[None], columns, columns) == pytest.approx(expected)
-    assert link_inertia(model, POSES, columns, columns) == pytest.approx(met.min(axis=0))
+        assert link_inertia(data, pose[None], columns, columns) == pytest.approx(expected)
+    assert link_inertia(data, POSES, columns, columns) == pytest.approx(met.min(axis=0))
     # A light arm, folding, on a heavy motor.
     assert met[0, 0] < 0.5 * ARMATURE[0]
 

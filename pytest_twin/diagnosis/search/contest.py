@@ -26,9 +26,9 @@ QUICK, FAIR, _LONG = 2, 4, 8
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many; share
 # of the first one's evidence within which they are judged once more.
 _IN_FRONT, FRONT = 150.0, 4
-# Share of the best one's evidence within which rivals are judged each with the simulator's step
-# corrected for itself, and floors by which that has to move the prediction for another fit.
-_NECK, _MOVED = 0.3, 0.3
+# Share of the best one's evidence within which so many rivals are judged each with the simulator's
+# step corrected for itself, and floors by which that has to move the prediction for another fit.
+_NECK, _CLOSE, _MOVED = 0.3, 3, 0.3
 # Evidence behind the best after the first iterations beyond which no more would help a rival.
 _FAR_BEHIND = 500.0
 _ROUGH_ROUNDS = 2
@@ -158,6 +158,7 @@ class Contest:
         self.judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
         rivals.sort(key=lambda r: -r.evidence)
         contenders = [r for r in rivals if r.evidence > (1.0 - _NECK) * rivals[0].evidence > 0.0]
+        contenders = contenders[:_CLOSE]
         if len(contenders) > 1:
             own = [self._at_its_own(r, weights) for r in contenders]
             rivals[: len(contenders)] = own
