@@ -28,6 +28,9 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
     """What is wrong with, or doubtful in, masses and inertias."""
     seen: dict[tuple[float, ...], Body] = {}
     for body in asset.body.values():
+        if not _finite(body):
+            yield _not_finite(body)
+            continue
         if not body.stated:
             continue
         yield from _possible(body)
@@ -77,7 +80,7 @@ def comparisons(asset: Asset, geometry: Geometry) -> list[Comparison]:
     """Every body with mass beside its shape; None where it has no shape with a volume."""
     found = []
     for body in asset.body.values():
-        if not body.mass or body.inertia is None:
+        if not body.mass or body.inertia is None or not _finite(body):
             continue
         solid = geometry.body(body.name)
         moments = tuple(float(value) for value in principal(body.inertia))
@@ -100,6 +103,28 @@ def comparisons(asset: Asset, geometry: Geometry) -> list[Comparison]:
 
 def _element(body: Body) -> str:
     return f"link '{body.name}'"
+
+
+def _finite(body: Body) -> bool:
+    return bool(
+        np.isfinite(body.mass or 0.0)
+        and np.isfinite(0.0 if body.inertia is None else body.inertia).all()
+    )
+
+
+def _not_finite(body: Body) -> Finding:
+    return Finding(
+        "inertia.not_finite",
+        "critical",
+        body.inertial or body.place,
+        _element(body),
+        "its mass or inertia is beyond any number",
+        None if body.mass is None else f"{body.mass:g}",
+        "kg",
+        "a finite mass and inertia, stated or of shapes of a finite size",
+        "nothing that the robot does can be computed",
+        _CAD,
+    )
 
 
 def _possible(body: Body) -> Iterator[Finding]:

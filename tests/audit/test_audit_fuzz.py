@@ -93,6 +93,23 @@ def test_any_value_of_an_mjcf(tmp_path: Path, changes: dict[int, str]) -> None:
     _look(path)
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_a_shape_of_a_size_beyond_numbers_is_said(tmp_path: Path) -> None:
+    """Its mass, which the compiler takes from its volume, is infinite."""
+    path = tmp_path / "m.xml"
+    path.write_text(MJCF.replace('type="sphere" size="0.1"', 'type="sphere" size="1e308"'))
+    asset = read(path)
+    geometry = Geometry(asset)
+    (row,) = [
+        row
+        for row in report(asset, geometry, audit(asset, Evidence(), geometry))["findings"]
+        if "inertia.not_finite" in str(row)
+    ]
+    assert row["severity"] == "critical"
+    assert "link 'b'" in str(row)
+    assert "inf" in str(row)
+
+
 @settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
