@@ -62,6 +62,10 @@ class Hypothesis:
         """One more term, starting at ``start``."""
         return Hypothesis((*self.terms, term), np.concatenate([self.theta, start]))
 
+    def with_term_of(self, other: Hypothesis, term: Term) -> Hypothesis:
+        """One more term, as another has it."""
+        return self.with_term(term, other.theta[other.slice_of(term)])
+
     def with_terms(self, starts: Mapping[Term, FloatArray]) -> Hypothesis:
         """Several more terms, each at its start."""
         added = self

@@ -23,8 +23,7 @@ from pytest_twin.effects.rows import Predicted
 
 QUICK, FAIR, _LONG = 2, 4, 8
 """Iterations of a fit that ranks, and of one that decides."""
-# Rivals that stay in the race after one iteration: evidence behind the first, and how many; share
-# of the first one's evidence within which they are judged once more.
+# Rivals that stay in the race after one iteration: evidence behind the first, and how many.
 _IN_FRONT, FRONT = 150.0, 4
 # Share of the best one's evidence within which so many rivals are judged each with the simulator's
 # step corrected for itself, and floors by which that has to move the prediction for another fit.

@@ -136,7 +136,7 @@ def beside_all(
             better[x.new] = x
     if look.linear is None or not better:
         return {}
-    both = [_beside(best.hypothesis, new, x.hypothesis) for new, x in better.items()]
+    both = [best.hypothesis.with_term_of(x.hypothesis, new) for new, x in better.items()]
     fitted, evidence = against(look.linear, look.view, best, both, name_price)
     values = np.nan_to_num(evidence, nan=-np.inf)
     return {
@@ -144,10 +144,6 @@ def beside_all(
         for new, h, value in zip(better, fitted, values, strict=True)
         if value > 0.0
     }
-
-
-def _beside(own: Hypothesis, new: Term, other: Hypothesis) -> Hypothesis:
-    return own.with_term(new, other.theta[other.slice_of(new)])
 
 
 def _worth_fitting(found: Sequence[Exchange]) -> list[int]:

@@ -237,9 +237,14 @@ def _much_left(
     """Whether without a term so much more is left where it acts, refitted, that something like it
     is there, however wide its interval: that is what small deviations say.
     """
-    columns = slice(None) if term.joint < 0 else slice(term.joint, None, len(problem.joints))
+    columns = _columns(problem, term)
     more = without[columns] ** 2 - base[columns] ** 2
     return bool((more > _NEEDED * before[columns] ** 2).any())
+
+
+def _columns(problem: Problem, term: Term) -> slice:
+    """Signals of the joint where a term acts, or all."""
+    return slice(None) if term.joint < 0 else slice(term.joint, None, len(problem.joints))
 
 
 def _perhaps_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0) -> bool:
@@ -270,8 +275,7 @@ def _too_little(
 
     An unsure name has to explain more, and so has one of several at a joint.
     """
-    joints = len(problem.joints)
-    columns = slice(None) if term.joint < 0 else slice(term.joint, None, joints)
+    columns = _columns(problem, term)
     mismatch = float(np.maximum(before[columns] ** 2 - 1.0, 0.0).sum())
     left = float(np.maximum(after[columns] ** 2 - 1.0, 0.0).sum())
     share = left / mismatch if mismatch > 0.0 else 0.0

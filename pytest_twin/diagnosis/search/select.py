@@ -31,6 +31,7 @@ from pytest_twin.diagnosis.search.look import Look, look_ahead, look_around, vie
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import EARNS, Rival, Selected, described, quieter, simplest
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
+from pytest_twin.effects.base import FloatArray
 
 _MAX_TERMS = 20
 _ROUNDS, _ATTEMPTS = 6, 3
@@ -296,9 +297,8 @@ class Selection:
         gone = [t for t in own.terms if t not in terms]
         if len(gone) != 1 or len(terms) != len(own.terms):
             return top
-        both = self._with(top.hypothesis, gone[0], best)
-        (beside,) = self.contest.rivals([both], self.contest.weights(best), FAIR)
-        self.contest.judge([beside], best)
+        both = top.hypothesis.with_term_of(own, gone[0])
+        beside = self._judged(both, self.contest.weights(best), best)
         return beside if beside.evidence > top.evidence + EARNS else top
 
     def _added(
@@ -312,7 +312,7 @@ class Selection:
         are spent, nobody else would add it.
         """
         claims = [
-            (self._with(x.hypothesis, x.gone[0], best), x.evidence)
+            (x.hypothesis.with_term_of(best.hypothesis, x.gone[0]), x.evidence)
             for x, _ in simulated
             if len(x.gone) == 1 and x.evidence > _CLEAR
         ]
@@ -323,15 +323,14 @@ class Selection:
         # As if it explained all: the weights of what is left now would hold it to what other
         # signals say.
         weights = self.problem.weights(np.zeros_like(self.problem.signal_floor))
-        (rival,) = self.contest.rivals([claim], weights, FAIR)
-        self.contest.judge([rival], best)
+        rival = self._judged(claim, weights, best)
         return rival if self._earns(rival, best) else None
 
-    @staticmethod
-    def _with(claimed: Hypothesis, gone: Term, best: Rival) -> Hypothesis:
-        """What was claimed in the place of a term of ``best``, and that term."""
-        own = best.hypothesis
-        return claimed.with_term(gone, own.theta[own.slice_of(gone)])
+    def _judged(self, start: Hypothesis, weights: FloatArray, best: Rival) -> Rival:
+        """A hypothesis fitted, and its evidence over ``best``."""
+        (rival,) = self.contest.rivals([start], weights, FAIR)
+        self.contest.judge([rival], best)
+        return rival
 
     def _earns(self, rival: Rival, best: Rival) -> bool:
         """Whether what a rival has more than ``best`` earns its name."""
