@@ -14,14 +14,14 @@ from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.findings import explain
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import Spread, spread
+from pytest_twin.diagnosis.intervals import Spread
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search import contest
 from pytest_twin.diagnosis.search.restraint import (
-    _much_left,
     _perhaps_absent,
     _stretched,
+    _Tested,
     _too_little,
     as_named,
     prune,
@@ -59,6 +59,14 @@ def chosen(prepared: Prepared, term: Term, start: float, *, fitted: bool = True)
     return Selected(best, rival(EMPTY, 0), confidence={term: 1.0})
 
 
+def of_one_term(problem: Problem, fitted: Fitted, left: float, without: float) -> _Tested:
+    """A fit by the floors that the first joint keeps of a hundred, with its term and without."""
+    levels = (np.array([floors, 1.0]) for floors in (100.0, left, without))
+    whole, base, rest = levels
+    weights = 1.0 / problem.signal_floor
+    return _Tested(problem, fitted, {}, whole, base, [fitted], [rest], weights)
+
+
 def with_sizes(problem: Problem, terms: Sequence[Term], sizes: Sequence[float]) -> Hypothesis:
     """Laws of one parameter at the first joint, SI units."""
     found = EMPTY
@@ -90,14 +98,9 @@ def test_a_law_out_of_shape_that_does_not_explain_all_is_no_name(
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [shaped], weights, problem.fit, iterations=0, slopes=True)[0]
 
-    def stretched(left: float) -> list[Term]:
-        before, after = np.array([100.0, 1.0]), np.array([left, 1.0])
-        known = spread(problem, fitted)
-        return _stretched(problem, fitted, known, before, after, {term: True}, {term: False})
-
-    assert stretched(40.0) == ([] if named else [term])
+    assert bool(_stretched(of_one_term(problem, fitted, 40.0, 50.0))) is not named
     # Where it explains its joint it is as good a name as any.
-    assert stretched(2.0) == []
+    assert not _stretched(of_one_term(problem, fitted, 2.0, 50.0))
 
 
 @pytest.mark.parametrize(("without", "named"), [(50.0, False), (70.0, True)])
@@ -111,16 +114,8 @@ def test_a_name_of_wide_interval_stays_where_much_more_is_left_without_it(
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)[0]
     flat = replace(fitted, jacobian=1e-6 * fitted.jacobian)
-    before, base = np.array([100.0, 1.0]), np.array([40.0, 1.0])
-    much = _much_left(problem, term, before, base, np.array([without, 1.0]))
-    assert much is named
-
-    def stretched(fit_at_hand: Fitted, needed: bool) -> list[Term]:
-        known = spread(problem, fit_at_hand)
-        return _stretched(problem, fit_at_hand, known, before, base, {term: True}, {term: needed})
-
-    assert stretched(flat, much) == ([] if named else [term])
-    assert stretched(fitted, False) == []
+    assert bool(_stretched(of_one_term(problem, flat, 40.0, without))) is not named
+    assert not _stretched(of_one_term(problem, fitted, 40.0, 50.0))
 
 
 @pytest.mark.parametrize(

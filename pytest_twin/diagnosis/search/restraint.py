@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -46,6 +47,60 @@ class Pruned:
     notes: list[str]
 
 
+@dataclass(frozen=True)
+class _Tested:
+    """A fit on the tested recordings, and the rest of it, refitted, without each of its terms.
+
+    Attributes:
+        problem: what is explained.
+        fitted: with all terms.
+        confidence: of each term in its place.
+        before: (signals,) floors that the model as it came leaves.
+        base: (signals,) floors that the fit leaves.
+        refitted: without each term.
+        levels: (signals,) floors that each of those leaves.
+        weights: (signals,) of their fits.
+    """
+
+    problem: Problem
+    fitted: Fitted
+    confidence: Mapping[Term, float]
+    before: FloatArray
+    base: FloatArray
+    refitted: list[Fitted]
+    levels: list[FloatArray]
+    weights: FloatArray
+
+    @cached_property
+    def known(self) -> Spread:
+        """How well its parameters are known."""
+        return spread(self.problem, self.fitted)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Of the fit."""
+        return self.fitted.hypothesis.terms
+
+    def chance(self, term: Term) -> float:
+        """That it stands in its place."""
+        return self.confidence.get(term, 1.0)
+
+    def label(self, k: int) -> str:
+        """A term in words."""
+        return label(self.problem, self.terms[k])
+
+    def without(self, gone: Sequence[int]) -> Fitted:
+        """The rest refitted."""
+        if len(gone) == 1:
+            return self.refitted[gone[0]]
+        rest = self.fitted.hypothesis.without(*(self.terms[k] for k in gone))
+        return fit(self.problem, [rest], self.weights, self.problem.fit, iterations=_REFIT)[0]
+
+
+_Gone = Mapping[int, str]
+"""Terms that are taken back, by their place in the fit, and what a reader is told of each."""
+
+
 def prune(problem: Problem, selected: Selected) -> Pruned:
     """Take back what explains nothing above the floor, and what explains too little to be right.
 
@@ -56,7 +111,6 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     predicts nothing: terms go until nothing diverges.
     """
     notes: list[str] = []
-    untested = not len(problem.held_out)
     # What is left too much is asked once, with every term at work: afterwards each removal leaves
     # more for the others.
     judged = False
@@ -64,109 +118,138 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     problem.refine_at(EMPTY)
     (before,) = _levels(problem, [EMPTY])
     while fitted.hypothesis.terms:
-        terms = fitted.hypothesis.terms
         refitted, weights, base, levels = _without_each(problem, fitted)
-        rests = [f.hypothesis for f in refitted]
-        if not np.isfinite([base, in_floors(fitted.residual, problem.signal_floor)]).all():
-            least = int(np.argmin([np.linalg.norm(v) for v in levels]))
-            notes.append(
-                f"with {label(problem, terms[least])} the prediction diverges; it is not claimed"
-            )
-            fitted = refitted[least]
-            continue
-        known = spread(problem, fitted)
-        bars = [
-            STANDS_OUT * (_ABSENT_BAR if untested or _perhaps_absent(fitted, t, known) else 1.0)
-            for t in terms
-        ]
-        # What stands with all of them at work is no term's merit.
-        others = np.maximum(base**2 - 1.0, 0.0)
-        height = [
-            float(np.sqrt(np.maximum(v**2 - others, 0.0))[v > _WORSE * base].max(initial=0.0)) / bar
-            for v, bar in zip(levels, bars, strict=True)
-        ]
-        least = int(np.argmin(height))
-        if height[least] <= 1.0:
-            notes.append(
-                f"{label(problem, terms[least])} takes nothing off that stands more than "
-                f"{bars[least]:g} floors high; it is not claimed"
-            )
-            fitted = refitted[least]
-            continue
-        one = np.ones(len(base))
-        idle = [
-            k for k, level in enumerate(levels)
-            if not worth_a_name(one, level**2, base**2, before**2)
-        ]  # fmt: skip
-        if idle:
-            least = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
-            notes.append(
-                f"{label(problem, terms[least])} takes too little of what is left without it; it "
-                "is not claimed"
-            )
-            fitted = refitted[least]
-            continue
-        whole = float(np.sum(before**2))
-        slight = [
-            k for k, t in enumerate(terms)
-            if selected.confidence.get(t, 1.0) < _UNSURE
-            and float(np.sum(levels[k] ** 2 - base**2)) < _SLIGHT * whole
-        ]  # fmt: skip
-        if slight:
-            notes.append(
-                f"{label(problem, terms[slight[0]])} would take less than {100 * _SLIGHT:g} % of "
-                "the squared mismatch, and others could in its place; it is not claimed"
-            )
-            fitted = refitted[slight[0]]
-            continue
-        chances = [selected.confidence.get(t, 1.0) for t in terms]
-        if len(terms) > 1 and min(chances) < _UNLIKELY:
-            least = int(np.argmin(chances))
-            notes.append(
-                f"{label(problem, terms[least])} stands where others are more likely, and they "
-                "were not told apart; it is not claimed"
-            )
-            fitted = refitted[least]
-            continue
-        likely = {t: c >= _EVEN for t, c in zip(terms, chances, strict=True)}
-        needed = {
-            t: _much_left(problem, t, before, base, v) for t, v in zip(terms, levels, strict=True)
-        }
-        stretched = _stretched(problem, fitted, known, before, base, likely, needed)
-        if stretched:
-            rest = fitted.hypothesis.without(*stretched)
-            for t in stretched:
-                why = (
-                    "stand at a physical bound, or could be absent" if likely[t] else "be likelier"
-                )
-                notes.append(
-                    f"near in the catalogue is {label(problem, t)}, but it would have to {why}, "
-                    "and does not explain all; it is not claimed"
-                )
-            fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
-            continue
-        if judged:
-            return Pruned(fitted, rests, notes)
-        judged = True
-        gone = []
-        for t in terms:
-            share = _too_little(
-                problem, t, before, base,
-                several=sum(other.joint == t.joint >= 0 for other in terms) > 1,
-                sure=selected.confidence.get(t, 1.0) >= _SURE
-                and not fitted.hypothesis.at_bound(t),
-            )  # fmt: skip
-            if share > 0.0:
-                gone.append(t)
-                notes.append(
-                    f"near in the catalogue is {label(problem, t)}, but with all of them "
-                    f"{100 * share:.0f} % of the squared mismatch is left there; it is not claimed"
-                )
+        tested = _Tested(
+            problem, fitted, selected.confidence, before, base, refitted, levels, weights
+        )
+        gone = next(filter(None, (rule(tested) for rule in _RULES)), {})
+        if not gone and not judged:
+            judged = True
+            gone = _far_from_explained(tested)
         if not gone:
-            return Pruned(fitted, rests, notes)
-        rest = fitted.hypothesis.without(*gone)
-        fitted = fit(problem, [rest], weights, problem.fit, iterations=_REFIT)[0]
+            return Pruned(fitted, [f.hypothesis for f in refitted], notes)
+        notes += gone.values()
+        fitted = tested.without(list(gone))
     return Pruned(fitted, [], notes)
+
+
+def _diverging(tested: _Tested) -> _Gone:
+    """The least term of a fit that diverges."""
+    left = in_floors(tested.fitted.residual, tested.problem.signal_floor)
+    if np.isfinite([tested.base, left]).all():
+        return {}
+    k = int(np.argmin([np.linalg.norm(v) for v in tested.levels]))
+    return {k: f"with {tested.label(k)} the prediction diverges; it is not claimed"}
+
+
+def _under_the_floor(tested: _Tested) -> _Gone:
+    """The term that takes least off, where that is too little to stand out."""
+    untested = not len(tested.problem.held_out)
+    bars = [
+        STANDS_OUT
+        * (_ABSENT_BAR if untested or _perhaps_absent(tested.fitted, t, tested.known) else 1.0)
+        for t in tested.terms
+    ]
+    # What stands with all of them at work is no term's merit.
+    others = np.maximum(tested.base**2 - 1.0, 0.0)
+    height = [
+        float(np.sqrt(np.maximum(v**2 - others, 0.0))[v > _WORSE * tested.base].max(initial=0.0))
+        / bar
+        for v, bar in zip(tested.levels, bars, strict=True)
+    ]
+    k = int(np.argmin(height))
+    if height[k] > 1.0:
+        return {}
+    return {
+        k: f"{tested.label(k)} takes nothing off that stands more than {bars[k]:g} floors high; "
+        "it is not claimed"
+    }
+
+
+def _idle(tested: _Tested) -> _Gone:
+    """The term without which least more is left, of those that take no worthwhile share off."""
+    one, levels = np.ones(len(tested.base)), tested.levels
+    idle = [
+        k for k, level in enumerate(levels)
+        if not worth_a_name(one, level**2, tested.base**2, tested.before**2)
+    ]  # fmt: skip
+    if not idle:
+        return {}
+    k = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
+    return {k: f"{tested.label(k)} takes too little of what is left without it; it is not claimed"}
+
+
+def _slight(tested: _Tested) -> _Gone:
+    """A term that hardly matters and that others could replace."""
+    whole = float(np.sum(tested.before**2))
+    for k, t in enumerate(tested.terms):
+        taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
+        if tested.chance(t) < _UNSURE and taken < _SLIGHT * whole:
+            return {
+                k: f"{tested.label(k)} would take less than {100 * _SLIGHT:g} % of the squared "
+                "mismatch, and others could in its place; it is not claimed"
+            }
+    return {}
+
+
+def _unlikely(tested: _Tested) -> _Gone:
+    """The least likely of several terms, where others are likelier in its place."""
+    chances = [tested.chance(t) for t in tested.terms]
+    k = int(np.argmin(chances))
+    if len(chances) == 1 or chances[k] >= _UNLIKELY:
+        return {}
+    return {
+        k: f"{tested.label(k)} stands where others are more likely, and they were not told apart; "
+        "it is not claimed"
+    }
+
+
+def _stretched(tested: _Tested) -> _Gone:
+    """Terms at a physical bound, perhaps absent and not needed, or not likely, at joints that stay
+    unexplained with them.
+    """
+    problem, hypothesis = tested.problem, tested.fitted.hypothesis
+    joints = len(problem.joints)
+    explained = np.array([
+        JointError(float(b), float(a), 1.0, "").explained
+        for b, a in zip(tested.before[:joints], tested.base[:joints], strict=True)
+    ])  # fmt: skip
+    gone = {}
+    for k, t in enumerate(tested.terms):
+        if explained.all() if t.joint < 0 else explained[t.joint]:
+            continue
+        likely = tested.chance(t) >= _EVEN
+        at_an_end = hypothesis.at_bound(t) or hypothesis.out_of_shape(t)
+        if likely and not at_an_end and not _in_doubt(tested, k):
+            continue
+        why = "stand at a physical bound, or could be absent" if likely else "be likelier"
+        gone[k] = (
+            f"near in the catalogue is {tested.label(k)}, but it would have to {why}, and does "
+            "not explain all; it is not claimed"
+        )
+    return gone
+
+
+_RULES: tuple[Callable[[_Tested], _Gone], ...] = (
+    _diverging, _under_the_floor, _idle, _slight, _unlikely, _stretched,
+)  # fmt: skip
+
+
+def _far_from_explained(tested: _Tested) -> _Gone:
+    """Terms with all of which most is left where they act."""
+    gone = {}
+    for k, t in enumerate(tested.terms):
+        share = _too_little(
+            tested.problem, t, tested.before, tested.base,
+            several=sum(other.joint == t.joint >= 0 for other in tested.terms) > 1,
+            sure=tested.chance(t) >= _SURE and not tested.fitted.hypothesis.at_bound(t),
+        )  # fmt: skip
+        if share > 0.0:
+            gone[k] = (
+                f"near in the catalogue is {tested.label(k)}, but with all of them "
+                f"{100 * share:.0f} % of the squared mismatch is left there; it is not claimed"
+            )
+    return gone
 
 
 def as_named(problem: Problem, fitted: Fitted) -> Pruned:
@@ -206,40 +289,17 @@ def _without_each(
     return refitted, weights, base, levels
 
 
-def _stretched(
-    problem: Problem,
-    fitted: Fitted,
-    known: Spread,
-    before: FloatArray,
-    after: FloatArray,
-    likely: Mapping[Term, bool],
-    needed: Mapping[Term, bool],
-) -> list[Term]:
-    """Terms at a physical bound, perhaps absent and not needed, or not likely, at joints that stay
-    unexplained with them.
-    """
-    hypothesis, joints = fitted.hypothesis, len(problem.joints)
-    explained = np.array([
-        JointError(float(b), float(a), 1.0, "").explained
-        for b, a in zip(before[:joints], after[:joints], strict=True)
-    ])  # fmt: skip
-    return [
-        t for t in hypothesis.terms
-        if not (explained.all() if t.joint < 0 else explained[t.joint])
-        and (not likely[t] or hypothesis.at_bound(t) or hypothesis.out_of_shape(t)
-             or (not needed[t] and _perhaps_absent(fitted, t, known, _DOUBTED)))
-    ]  # fmt: skip
+def _in_doubt(tested: _Tested, k: int) -> bool:
+    """Whether a term is perhaps absent.
 
-
-def _much_left(
-    problem: Problem, term: Term, before: FloatArray, base: FloatArray, without: FloatArray
-) -> bool:
-    """Whether without a term so much more is left where it acts, refitted, that something like it
-    is there, however wide its interval: that is what small deviations say.
+    Not where without it so much more is left where it acts, refitted, that something like it is
+    there, however wide its interval: that is what small deviations say.
     """
-    columns = _columns(problem, term)
-    more = without[columns] ** 2 - base[columns] ** 2
-    return bool((more > _NEEDED * before[columns] ** 2).any())
+    columns = _columns(tested.problem, tested.terms[k])
+    more = tested.levels[k][columns] ** 2 - tested.base[columns] ** 2
+    if (more > _NEEDED * tested.before[columns] ** 2).any():
+        return False
+    return _perhaps_absent(tested.fitted, tested.terms[k], tested.known, _DOUBTED)
 
 
 def _columns(problem: Problem, term: Term) -> slice:
