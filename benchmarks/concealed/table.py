@@ -29,7 +29,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", default="20000:20200", help="first:last, last not included")
-    parser.add_argument("--jobs", default="2", help="cases that are written at the same time")
+    parser.add_argument("--jobs", default="2", help="cases at the same time, a core each")
     parser.add_argument("--seconds", default="600", help="a diagnosis may take")
     args = parser.parse_args()
     out: Path = args.out
@@ -38,7 +38,8 @@ def main() -> None:
         step("cases.py", "--out", str(cases), "--truth", str(truth), "--seeds", args.seeds,
              "--jobs", args.jobs)  # fmt: skip
         step("score.py", "--truth", str(truth), "--digests", str(out / "digests.json"))
-    step("run.py", "--cases", str(cases), "--out", str(results), "--seconds", args.seconds)
+    step("run.py", "--cases", str(cases), "--out", str(results), "--seconds", args.seconds,
+         "--jobs", args.jobs)  # fmt: skip
     step("score.py", "--truth", str(truth), "--results", str(results), "--out",
          str(out / "table.md"))  # fmt: skip
     print(out / "table.md")

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 pytest.importorskip("numba", reason="the plant is compiled: pip install 'pytest-twin[benchmarks]'")
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "concealed"))
 
+import answers
 import cases
 import plant
 import robots
@@ -180,3 +181,22 @@ def test_digests_of_whole_files_hold_as_well(tmp_path: Path) -> None:
     assert score.checked_digests(truth, committed, ["case0"])[1]
     (truth / "case0.json").write_text('{"effects": []}')
     assert not score.checked_digests(truth, committed, ["case0"])[1]
+
+
+def test_answers_that_were_packed_are_gone_on_from(tmp_path: Path) -> None:
+    results, file, other = tmp_path / "results", tmp_path / "answers.jsonl", tmp_path / "other"
+    (results / "case1").mkdir(parents=True)
+    (results / "case1.run.json").write_text('{"case": "case1", "status": 0, "seconds": 2.0}')
+    (results / "case1" / "diagnosis.json").write_text('{"verdict": "explained"}')
+    (results / "case2.run.json").write_text('{"case": "case2", "status": "timeout"}')
+    assert answers.pack(results, file) == 2
+    assert answers.unpack(file, other) == 2
+    for name in ("case1.run.json", "case1/diagnosis.json", "case2.run.json"):
+        assert score.json.loads((other / name).read_text()) == score.json.loads(
+            (results / name).read_text()
+        )
+    assert not (other / "case2" / "diagnosis.json").exists()
+    # What was asked since stands.
+    (other / "case1.run.json").write_text("{}")
+    assert answers.unpack(file, other) == 0
+    assert (other / "case1.run.json").read_text() == "{}"
