@@ -7,7 +7,7 @@ import pytest
 
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.search.rivals import Rival, simplest
+from pytest_twin.diagnosis.search.rivals import Place, Rival, Selected, simplest
 
 COULOMB, VISCOUS = Term("coulomb_friction", 0), Term("viscous_friction", 0)
 STRIBECK, GAIN = Term("stribeck_friction", 0), Term("controller_gain", 0)
@@ -36,3 +36,19 @@ def rival(evidence: float, *terms: Term) -> Rival:
 )
 def test_the_simplest_that_is_as_good(rivals: list[Rival], chosen: tuple[Term, ...]) -> None:
     assert simplest(rivals).hypothesis.terms == chosen
+
+
+def test_how_sure_a_name_is_comes_of_what_could_stand_in_its_place() -> None:
+    selected = Selected(rival(0.0, COULOMB, GAIN), rival(0.0))
+    evidence: dict[Place, float] = {
+        ((COULOMB,), VISCOUS): -np.log(4.0),
+        ((COULOMB,), None): -np.log(4.0),
+        # What has it in it says the same; what stands for both is held against neither alone.
+        ((COULOMB,), STRIBECK): 50.0,
+        ((COULOMB, GAIN), VISCOUS): 50.0,
+    }
+    selected.weigh(evidence)
+    assert selected.confidence[COULOMB] == pytest.approx(1.0 / 1.5)
+    assert selected.alternatives[COULOMB] == [(VISCOUS, pytest.approx(0.25 / 1.5))]
+    assert selected.confidence[GAIN] == 1.0
+    assert selected.alternatives[GAIN] == []

@@ -22,7 +22,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.foremost import against, evidence_along
 from pytest_twin.diagnosis.search.look import Look
-from pytest_twin.diagnosis.search.rivals import AS_GOOD, Rival
+from pytest_twin.diagnosis.search.rivals import AS_GOOD, Place, Rival
 from pytest_twin.effects.base import FloatArray
 
 # Rivals in a place that are looked at, and those in the place of several terms, of all such places.
@@ -161,7 +161,7 @@ def _worth_fitting(found: Sequence[Exchange]) -> list[int]:
 
 def by_chance(
     found: Sequence[Exchange],
-) -> dict[tuple[tuple[Term, ...], Term | None], float]:
+) -> dict[Place, float]:
     """Evidence by which each may be ahead and be no better: where it has more parameters than what
     it stands for, for what is left is never white, and more of them follow anything a little.
 
@@ -173,7 +173,7 @@ def by_chance(
 
 def as_simulated(
     found: Sequence[Exchange], simulated: Sequence[tuple[Exchange, float]]
-) -> dict[tuple[tuple[Term, ...], Term | None], float]:
+) -> dict[Place, float]:
     """Evidence of each over the fit at hand: simulated, or along the motion less what simulation
     took at least off those that seemed nearer in the same place.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,8 @@ from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.effects.base import FloatArray
 
+Place = tuple[tuple[Term, ...], Term | None]
+"""What is taken away, and what stands there instead; None for nothing."""
 EARNS = 5.0
 """Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many."""
 AS_GOOD = 0.01
@@ -60,6 +62,29 @@ class Selected:
     confidence: dict[Term, float] = field(default_factory=dict)
     alternatives: dict[Term, list[tuple[Term, float]]] = field(default_factory=dict)
     tried: int = 0
+
+    def weigh(self, evidence: Mapping[Place, float]) -> None:
+        """Set how sure each term of the best is in its place, and what could stand there.
+
+        Args:
+            evidence: of others in the places of its terms, over the best.
+        """
+        self.confidence.clear()
+        self.alternatives.clear()
+        for term in self.best.hypothesis.terms:
+            # A law that has this one in it says the same where it says no more.
+            others = {
+                new: e for (gone, new), e in evidence.items()
+                if gone == (term,) and not (new and term.effect in new.law.has_in_it)
+            }  # fmt: skip
+            values = np.array([0.0, *others.values()])
+            share = np.exp(np.clip(values - values.max(), -700.0, 0.0))
+            share /= share.sum()
+            self.confidence[term] = float(share[0])
+            ranked = zip(others, map(float, share[1:]), strict=True)
+            self.alternatives[term] = sorted(
+                ((new, s) for new, s in ranked if new is not None), key=lambda each: -each[1]
+            )
 
 
 def simplest(earning: Sequence[Rival]) -> Rival:

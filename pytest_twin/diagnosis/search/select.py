@@ -29,7 +29,15 @@ from pytest_twin.diagnosis.search.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.search.front import front
 from pytest_twin.diagnosis.search.look import Look, look_ahead, look_around, view_of
 from pytest_twin.diagnosis.search.restraint import in_floors
-from pytest_twin.diagnosis.search.rivals import EARNS, Rival, Selected, described, quieter, simplest
+from pytest_twin.diagnosis.search.rivals import (
+    EARNS,
+    Place,
+    Rival,
+    Selected,
+    described,
+    quieter,
+    simplest,
+)
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
 from pytest_twin.effects.base import FloatArray
 
@@ -360,10 +368,8 @@ class Selection:
         trusted; the others are simulated.
         """
         best = selected.best
-        selected.confidence.clear()
-        selected.alternatives.clear()
-        terms = best.hypothesis.terms
-        if not terms:
+        if not best.hypothesis.terms:
+            selected.weigh({})
             return False
         look = look_around(self.problem, best, self.last_look)
         price = self.contest.name_price
@@ -374,6 +380,28 @@ class Selection:
             for x in found
         ]
         simulated = self._simulated(best, found, beside)
+        evidence = self._weighed(best, found, simulated)
+        selected.weigh(evidence)
+        better = [(x, r) for x, r in simulated if evidence[x.gone, x.new] > 1.0]
+        top: Rival | None = None
+        if better:
+            _, first = max(better, key=lambda each: evidence[each[0].gone, each[0].new])
+            top = self._beside(best, first)
+        elif beside or self._spent(best):
+            top = self._added(best, simulated, beside.values())
+        if top is None:
+            return False
+        self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
+        selected.best = self._backward(self.contest.settled(top))
+        return True
+
+    def _weighed(
+        self, best: Rival, found: Sequence[Exchange], simulated: Sequence[tuple[Exchange, Rival]]
+    ) -> dict[Place, float]:
+        """Evidence of each in its place over ``best``, less what chance gives it; of what was
+        simulated without something else in its place, that; of two that explain as much, more for
+        the one that leaves less under the floor.
+        """
         chance = by_chance(found)
         evidence = as_simulated(found, [(x, r.evidence) for x, r in simulated])
         evidence = {place: e - chance[place] for place, e in evidence.items()}
@@ -388,27 +416,4 @@ class Selection:
             less = quieter(r, best, self.problem.signal_floor)
             if less:
                 evidence[x.gone, x.new] = r.evidence + _EVEN * less
-        for term in terms:
-            # A law that has this one in it says the same where it says no more.
-            mine = {
-                new: e for (gone, new), e in evidence.items()
-                if gone == (term,) and not (new and term.effect in new.law.has_in_it)
-            }  # fmt: skip
-            values = np.array([0.0, *mine.values()])
-            share = np.exp(np.clip(values - values.max(), -700.0, 0.0))
-            share /= share.sum()
-            selected.confidence[term] = float(share[0])
-            ranked = [(n, float(s)) for n, s in zip(mine, share[1:], strict=True) if n is not None]
-            selected.alternatives[term] = sorted(ranked, key=lambda x: -x[1])
-        better = [(x, r) for x, r in simulated if evidence[x.gone, x.new] > 1.0]
-        top: Rival | None = None
-        if better:
-            _, first = max(better, key=lambda each: evidence[each[0].gone, each[0].new])
-            top = self._beside(best, first)
-        elif beside or self._spent(best):
-            top = self._added(best, simulated, beside.values())
-        if top is None:
-            return False
-        self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
-        selected.best = self._backward(self.contest.settled(top))
-        return True
+        return evidence
