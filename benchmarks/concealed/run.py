@@ -23,11 +23,11 @@ from pathlib import Path
 from queue import SimpleQueue
 
 
-def diagnose(case: Path, out: Path, seconds: float, core: int) -> dict[str, object]:
-    """Run the command on one case and core; its status, wall time and last words."""
+def diagnose(case: Path, out: Path, seconds: float, core: int | None = None) -> dict[str, object]:
+    """Run the command on one case, on one core or all; its status, wall time and last words."""
     recordings = sorted(str(path) for path in (case / "recordings").glob("*.mcap"))
     command = [
-        "taskset", "--cpu-list", str(core),
+        *(() if core is None else ("taskset", "--cpu-list", str(core))),
         str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(case / "model.xml"),
         *recordings, "--out", str(out),
     ]  # fmt: skip
