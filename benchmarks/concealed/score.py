@@ -3,10 +3,8 @@
     python benchmarks/concealed/score.py --truth DIR --digests FILE
     python benchmarks/concealed/score.py --truth DIR --results DIR [--committed FILE] [--out FILE]
 
-The first writes a digest of each truth, to be committed before the diagnosis runs; the second
-checks them and writes the tables. Exit status 1 where a truth is not the committed one. A digest is
-of all that was drawn; how much of it shows is simulated, and differs in its last digits between
-processors. Cases below 58000 have digests of whole files.
+The first writes the digests of the truth files, to be committed before the diagnosis runs; the
+second checks them and writes the tables. Exit status 1 where a truth file is not the committed one.
 
 An effect counts as named right where its id and its joint are. A hidden effect that changes no
 held-out recording by as much as the sensors' noise (``visibility`` below 1) cannot be seen: every
@@ -37,28 +35,10 @@ WINDOW_SLACK = 0.2
 """s by which a claimed window may be beside the true one."""
 
 
-# What of a truth is simulated, not drawn.
-SIMULATED = ("visibility", "windows")
-
-
-def drawn(part: Any) -> Any:
-    """A truth, or part of one, without what was simulated."""
-    if isinstance(part, dict):
-        return {key: drawn(value) for key, value in part.items() if key not in SIMULATED}
-    return [drawn(value) for value in part] if isinstance(part, list) else part
-
-
 def truth_digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of what was drawn for every case, by truth file."""
-    return {
-        p.name: sha256(json.dumps(drawn(json.loads(p.read_text())), sort_keys=True).encode())
-        for p in sorted(folder.glob("*.json"))
-    }
-
-
-def sha256(content: bytes) -> str:
-    """In hexadecimal."""
-    return hashlib.sha256(content).hexdigest()
+    """SHA-256 of every truth file."""
+    files = sorted(folder.glob("*.json"))
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 @dataclass
@@ -416,8 +396,7 @@ def checked_digests(truth: Path, committed: Path, names: Iterable[str]) -> tuple
     was = json.loads(committed.read_text()) if committed.exists() else {}
     now = truth_digests(truth)
     files = [f"{name}.json" for name in names]
-    whole = {f: sha256((truth / f).read_bytes()) for f in files}
-    other = [f for f in files if was.get(f) not in (now[f], whole[f])]
+    other = [f for f in files if was.get(f) != now[f]]
     if other:
         told = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
         return f"**Not the committed truth ({committed.name}): {len(other)} files, {told}.**", False
