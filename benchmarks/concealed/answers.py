@@ -27,11 +27,17 @@ def pack(results: Path, file: Path) -> int:
 
 
 def unpack(file: Path, results: Path) -> int:
-    """Write the results of every case that has none; returns how many."""
+    """Write the results of every case that has none; returns how many.
+
+    Raises:
+        ValueError: a case whose name leads out of the folder.
+    """
     written = 0
     for line in file.read_text().splitlines():
         answer = json.loads(line)
         case = answer["run"]["case"]
+        if not case.isidentifier():
+            raise ValueError(f"{file}: case {case!r}, expected a name like case58000")
         run = results / f"{case}.run.json"
         if run.exists():
             continue

@@ -74,8 +74,8 @@ def main() -> None:
         cores.put(core)
     with ThreadPoolExecutor(cores.qsize()) as pool:
         one = partial(answer, out=args.out, seconds=args.seconds, cores=cores)
-        for done in [pool.submit(one, case) for case in open_cases]:
-            done.result()
+        # Where one ends in an error or is interrupted, those that have not begun do not begin.
+        list(pool.map(one, open_cases))
 
 
 if __name__ == "__main__":

@@ -182,3 +182,10 @@ def test_answers_that_were_packed_are_gone_on_from(tmp_path: Path) -> None:
     (other / "case1.run.json").write_text("{}")
     assert answers.unpack(file, other) == 0
     assert (other / "case1.run.json").read_text() == "{}"
+
+
+def test_an_answer_that_leads_out_of_the_folder_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "answers.jsonl"
+    file.write_text('{"run": {"case": "../case1"}, "said": null}\n')
+    with pytest.raises(ValueError, match=r"answers\.jsonl: case '\.\./case1', expected a name"):
+        answers.unpack(file, tmp_path / "results")

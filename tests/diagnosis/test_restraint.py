@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search import contest
 from pytest_twin.diagnosis.search.restraint import (
+    _in_doubt,
     _perhaps_absent,
     _stretched,
     _Tested,
@@ -98,9 +99,13 @@ def test_a_law_out_of_shape_that_does_not_explain_all_is_no_name(
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [shaped], weights, problem.fit, iterations=0, slopes=True)[0]
 
-    assert bool(_stretched(of_one_term(problem, fitted, 40.0, 50.0))) is not named
+    def stretched(left: float) -> list[Term]:
+        tested = of_one_term(problem, fitted, left, without=left)
+        return [tested.terms[k] for k in _stretched(tested)]
+
+    assert stretched(40.0) == ([] if named else [term])
     # Where it explains its joint it is as good a name as any.
-    assert not _stretched(of_one_term(problem, fitted, 2.0, 50.0))
+    assert stretched(2.0) == []
 
 
 @pytest.mark.parametrize(("without", "named"), [(50.0, False), (70.0, True)])
@@ -114,8 +119,14 @@ def test_a_name_of_wide_interval_stays_where_much_more_is_left_without_it(
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)[0]
     flat = replace(fitted, jacobian=1e-6 * fitted.jacobian)
-    assert bool(_stretched(of_one_term(problem, flat, 40.0, without))) is not named
-    assert not _stretched(of_one_term(problem, fitted, 40.0, 50.0))
+    assert _in_doubt(of_one_term(problem, flat, 40.0, without), 0) is not named
+
+    def stretched(fit_at_hand: Fitted, without: float) -> list[Term]:
+        tested = of_one_term(problem, fit_at_hand, 40.0, without)
+        return [tested.terms[k] for k in _stretched(tested)]
+
+    assert stretched(flat, without) == ([] if named else [term])
+    assert stretched(fitted, 40.0) == []
 
 
 @pytest.mark.parametrize(
