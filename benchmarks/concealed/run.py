@@ -25,6 +25,7 @@ from queue import SimpleQueue
 
 def diagnose(case: Path, out: Path, seconds: float, core: int | None = None) -> dict[str, object]:
     """Run the command on one case, on one core or all; its status, wall time and last words."""
+    case, out = case.resolve(), out.resolve()  # the command runs in the folder of the case
     recordings = sorted(str(path) for path in (case / "recordings").glob("*.mcap"))
     command = [
         *(() if core is None else ("taskset", "--cpu-list", str(core))),

@@ -22,9 +22,13 @@ import run
     ("seed", "hidden"),
     [(5015, "command_delay"), (5023, "joint_spring"), (5026, None)],
 )
-def test_what_is_hidden_is_named(seed: int, hidden: str | None, tmp_path: Path) -> None:
+def test_what_is_hidden_is_named(
+    seed: int, hidden: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     name = cases.make(seed, tmp_path / "cases", tmp_path / "truth")
-    told = run.diagnose(tmp_path / "cases" / name, tmp_path / name, seconds=300.0)
+    # Folders as a user gives them: the README's command has them relative.
+    monkeypatch.chdir(tmp_path)
+    told = run.diagnose(Path("cases") / name, Path(name), seconds=300.0)
     assert told["status"] == 0, told
     truth = json.loads((tmp_path / "truth" / f"{name}.json").read_text())
     said = json.loads((tmp_path / name / "diagnosis.json").read_text())
