@@ -34,7 +34,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
-from pytest_twin.effects.rows import Segment
+from pytest_twin.effects.segment import Segment
 from pytest_twin.formats.mcap import TOPICS, JointSeries, write_recording
 from pytest_twin.realization import load
 
@@ -126,7 +126,7 @@ def free_parameters(problem: Problem, model: mujoco.MjModel, *, gains: bool) -> 
     for i in range(model.nu if gains else 0):
         name = model.actuator(i).name
         joint = model.joint(int(model.actuator_trnid[i, 0])).name
-        mode = problem.simulator.servo[problem.joints.index(joint)]
+        mode = problem.simulator.layout.servo[problem.joints.index(joint)]
         stiffness, damping = -model.actuator_biasprm[i, 1], -model.actuator_biasprm[i, 2]
         if mode == "position":
             add(f"{joint} kp", stiffness, 3.0 * stiffness, set_gain(name, mode, "kp"))

@@ -20,7 +20,7 @@ from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES, Twin, load_twin
 
 if TYPE_CHECKING:
     from pytest_twin.diagnosis.patched.model import Patched
-    from pytest_twin.effects.rows import Predicted
+    from pytest_twin.effects.segment import Predicted
     from pytest_twin.realization import Realization
     from pytest_twin.replay import Replayed
 

@@ -220,7 +220,7 @@ def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) 
 def joint_type(problem: Problem, joint: int) -> str:
     """``hinge`` or ``slide``; of the whole robot, the first joint's."""
     model = problem.simulator.segments[0].model
-    kind = int(model.jnt_type[problem.simulator.joint_ids[max(joint, 0)]])
+    kind = int(model.jnt_type[problem.simulator.layout.joint_ids[max(joint, 0)]])
     return "slide" if kind == int(mujoco.mjtJoint.mjJNT_SLIDE) else "hinge"
 
 
@@ -233,7 +233,8 @@ def _estimates(
     problem: Problem, hypothesis: Hypothesis, term: Term, width: Spread
 ) -> dict[str, Estimate]:
     place = hypothesis.slice_of(term)
-    kind, servo = joint_type(problem, term.joint), str(problem.simulator.servo[max(term.joint, 0)])
+    kind = joint_type(problem, term.joint)
+    servo = str(problem.simulator.layout.servo[max(term.joint, 0)])
     found = {}
     for i, p in enumerate(term.parameters, start=place.start):
         scale = problem.scales.value(p, term.joint)

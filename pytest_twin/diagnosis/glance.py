@@ -191,7 +191,7 @@ def _causes(force: MissingForce, size: FloatArray) -> list[int]:
 
 def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, joint: int) -> Where:
     problem = prepared.problem
-    unit = "m" if problem.simulator.slides[joint] else "rad"
+    unit = "m" if problem.simulator.layout.slides[joint] else "rad"
     found = place_of(motions(prepared, [trial]), blame, joint, unit)
     moved = {
         name: [[round(a + since, 3), round(b + since, 3)] for a, b in windows]
@@ -309,8 +309,8 @@ def _joint(problem: Problem, term: Term) -> str | None:
 def _values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, str]]:
     (term,) = hypothesis.terms
     simulator = problem.simulator
-    kind = "slide" if simulator.slides[max(term.joint, 0)] else "hinge"
-    servo = str(simulator.servo[max(term.joint, 0)])
+    kind = "slide" if simulator.layout.slides[max(term.joint, 0)] else "hinge"
+    servo = str(simulator.layout.servo[max(term.joint, 0)])
     return {
         p.reported_name: (
             p.reported(float(value * problem.scales.value(p, term.joint))),

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import SMOOTH_STEP, Effect, FloatArray, Parameter
-from pytest_twin.effects.rows import EffectValues
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.contact_geoms import far_sighted, touching
-from pytest_twin.effects.rows import Segment
+from pytest_twin.effects.segment import Segment
 from pytest_twin.trial import Trial
 
 _WINDOW = 0.1
@@ -85,7 +85,7 @@ def motions(prepared: Prepared, trials: Sequence[Trial]) -> list[Motion]:
 def _motion(problem: Problem, segment: Segment, name: str) -> Motion:
     q, v, a = derivatives(segment.time, segment.position)
     simulator, model = problem.simulator, segment.model
-    contact = simulator.contact
+    contact = simulator.models.contact
     if contact.world.size:
         model = far_sighted(model, contact.world, _TOUCHING)
     data = mujoco.MjData(model)
@@ -96,13 +96,13 @@ def _motion(problem: Problem, segment: Segment, name: str) -> Motion:
     close = np.zeros(len(at))
     result = np.zeros(model.nv)
     for i, k in enumerate(at):
-        data.qpos[simulator.qpos_index] = q[k]
-        data.qvel[simulator.dof_index] = v[k]
-        data.qacc[simulator.dof_index] = a[k]
+        data.qpos[simulator.layout.qpos_index] = q[k]
+        data.qvel[simulator.layout.dof_index] = v[k]
+        data.qacc[simulator.layout.dof_index] = a[k]
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_rne(model, data, 1, result)
-        rows[i] = result[simulator.dof_index]
+        rows[i] = result[simulator.layout.dof_index]
         close[i] = touching(data, contact, _TOUCHING) if contact.world.size else 0.0
     for j in range(q.shape[1]):
         load[:, j] = np.interp(segment.time, segment.time[at], rows[:, j])
@@ -295,12 +295,12 @@ def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> 
         data = mujoco.MjData(model)
         mass = np.zeros((model.nv, model.nv))
         damping, stiffness = _linear(problem, model)
-        dof = simulator.dof_index
+        dof = simulator.layout.dof_index
         force = np.empty_like(r0)
         step = max(1, n // 60)
         inertia = np.zeros((joints, joints))
         for k in range(0, n, step):
-            data.qpos[simulator.qpos_index] = segment.position[k]
+            data.qpos[simulator.layout.qpos_index] = segment.position[k]
             mujoco.mj_forward(model, data)
             mujoco.mj_fullM(model, data, mass)
             inertia = mass[np.ix_(dof, dof)]
@@ -322,11 +322,11 @@ def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> 
 def _linear(problem: Problem, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
     """(joints,) damping and stiffness that a small deviation meets."""
     simulator = problem.simulator
-    damping = model.dof_damping[simulator.dof_index].copy()
-    stiffness = model.jnt_stiffness[simulator.joint_ids].copy()
-    for j, actuator in enumerate(simulator.actuator):
+    damping = model.dof_damping[simulator.layout.dof_index].copy()
+    stiffness = model.jnt_stiffness[simulator.layout.joint_ids].copy()
+    for j, actuator in enumerate(simulator.layout.actuator):
         if actuator >= 0 and model.actuator_biastype[actuator]:
-            gear = simulator.gear[j]
+            gear = simulator.layout.gear[j]
             stiffness[j] -= model.actuator_biasprm[actuator, 1] * gear**2
             damping[j] -= model.actuator_biasprm[actuator, 2] * gear**2
     return damping, stiffness

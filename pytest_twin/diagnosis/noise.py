@@ -8,7 +8,7 @@ import numpy as np
 
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import Predicted, Segment
+from pytest_twin.effects.segment import Predicted, Segment
 
 # Samples that a cubic is fitted to, and its coefficients.
 _NEIGHBOURS, _CUBIC = 15, 4

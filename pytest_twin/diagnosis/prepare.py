@@ -20,7 +20,8 @@ from pytest_twin.diagnosis.problem import (
 from pytest_twin.diagnosis.start import Starts, free_starts
 from pytest_twin.diagnosis.windows import WINDOW, segments_of, start_width
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
@@ -116,7 +117,7 @@ def prepare(
         return prepare(realization, fit, held_out, threads=threads, window=0.5 * WINDOW)
     if segments[0].mode == "effort":
         problem.step_left = _LEFT_OF_JUMPS
-    elif simulator.contact.world.size:
+    elif simulator.models.contact.world.size:
         problem.step_left = _LEFT_OF_IMPACTS
     problem.floor = np.sqrt(noise**2 + (problem.step_left * steps) ** 2)
     if effort_floor is not None and problem.defect:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.start import FreeStart, Starts
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Predicted, Segment
 
 _REMEMBERED = 4
 REFINE = 4
@@ -247,10 +248,10 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
     mass = np.zeros((model.nv, model.nv))
     inertia = np.zeros(joints)
     for s in segments:
-        data.qpos[simulator.qpos_index] = s.position[len(s.position) // 2]
+        data.qpos[simulator.layout.qpos_index] = s.position[len(s.position) // 2]
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, mass)
-        inertia = np.maximum(inertia, np.diag(mass)[simulator.dof_index])
+        inertia = np.maximum(inertia, np.diag(mass)[simulator.layout.dof_index])
     rate = rms([np.diff(s.command, axis=0) / np.maximum(np.diff(s.command_time), 1e-4)[:, None]
                 for s in segments])  # fmt: skip
     peak = np.max([np.nanmax(np.abs(p.effort), axis=0) for p in nominal], axis=0)
@@ -259,7 +260,7 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
     mode = segments[0].mode
     wanted = {"position": rate, "velocity": command, "effort": velocity}[mode]
     ones = np.ones(joints)
-    subtree = float(model.body_mass[simulator.body_index[-1]])
+    subtree = float(model.body_mass[simulator.layout.body_index[-1]])
     return Scales(
         {
             "one": ones,
@@ -278,7 +279,7 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
             "command": np.maximum(np.nan_to_num(command), 1e-4),
             "mass": ones * max(subtree, 0.05),
             "clearance": 0.01 * ones,
-            "length": ones * float(simulator.link_length[-1]),
+            "length": ones * float(simulator.layout.link_length[-1]),
         }
     )
 

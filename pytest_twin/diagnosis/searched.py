@@ -62,7 +62,7 @@ class Searched:
     def astray(self) -> bool:
         """Whether whole motions were simulated and did not come to what was recorded."""
         simulator = self.prepared.problem.simulator
-        free = not simulator.segments[0].amid and not simulator.contact.world.size
+        free = not simulator.segments[0].amid and not simulator.models.contact.world.size
         return free and self.verdict in ("improved", "unexplained")
 
     def supersedes(self, other: Searched) -> bool:

@@ -18,7 +18,8 @@ import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Segment
 
 _STEP = 1e-4
 # Deviations away where motors are tried to start, and at most; the share of a segment's misfit that

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import Segment
+from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.mjcf import compiled

@@ -33,7 +33,8 @@ from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.diagnosis.start import free_starts
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Segment
 
 FloatArray = NDArray[np.float64]
 Hidden = Mapping[Term, Mapping[str, float]]

@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import Predicted
+from pytest_twin.effects.segment import Predicted
 
 DRAG, DRY = Term("viscous_friction", ELBOW), Term("coulomb_friction", ELBOW)
 ELSEWHERE = Term("viscous_friction", SHOULDER)

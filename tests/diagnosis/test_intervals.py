@@ -11,7 +11,7 @@ from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales
 from pytest_twin.diagnosis.intervals import spread
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.rows import Predicted
+from pytest_twin.effects.segment import Predicted
 
 SAMPLES, SEGMENTS = 600, 3
 TRUTH = np.array([1.0, -0.5])

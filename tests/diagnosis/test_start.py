@@ -11,7 +11,8 @@ import pytest
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.start import Starts, free_starts
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Segment
 
 JOINTS = ("wheel",)
 STIFFNESS, DAMPING_TIME, GAP = 6.0, 0.02, 0.05

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pytest_twin.effects.contact_geoms import contact_geoms, scaled_solref
-from pytest_twin.effects.rows import RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Segment
 
 ARM = """\
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>

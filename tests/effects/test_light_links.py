@@ -9,7 +9,8 @@ import pytest
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.motor_side import Gear
-from pytest_twin.effects.rows import RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Segment
 
 JOINTS = ("base", "middle", "tip")
 ARMATURE = (0.3, 0.02, 0.002)

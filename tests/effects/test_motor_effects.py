@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term, effect_values
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import Predicted, RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Predicted, Segment
 
 FloatArray = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.effects.rows import RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Segment
 from pytest_twin.formats.mcap import JointSeries, Recording, read_recording
 from pytest_twin.realization import load
 from pytest_twin.replay import Row, replay_rows

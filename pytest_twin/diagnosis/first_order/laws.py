@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.diagnosis.first_order.rigid_terms import Rigid, upsampled
+from pytest_twin.effects.acting import hooks_between_steps, there
 from pytest_twin.effects.base import (
     Effect,
     FloatArray,
@@ -26,7 +27,8 @@ from pytest_twin.effects.base import (
     moving_apart,
 )
 from pytest_twin.effects.roll_in import act
-from pytest_twin.effects.rows import OF_ROWS, RowSimulator, hooks_between_steps, there
+from pytest_twin.effects.row_models import OF_ROWS
+from pytest_twin.effects.rows import RowSimulator
 
 _TIP = 1e-4
 """rad or m, that a position is moved to see how a force changes with it."""
@@ -221,7 +223,7 @@ class Laws:
         return Forces(total, drive, dry, level, *(x[:, None] for x in constant))
 
     def _world(self, lanes: _Lanes) -> World:
-        world = self.simulator.world(self.along.segments)
+        world = self.simulator.models.world(self.along.segments)
         for name in OF_ROWS:
             value = getattr(world, name)
             value = value[lanes.segment] if value.ndim == 1 else lanes.of_segment(value)
@@ -232,7 +234,7 @@ class Laws:
     def _joint(self, effects: ActiveEffects, world: World, lanes: _Lanes) -> _Joint:
         simulator = self.simulator
         models = [simulator.segments[s].model for s in self.along.segments]
-        dof = simulator.dof_index
+        dof = simulator.layout.dof_index
 
         def of(values: list[FloatArray]) -> FloatArray:
             return lanes.of_segment(np.array(values))
@@ -246,15 +248,15 @@ class Laws:
                 effect.fields(changed, v)
         soft = moving_apart(effects, lanes.joint.shape)
         if soft.any():
-            known = simulator.link_inertia(np.asarray(self.along.segments))
+            known = simulator.models.link_inertia(np.asarray(self.along.segments))
             world.link_inertia = lanes.of_segment(known)
         world.friction_level = np.maximum(changed.friction, 0.0)
         own = of([m.dof_armature[dof] for m in models])
         world.motor_armature = own + changed.armature
         world.motor_damping = changed.damping
         constant, world.motor_constant = changed.split_force(soft)
-        rest = of([m.qpos_spring[simulator.qpos_index] for m in models])
-        springs = of([m.jnt_stiffness[simulator.joint_ids] for m in models])
+        rest = of([m.qpos_spring[simulator.layout.qpos_index] for m in models])
+        springs = of([m.jnt_stiffness[simulator.layout.joint_ids] for m in models])
         return _Joint(
             changed.damping, changed.armature, own, constant, changed.stiffness, springs, rest,
             soft,

@@ -28,8 +28,8 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_val
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.acting import BETWEEN_STEPS, EffectValues, with_fixed
 from pytest_twin.effects.base import Effect, FloatArray, Values
-from pytest_twin.effects.rows import BETWEEN_STEPS, EffectValues, with_fixed
 
 _BIN, _COARSEST = 0.02, 0.05
 """s that residuals are averaged over."""
@@ -237,7 +237,7 @@ def linearized(
     problem: Problem, segments: NDArray[np.int64], hypothesis: Hypothesis
 ) -> Linear | None:
     """What is of first order around a hypothesis; None where the robot meets something."""
-    if problem.simulator.contact.world.size:
+    if problem.simulator.models.contact.world.size:
         return None
     return Linear(problem, hypothesis, segments)
 

@@ -77,17 +77,17 @@ def rigid_terms(
             (e, {n: x[owner] for n, x in p.items()}) for e, p in effects
         ]
         with quiet():
-            batch, _ = simulator.batch(np.tile(rows, len(part)), values)
+            batch = simulator.written(np.tile(rows, len(part)), values).batch
         many_q, many_v = np.tile(q, (len(part), 1)), np.tile(v, (len(part), 1))
         if nudges is not None:
             many_q, many_v = many_q + nudges[owner, 0], many_v + nudges[owner, 1]
-        batch.bind("qpos")[:, simulator.qpos_index] = many_q
-        batch.bind("qvel")[:, simulator.dof_index] = many_v
+        batch.bind("qpos")[:, simulator.layout.qpos_index] = many_q
+        batch.bind("qvel")[:, simulator.layout.dof_index] = many_v
         mass_out, bias = batch.bind("M"), batch.bind("qfrc_bias")
         with quiet():
             batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         mass = _full_mass(simulator, mass_out)
-        still = bias[:, simulator.dof_index]
+        still = bias[:, simulator.layout.dof_index]
         effort = still + np.einsum("rij,rj->ri", mass, np.tile(a, (len(part), 1)))
         for i in range(len(part)):
             mine = slice(i * len(rows), (i + 1) * len(rows))
@@ -165,7 +165,7 @@ class Efforts:
         joints = self._bare.shape[2]
         fields, tilted = _fields(effects, copies, joints)
         # Two joints of one body would change it twice.
-        bodies = self._simulator.body_index
+        bodies = self._simulator.layout.body_index
         if tilted or len(set(bodies)) < len(bodies):
             heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
             found = rigid_terms(self._simulator, self._along, heavy, copies)
@@ -227,8 +227,8 @@ def _full_mass(simulator: RowSimulator, packed: FloatArray) -> FloatArray:
     """(rows, joints, joints) of MuJoCo's lower triangle in compressed rows."""
     model = simulator.segments[0].model
     of = np.full(model.nv, -1)
-    of[simulator.dof_index] = np.arange(len(simulator.dof_index))
-    n = len(simulator.dof_index)
+    of[simulator.layout.dof_index] = np.arange(len(simulator.layout.dof_index))
+    n = len(simulator.layout.dof_index)
     full = np.zeros((len(packed), n, n))
     for row in range(model.nv):
         start = model.M_rowadr[row]

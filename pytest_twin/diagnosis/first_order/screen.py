@@ -30,12 +30,12 @@ _SWAPS = 4
 
 def candidates(problem: Problem) -> list[Term]:
     """Every effect where it can act."""
-    servo = problem.simulator.servo
+    servo = problem.simulator.layout.servo
     found = []
     for effect in catalogue().values():
         if effect.id.startswith("effort_") and problem.effort_floor is None:
             continue
-        if effect.family == "contact" and not problem.simulator.contact.has(effect.id):
+        if effect.family == "contact" and not problem.simulator.models.contact.has(effect.id):
             continue
         if effect.scope == "robot":
             found.append(Term(effect.id, -1))
@@ -45,7 +45,7 @@ def candidates(problem: Problem) -> list[Term]:
                 continue
             if effect.id == "joint_coupling" and j == 0:
                 continue
-            if effect.id in _OF_A_TURN and problem.simulator.slides[j]:
+            if effect.id in _OF_A_TURN and problem.simulator.layout.slides[j]:
                 continue
             found.append(Term(effect.id, j))
     return found

@@ -94,20 +94,20 @@ class NativeWriter:
         """Name, joint id and dof of a column."""
         return (
             self.problem.joints[joint],
-            int(self.simulator.joint_ids[joint]),
-            int(self.simulator.dof_index[joint]),
+            int(self.simulator.layout.joint_ids[joint]),
+            int(self.simulator.layout.dof_index[joint]),
         )
 
     def actuator_name(self, joint: int) -> str | None:
         """Of the drive of a column, or None without one that has a name."""
-        at = int(self.simulator.actuator[joint])
+        at = int(self.simulator.layout.actuator[joint])
         if at < 0:
             return None
         return mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, at) or None
 
     def body_name(self, joint: int) -> str:
         """Of the body that a column moves."""
-        at = int(self.simulator.body_index[joint])
+        at = int(self.simulator.layout.body_index[joint])
         return str(mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_BODY, at))
 
 
@@ -165,7 +165,7 @@ def _armature(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
 
 def _spring(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name, index, _ = w.joint_index(joint)
-    address = int(w.simulator.qpos_index[joint])
+    address = int(w.simulator.layout.qpos_index[joint])
     total = float(w.model.jnt_stiffness[index]) + values["stiffness"]
     if total <= 0.0:
         return None
@@ -178,10 +178,10 @@ def _gains(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains:
         return None
-    at = int(w.simulator.actuator[joint])
+    at = int(w.simulator.layout.actuator[joint])
     stiffness, damping = 1.0 + values["stiffness_error"], 1.0 + values["damping_error"]
     gain, bias = w.model.actuator_gainprm[at].copy(), w.model.actuator_biasprm[at].copy()
-    gain[0] *= damping if w.simulator.servo[joint] == "velocity" else stiffness
+    gain[0] *= damping if w.simulator.layout.servo[joint] == "velocity" else stiffness
     bias[1] *= stiffness
     bias[2] *= damping
     w.fit("actuator", name, {"gainprm": gain.tolist(), "biasprm": bias.tolist()})
@@ -192,7 +192,7 @@ def _torque_constant(w: NativeWriter, joint: int, values: dict[str, float]) -> W
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains:
         return None
-    at, factor = int(w.simulator.actuator[joint]), 1.0 + values["relative_error"]
+    at, factor = int(w.simulator.layout.actuator[joint]), 1.0 + values["relative_error"]
     if factor <= 0.0:
         return None
     changed: dict[str, Any] = {
@@ -209,8 +209,8 @@ def _saturation(w: NativeWriter, joint: int, values: dict[str, float]) -> Writte
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains or values["inverse_limit"] <= 0.0:
         return None
-    at = int(w.simulator.actuator[joint])
-    limit = 1.0 / values["inverse_limit"] / abs(float(w.simulator.gear[joint]))
+    at = int(w.simulator.layout.actuator[joint])
+    limit = 1.0 / values["inverse_limit"] / abs(float(w.simulator.layout.gear[joint]))
     ends = np.array([-limit, limit])
     if w.model.actuator_forcelimited[at]:
         ends = np.clip(w.model.actuator_forcerange[at], -limit, limit)
@@ -236,7 +236,7 @@ def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     if not w.fixed_masses:
         return None
     body, factor = w.body_name(joint), 1.0 + values["relative_error"]
-    mass, tensor = _compiled_inertia(w.model, int(w.simulator.body_index[joint]))
+    mass, tensor = _compiled_inertia(w.model, int(w.simulator.layout.body_index[joint]))
     w.fit("body", body, {"mass": mass * factor, "inertia": _six(tensor * factor)})
     return f"body '{body}' mass and inertia", {}
 
@@ -245,9 +245,9 @@ def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
     last = len(w.problem.joints) - 1
     body = w.body_name(last)
-    model, at = w.model, int(w.simulator.joint_ids[last])
-    center = model.jnt_pos[at] + values["distance"] * w.simulator.directions[last]
-    index = int(w.simulator.body_index[last])
+    model, at = w.model, int(w.simulator.layout.joint_ids[last])
+    center = model.jnt_pos[at] + values["distance"] * w.simulator.layout.directions[last]
+    index = int(w.simulator.layout.body_index[last])
     if not w.fixed_masses or float(model.body_mass[index]) + values["mass"] <= 1e-6:
         return None
     x, y, z = (float(c) for c in center)
@@ -266,7 +266,7 @@ def _tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
 
 def _contact(effect: str, w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
-    text = write_contact(w.spec, w.simulator.contact, effect, values)
+    text = write_contact(w.spec, w.simulator.models.contact, effect, values)
     return None if text is None else (text, {})
 
 

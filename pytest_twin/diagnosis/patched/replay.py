@@ -12,8 +12,10 @@ from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import EffectValues, Predicted, RowSimulator, Segment
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError, SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of

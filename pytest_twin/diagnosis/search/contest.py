@@ -19,7 +19,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT, worth_a_name
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.rows import Predicted
+from pytest_twin.effects.segment import Predicted
 
 QUICK, FAIR, _LONG = 2, 4, 8
 """Iterations of a fit that ranks, and of one that decides."""

@@ -35,7 +35,7 @@ def softened(problem: Problem, bare: Hypothesis, whole: FloatArray) -> list[Hypo
     """
     joints = len(problem.joints)
     far = np.flatnonzero(whole[:joints] > (_FAR * problem.floor) ** 2)
-    terms = [Term(_GAIN, int(j)) for j in far if problem.simulator.servo[j] == "position"]
+    terms = [Term(_GAIN, int(j)) for j in far if problem.simulator.layout.servo[j] == "position"]
     if not terms:
         return []
     # As damped as before: damping goes with the root of the stiffness.

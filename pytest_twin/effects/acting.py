@@ -1,0 +1,71 @@
+"""Which effects act on which rows, between which steps; effects on top of others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import Effect, Values
+
+EffectValues = Mapping[str, Values]
+"""Effect id -> parameter name -> (rows, joints) values."""
+
+BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "gear")
+
+
+def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
+    """Rows' effects on top of fixed ones: switches add, a shape that is fixed stays."""
+    if not fixed:
+        return values
+    out = {e: dict(v) for e, v in values.items()}
+    for effect, own in fixed.items():
+        if effect not in out:
+            out[effect] = {n: np.repeat(v, rows, axis=0) for n, v in own.items()}
+            continue
+        parameters = catalogue()[effect].parameters
+        acts = there(catalogue()[effect], own)
+        for p in parameters:
+            theirs = out[effect][p.name]
+            if p.neutral is not None:
+                out[effect][p.name] = theirs + own[p.name] - p.neutral
+            else:
+                out[effect][p.name] = np.where(acts, own[p.name], theirs)
+    return out
+
+
+def hooks_between_steps(
+    effects: Sequence[tuple[Effect, Values]],
+) -> dict[str, list[tuple[Effect, Values]]]:
+    """Hook -> the effects that have it, in their order."""
+    return {h: [(e, v) for e, v in effects if e.overrides(h)] for h in BETWEEN_STEPS}
+
+
+def between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
+    """(rows,) whether a row has an effect that acts between steps."""
+    found = np.zeros(count, dtype=bool)
+    for name, v in values.items():
+        effect = catalogue()[name]
+        if effect.overrides(*BETWEEN_STEPS):
+            found |= there(effect, v).any(axis=1)
+    return found
+
+
+def any_hook(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:
+    """Whether some effect does anything in one of these hooks."""
+    return any(effect.overrides(*hooks) for effect, _ in effects)
+
+
+def acting(values: EffectValues) -> list[tuple[Effect, Values]]:
+    """The effects that some row has."""
+    effects = [(catalogue()[e], v) for e, v in values.items()]
+    return [(effect, v) for effect, v in effects if there(effect, v).any()]
+
+
+def there(effect: Effect, values: Values) -> NDArray[np.bool_]:
+    """(rows, joints) where an effect acts: a switch that is not neutral."""
+    switches = [p for p in effect.parameters if p.neutral is not None]
+    found: NDArray[np.bool_] = np.any([values[p.name] != p.neutral for p in switches], axis=0)
+    return found

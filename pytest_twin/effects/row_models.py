@@ -1,0 +1,322 @@
+"""Rows of a batch: their state at the start, their drives, and effects in their model fields."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from pytest_twin.effects.acting import BETWEEN_STEPS, any_hook
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World, moving_apart
+from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
+from pytest_twin.effects.layout import Layout
+from pytest_twin.effects.link_inertia import link_inertia
+from pytest_twin.effects.point_mass import with_point_mass
+from pytest_twin.effects.sampling import behind
+from pytest_twin.effects.segment import Segment
+
+OF_ROWS = (
+    "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
+    "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
+    "motor_constant", "link_inertia",
+)  # fmt: skip
+"""What of a world has a row for each simulation."""
+
+_WORTH_THREADS = 64
+# Poses of a segment that are asked for the inertia of its links, at most, and s between two.
+_POSES, _POSE_SECONDS = 8, 0.2
+_LAW = ("gain", "stiffness", "damping", "offset")
+_UNBOUNDED = 1e9
+_INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """A batch whose model fields hold the effects of each row.
+
+    Attributes:
+        batch: of the engine.
+        world: state and drives that the rows start from.
+        apart: (rows, joints) where a gear lets motor and link move apart.
+        constant: (rows, joints) N*m or N that always acts on the links.
+        friction: (rows, dofs) dry friction of the batch, where laws between steps change it.
+        force_range: (rows, actuators, 2) of the batch, where rows have their own.
+    """
+
+    batch: Batch
+    world: World
+    apart: NDArray[np.bool_]
+    constant: FloatArray
+    friction: FloatArray | None
+    force_range: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Batched:
+    """A batch and the model behind each of its rows."""
+
+    batch: Batch
+    models: Sequence[mujoco.MjModel]
+
+    @property
+    def several(self) -> bool:
+        """Whether not all rows are of one model."""
+        return len({id(m) for m in self.models}) > 1
+
+    def expand(self, name: str) -> FloatArray:
+        """(rows, ...) of a field, every row's own, as its model has it."""
+        array: FloatArray = self.batch.expand(name)
+        (array[:],) = self.of_each(name)
+        return array
+
+    def of_each(self, *names: str) -> list[FloatArray]:
+        """(rows, ...) fields of each row's model, read once of every model."""
+        distinct = {id(m): m for m in self.models}
+        number = {key: i for i, key in enumerate(distinct)}
+        index = [number[id(m)] for m in self.models]
+        return [np.array([getattr(m, name) for m in distinct.values()])[index] for name in names]
+
+
+class RowModels:
+    """Makes batches of segments under effects.
+
+    Args:
+        segments: all of one layout of model.
+        layout: of it.
+        timestep: s.
+    """
+
+    def __init__(self, segments: Sequence[Segment], layout: Layout, timestep: float) -> None:
+        self.segments = segments
+        self.layout = layout
+        self.timestep = timestep
+        self._bounded: dict[int, mujoco.MjModel] = {}
+        self._link_inertia: dict[int, tuple[FloatArray, FloatArray]] = {}
+
+    @cached_property
+    def contact(self) -> ContactGeoms:
+        """What the robot touches, or nearly, in the segments as measured."""
+        poses = [s.position for s in self.segments]
+        return contact_geoms(self.segments[0].model, self.layout.joint_ids, poses)
+
+    def bounded(self, segment: int) -> mujoco.MjModel:
+        """The segment's model with every force range in force, so that rows can narrow it."""
+        key = id(self.segments[segment].model)
+        if key not in self._bounded:
+            model = copy.copy(self.segments[segment].model)
+            free = model.actuator_forcelimited == 0
+            model.actuator_forcelimited[free] = 1
+            model.actuator_forcerange[free] = (-_UNBOUNDED, _UNBOUNDED)
+            model.opt.timestep = self.timestep
+            # MuJoCo's default friction constraint creeps under load (some 0.03 rad/s for half the
+            # level on a small servo); dry friction holds. Stiff, it creeps 500 times less.
+            model.dof_solref[self.layout.dof_index] = (2.0 * self.timestep, 1.0)
+            model.dof_solimp[self.layout.dof_index, :3] = (0.999, 0.9999, 0.001)
+            self._bounded[key] = model
+        return self._bounded[key]
+
+    def link_inertia(self, rows: NDArray[np.int64]) -> FloatArray:
+        """(rows, joints) the least inertia that links put against their gears along a segment,
+        kg*m^2 or kg.
+        """
+        segments = [self.segments[r] for r in rows]
+        # Segments that start elsewhere share what was measured, which is kept: so it stays its own.
+        new = {id(s.position): s for s in segments if id(s.position) not in self._link_inertia}
+        models = {id(s.model): s.model for s in new.values()}
+        data = {key: mujoco.MjData(model) for key, model in models.items()}
+        for key, s in new.items():
+            apart = int(np.searchsorted(s.time, s.time[0] + _POSE_SECONDS))
+            apart = max(apart, len(s.time) // _POSES, 1)
+            least = link_inertia(
+                data[id(s.model)], s.position[::apart], self.layout.qpos_index,
+                self.layout.dof_index,
+            )  # fmt: skip
+            self._link_inertia[key] = (s.position, least)
+        return np.array([self._link_inertia[id(s.position)][1] for s in segments])
+
+    def world(self, rows: NDArray[np.int64]) -> World:
+        """The rows' segments at their start, the drives as the model has them."""
+        segments, of = np.unique(rows, return_inverse=True)
+        models = [self.bounded(int(s)) for s in segments]
+        layout = self.layout
+        count = (len(segments), len(layout.joints))
+        driven = layout.driven
+        act, gear = layout.actuator[driven], layout.gear[driven]
+        world = World(
+            time=np.array([self.segments[r].start for r in segments]),
+            timestep=self.timestep,
+            position=np.array([self.segments[r].initial_position for r in segments]),
+            velocity=np.array([self.segments[r].initial_velocity for r in segments]),
+            setpoint=np.zeros(count),
+            gain=np.zeros(count),
+            stiffness=np.zeros(count),
+            damping=np.zeros(count),
+            offset=np.zeros(count),
+            lower=np.full(count, -np.inf),
+            upper=np.full(count, np.inf),
+            servo=layout.servo,
+            delivered=np.zeros(count),
+            friction_level=np.array([m.dof_frictionloss[layout.dof_index] for m in models]),
+            applied=np.zeros(count),
+            load=np.zeros(count),
+            motor_armature=np.zeros(count),
+            motor_damping=np.zeros(count),
+            motor_constant=np.zeros(count),
+            link_inertia=np.full(count, np.inf),
+        )
+        world.gain[:, layout.bare] = 1.0
+        for i, m in enumerate(models):
+            world.gain[i, driven] = m.actuator_gainprm[act, 0] * gear * layout.scale[driven]
+            if m.actuator_biastype[act].any():
+                world.offset[i, driven] = m.actuator_biasprm[act, 0] * gear
+                world.stiffness[i, driven] = -m.actuator_biasprm[act, 1] * gear**2
+                world.damping[i, driven] = -m.actuator_biasprm[act, 2] * gear**2
+            limits = m.actuator_forcerange[act] * gear[:, None]
+            world.lower[i, driven], world.upper[i, driven] = limits.min(axis=1), limits.max(axis=1)
+        for name in OF_ROWS:
+            setattr(world, name, getattr(world, name)[of])
+        return world
+
+    def written(
+        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], threads: int
+    ) -> Rows:
+        """A batch of segments ``rows`` with the effects in its model fields.
+
+        Args:
+            rows: segments.
+            effects: values (rows, joints).
+            threads: of the batch.
+        """
+        models = [self.bounded(int(r)) for r in rows]
+        # Threads meet at every step that laws act between: few rows are sooner done alone.
+        few = any_hook(effects, *BETWEEN_STEPS) and len(rows) * models[0].nv < _WORTH_THREADS
+        batched = _Batched(Batch(models[0], len(rows), nthread=1 if few else threads), models)
+        world = self.world(rows)
+        for effect, parameters in reversed(effects):
+            world.position, world.velocity = effect.unsense(
+                world.position, world.velocity, parameters
+            )
+        joints = len(self.layout.joints)
+        world.time = world.time - behind([self.segments[r] for r in rows], effects, joints)[:, 0]
+        gravity = np.array([m.opt.gravity for m in models])
+        fields = ModelFields.neutral(gravity.copy(), joints)
+        for effect, v in effects:
+            effect.fields(fields, v)
+        native = {n: getattr(world, n).copy() for n in (*_LAW, "lower", "upper")}
+        for effect, v in effects:
+            effect.gains(world, v)
+        changed = {n for n, before in native.items() if (before != getattr(world, n)).any()}
+        apart = moving_apart(effects, (len(rows), joints))
+        if batched.several:
+            for name in _INERTIAL:
+                batched.expand(name)
+        friction = self._write_dofs(batched, rows, effects, fields, world, apart)
+        if (fields.gravity != gravity).any() or batched.several:
+            batched.batch.expand("opt.gravity")[:] = fields.gravity
+        if fields.added_mass.any() or (fields.inertia_scale != 1.0).any():
+            self._write_inertia(batched, fields)
+        own = batched.several
+        if own or apart.any() or changed.intersection(_LAW):
+            self._write_gains(batched, world, apart)
+        force_range = None
+        narrowed = any_hook(effects, "servo") or not changed.isdisjoint(("lower", "upper"))
+        if (own or narrowed) and len(self.layout.driven):
+            force_range = batched.expand("actuator_forcerange")
+            self.write_bounds(force_range, world)
+        constant, world.motor_constant = fields.split_force(apart)
+        if any(effect.family == "contact" for effect, _ in effects):
+            least_time = least_time_constant(models[0], self.timestep)
+            self.contact.write(batched.expand, fields, least_time)
+        # A geom that moves takes its frame and its body's bounding volume along.
+        moved = any(batched.batch.expanded(n) is not None for n in ("body_mass", "geom_pos"))
+        if own or fields.armature.any() or moved:
+            batched.batch.set_const()
+        return Rows(batched.batch, world, apart, constant, friction, force_range)
+
+    def _write_dofs(
+        self,
+        batched: _Batched,
+        rows: NDArray[np.int64],
+        effects: Sequence[tuple[Effect, Values]],
+        fields: ModelFields,
+        world: World,
+        apart: NDArray[np.bool_],
+    ) -> FloatArray | None:
+        """Write what resists joints; the dry friction of the batch where laws change it later."""
+        batch, dof = batched.batch, self.layout.dof_index
+        between_steps = any_hook(effects, "friction")
+        resisting = {
+            "dof_damping": fields.damping,
+            "dof_armature": fields.armature,
+            "dof_frictionloss": fields.friction,
+        }
+        for name, change in resisting.items():
+            moving = name == "dof_frictionloss" and between_steps
+            if batched.several or change.any() or moving or apart.any():
+                batched.expand(name)[:, dof] += change
+        if batch.expanded("dof_frictionloss") is not None:
+            levels = batch.expand("dof_frictionloss")
+            np.maximum(levels, 0.0, out=levels)
+            world.friction_level = levels[:, dof].copy()
+        if apart.any():
+            # What sits on the motor side leaves the link; laws between steps carry it.
+            world.motor_armature = batch.expand("dof_armature")[:, dof]
+            world.motor_damping = batch.expand("dof_damping")[:, dof]
+            world.link_inertia = self.link_inertia(rows)
+            for name in resisting:
+                array = batch.expand(name)
+                array[:, dof] = np.where(apart, 0.0, array[:, dof])
+        if fields.stiffness.any():
+            batched.expand("jnt_stiffness")[:, self.layout.joint_ids] += fields.stiffness
+        return batch.expand("dof_frictionloss") if between_steps else None
+
+    def _write_gains(self, batched: _Batched, world: World, apart: NDArray[np.bool_]) -> None:
+        """Write the drives' laws; where a gear gives, the engine's drive gives nothing."""
+        driven = self.layout.driven
+        if not len(driven):
+            return
+        act, gear = self.layout.actuator[driven], self.layout.gear[driven]
+        gain, bias = batched.expand("actuator_gainprm"), batched.expand("actuator_biasprm")
+        rigid = ~apart[:, driven]
+        gain[:, act, 0] = rigid * world.gain[:, driven] / (gear * self.layout.scale[driven])
+        bias[:, act, 0] = rigid * world.offset[:, driven] / gear
+        bias[:, act, 1] = rigid * -world.stiffness[:, driven] / gear**2
+        bias[:, act, 2] = rigid * -world.damping[:, driven] / gear**2
+
+    def write_bounds(self, force_range: FloatArray, world: World) -> None:
+        """Write the drives' bounds into (rows, actuators, 2) force ranges."""
+        driven = self.layout.driven
+        act, gear = self.layout.actuator[driven], self.layout.gear[driven]
+        low, high = world.lower[:, driven] / gear, world.upper[:, driven] / gear
+        if self._reverses:
+            low, high = np.where(gear < 0.0, high, low), np.where(gear < 0.0, low, high)
+        force_range[:, act, 0] = np.maximum(low, -_UNBOUNDED)
+        force_range[:, act, 1] = np.minimum(high, _UNBOUNDED)
+
+    @cached_property
+    def _reverses(self) -> bool:
+        """Whether some drive turns against its joint."""
+        return bool((self.layout.gear[self.layout.driven] < 0.0).any())
+
+    def _write_inertia(self, batched: _Batched, fields: ModelFields) -> None:
+        """Write scaled links and masses that links carry."""
+        mass, ipos, inertia, iquat = (batched.expand(name) for name in _INERTIAL)
+        bodies = self.layout.body_index
+        mass[:, bodies] *= fields.inertia_scale
+        inertia[:, bodies] *= fields.inertia_scale[:, :, None]
+        row, joint = np.nonzero(fields.added_mass)
+        if not len(row):
+            return
+        here = (row, bodies[joint])
+        (position,) = batched.of_each("jnt_pos")
+        at = position[row, self.layout.joint_ids[joint]]
+        at = at + fields.added_distance[row, joint, None] * self.layout.directions[joint]
+        mass[here], ipos[here], inertia[here], iquat[here] = with_point_mass(
+            mass[here], ipos[here], inertia[here], iquat[here], fields.added_mass[row, joint], at
+        )

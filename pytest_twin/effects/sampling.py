@@ -1,0 +1,88 @@
+"""When readings were taken, and what sensors read of a motion at their stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.effects.base import Effect, FloatArray, Values
+from pytest_twin.effects.segment import Predicted, Segment
+
+
+def behind(
+    segments: Sequence[Segment], effects: Sequence[tuple[Effect, Values]], columns: int
+) -> FloatArray:
+    """How long before its stamp the state was that a window starts from, (rows, columns) s.
+
+    A window begins with what was read amid a motion: where readings are late, so is its start, and
+    commands reach it that much later. A whole trial begins at rest, and when it says.
+
+    Args:
+        segments: of each row.
+        effects: values (rows, columns).
+        columns: how many.
+    """
+    start = np.array([s.start for s in segments])[:, None, None]
+    stamp = np.repeat(start, columns, axis=2)
+    taken = stamp
+    for effect, v in effects:
+        taken = effect.sample_time(taken, v)
+    window = np.array([s.amid for s in segments])
+    out: FloatArray = np.where(window[:, None], (stamp - taken)[:, 0], 0.0)
+    return out
+
+
+def taken(
+    segments: Sequence[Segment],
+    stamps: FloatArray,
+    effects: Sequence[tuple[Effect, Values]],
+) -> FloatArray:
+    """When readings with (rows, n, columns) stamps were taken, s on the clock of their motion."""
+    for effect, v in effects:
+        stamps = effect.sample_time(stamps, v)
+    return stamps + behind(segments, effects, stamps.shape[2])[:, None]
+
+
+def sampled(
+    segments: Sequence[Segment],
+    effects: Sequence[tuple[Effect, Values]],
+    motion: tuple[FloatArray, FloatArray, FloatArray],
+    timestep: float,
+) -> list[Predicted]:
+    """What sensors would have read of each row.
+
+    Positions between steps follow the cubic through both ends with their velocities.
+
+    Args:
+        segments: of each row.
+        effects: that act on them.
+        motion: (rows, steps + 1, joints) positions, velocities and efforts.
+        timestep: s, of the motion.
+    """
+    q, v, effort = motion
+    longest = max(len(s.time) for s in segments)
+    stamps = np.empty((len(segments), longest, q.shape[2]))
+    for i, s in enumerate(segments):
+        stamps[i, : len(s.time)] = s.time[:, None]
+        stamps[i, len(s.time) :] = s.time[-1]
+    stamps = taken(segments, stamps, effects)
+    start = np.array([s.start for s in segments])[:, None, None]
+    at = np.clip((stamps - start) / timestep, 0.0, q.shape[1] - 1 - 1e-9)
+    index = at.astype(np.int64)
+    part = at - index
+    before_q, after_q = (np.take_along_axis(q, index + d, axis=1) for d in (0, 1))
+    before_v, after_v = (np.take_along_axis(v, index + d, axis=1) for d in (0, 1))
+    rest = 1.0 - part
+    step = after_q - before_q
+    bend = rest * (timestep * before_v - step) - part * (timestep * after_v - step)
+    position = before_q + part * step + part * rest * bend
+    velocity = before_v + part * (after_v - before_v)
+    given = np.take_along_axis(effort, index, axis=1)
+    for effect, p in effects:
+        position, velocity = effect.sense(stamps, position, velocity, p)
+        given = effect.sense_effort(given, p)
+    return [
+        Predicted(*(x[i, : len(s.time)] for x in (position, velocity, given)))
+        for i, s in enumerate(segments)
+    ]

@@ -1,0 +1,74 @@
+"""What is simulated, and what a simulation's sensors would have read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from pytest_twin.effects.base import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stretch of a trial, simulated from its own initial state. Arrays in the model's frame.
+
+    Attributes:
+        trial: index of the trial.
+        model: what to step, the trial's controller and payload applied.
+        mode: ``position``, ``velocity`` or ``effort``: what is commanded.
+        start: s on the trial's clock, where the simulation begins.
+        time: (n,) s on the trial's clock, stamps of the samples.
+        position: (n, joints) rad or m, measured.
+        velocity, effort: (n, joints) or None.
+        command_time: (m,) s on the trial's clock.
+        command: (m, joints); NaN columns for joints that are not commanded.
+        initial_position, initial_velocity: (joints,).
+        history: where the start lies amid a motion, (m,) s on the trial's clock and (m, joints)
+            positions and velocities of the whole trial, smoothed.
+        motor_shift: (joints,) rad or m by which motors behind gears that give start elsewhere than
+            where they would carry their links at rest, or where their windows' lead brought them.
+    """
+
+    trial: int
+    model: mujoco.MjModel
+    mode: str
+    start: float
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray | None
+    effort: FloatArray | None
+    command_time: FloatArray
+    command: FloatArray
+    initial_position: FloatArray
+    initial_velocity: FloatArray
+    history: tuple[FloatArray, FloatArray, FloatArray] | None = None
+    motor_shift: FloatArray | None = None
+
+    @property
+    def amid(self) -> bool:
+        """Whether it starts amid a motion."""
+        return self.history is not None
+
+    def before(self, time: FloatArray) -> FloatArray:
+        """Positions and velocities at (n,) s on the trial's clock, (2, n, joints); only
+        :attr:`amid` a motion.
+        """
+        assert self.history is not None
+        stamps, *known = self.history
+        columns = [[np.interp(time, stamps, x) for x in of_joints.T] for of_joints in known]
+        return np.moveaxis(np.array(columns), 1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """What a row's sensors would have read at its segment's stamps; NaN where it diverged.
+
+    Attributes:
+        position, velocity, effort: (n, joints), SI units.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
