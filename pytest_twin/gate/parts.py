@@ -14,7 +14,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.gate.source import changed_sources
 from pytest_twin.golden import Golden
-from pytest_twin.realization.feature_cache import Features, features_of
+from pytest_twin.realization.features.cache import Features, features_of
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.staleness import Model, Stock, Surroundings, rule_problems, take_stock
 from pytest_twin.twin import Twin

@@ -235,16 +235,16 @@ class Realization:
     @cached_property
     def structure(self) -> Structure:
         """How it hangs together, for the dependency map."""
-        from pytest_twin.realization import features
+        from pytest_twin.realization.features import reading
 
-        return features.structure(self)
+        return reading.structure(self)
 
     @cached_property
     def parts(self) -> dict[str, Part]:
         """Everything that a check can feel, by part id."""
-        from pytest_twin.realization import features
+        from pytest_twin.realization.features import reading
 
-        return features.parts(self)
+        return reading.parts(self)
 
     @cached_property
     def reference(self) -> Reference:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SimulationError
-from pytest_twin.realization.features import felt_geoms
+from pytest_twin.realization.features.elements import felt_geoms
 from pytest_twin.realization.simulate import geom_name
 
 Vector = NDArray[np.float64]

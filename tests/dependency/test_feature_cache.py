@@ -12,7 +12,7 @@ import pytest
 
 from pytest_twin.errors import ModelError
 from pytest_twin.realization import load
-from pytest_twin.realization.feature_cache import FOLDER, Features, features_of
+from pytest_twin.realization.features.cache import FOLDER, Features, features_of, reader_files
 from pytest_twin.twin import load_twin
 
 MODEL = """
@@ -24,6 +24,7 @@ MODEL = """
 PART = """<mujocoinclude><asset><mesh name="m"
   vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset></mujocoinclude>"""
 VERSIONS = {"mujoco": "4.0.0"}
+DEPENDENCY = "pytest_twin.dependency"
 
 
 class Reader:
@@ -77,6 +78,15 @@ def test_versions_count_and_a_release_reads_afresh(reader: Reader) -> None:
     assert reader.count == 3
 
 
+def test_all_code_that_reads_a_model_counts() -> None:
+    from pytest_twin.realization.features import reading
+
+    reads = {m for m in sys.modules if m.startswith(("pytest_twin.realization", DEPENDENCY))}
+    assert {reading.__name__, DEPENDENCY} <= reads
+    files = {Path(str(sys.modules[name].__file__)) for name in reads}
+    assert files <= set(reader_files())
+
+
 def forged(text: str) -> str:
     """An entry whose checksum holds and whose mass is another."""
     envelope = json.loads(text)
@@ -122,7 +132,7 @@ def test_reading_the_cache_imports_no_simulator(reader: Reader) -> None:
     script = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from pytest_twin.realization.feature_cache import features_of\n"
+        "from pytest_twin.realization.features.cache import features_of\n"
         "from pytest_twin.twin import load_twin\n"
         "def read(): raise SystemExit('read')\n"
         f"twin = load_twin(Path({str(reader.root / 'twin.yaml')!r}))\n"

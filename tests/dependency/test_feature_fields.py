@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.realization.feature_fields import (
+from pytest_twin.realization.features.fields import (
     CLAIMED,
     DERIVED,
     VISUAL,
     layer_of,
     model_fields,
 )
-from pytest_twin.realization.features import model_parts, model_structure
+from pytest_twin.realization.features.reading import model_parts, model_structure
 
 RICH = """
 <mujoco model="rich">

@@ -9,7 +9,7 @@ import mujoco
 import pytest
 
 from pytest_twin.dependency import Structure
-from pytest_twin.realization.features import model_parts, model_structure
+from pytest_twin.realization.features.reading import model_parts, model_structure
 
 TWO_ARMS = """
 <mujoco>

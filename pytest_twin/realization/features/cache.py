@@ -159,9 +159,12 @@ def _digests(paths: Iterable[Path]) -> dict[str, str] | None:
         return None
 
 
+def reader_files() -> tuple[Path, ...]:
+    """The code that reads a model: its change is a change of every entry."""
+    realization = Path(__file__).parents[1]
+    return (*sorted(realization.rglob("*.py")), realization.parent / "dependency.py")
+
+
 @cache
 def _reader() -> str:
-    """Digest of the code that reads a model: its change is a change of every entry."""
-    here = Path(__file__).parent
-    own = [*sorted(here.glob("*.py")), here.parent / "dependency.py"]
-    return bytes_sha256("".join(file_sha256(path) for path in own).encode())
+    return bytes_sha256("".join(file_sha256(path) for path in reader_files()).encode())

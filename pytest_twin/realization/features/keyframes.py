@@ -1,0 +1,43 @@
+"""States that a model gives a name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.realization.features.canonical import (
+    listed,
+    one_or_listed,
+)
+from pytest_twin.realization.features.elements import DOFS, QPOS, Elements
+
+
+def keyframe(elements: Elements, key: int) -> dict[str, Any]:
+    """State and commands by the names of joints and drives."""
+    model = elements.model
+    positions, velocities = {}, {}
+    for joint in range(model.njnt):
+        kind, name = elements.joint_type[joint], elements.joint[joint]
+        at, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        positions[name] = one_or_listed(np.round(model.key_qpos[key, at : at + QPOS[kind]], 12))
+        velocities[name] = one_or_listed(model.key_qvel[key, dof : dof + DOFS[kind]])
+    controls, activations = {}, {}
+    for actuator in range(model.nactuator):
+        at, count = model.actuator_ctrladr[actuator], model.actuator_ctrlnum[actuator]
+        controls[elements.actuator[actuator]] = one_or_listed(model.key_ctrl[key, at : at + count])
+        at, count = model.actuator_actadr[actuator], model.actuator_actnum[actuator]
+        if at >= 0:
+            activations[elements.actuator[actuator]] = one_or_listed(
+                model.key_act[key, at : at + count]
+            )
+    return {
+        "time [s]": float(model.key_time[key]),
+        "positions": positions,
+        "velocities": velocities,
+        "controls": controls,
+        "activations": activations,
+        "mocap positions": listed(model.key_mpos[key]),
+        "mocap quaternions": listed(model.key_mquat[key]),
+        "plastic state": listed(model.key_plastic[key]),
+    }

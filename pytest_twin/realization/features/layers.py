@@ -1,0 +1,78 @@
+"""The parts of a model, layer by layer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+
+from pytest_twin.realization.features import (
+    actuators,
+    bodies,
+    couplings,
+    keyframes,
+    sensors,
+    settings,
+    surfaces,
+)
+from pytest_twin.realization.features.canonical import (
+    listed,
+    value_of,
+)
+from pytest_twin.realization.features.elements import OBJ, Elements
+from pytest_twin.realization.features.fields import FLEX
+
+
+def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Part id, without a realization's name, -> what it holds.
+
+    Args:
+        model: compiled.
+        velocity_limit: joint -> rad/s or m/s, where the source states it.
+    """
+    elements = Elements(model)
+    found: dict[str, dict[str, Any]] = {}
+    for body in range(1, model.nbody):
+        found[f"kinematics:{elements.body[body]}"] = bodies.kinematics(elements, body)
+        found[f"inertia:{elements.body[body]}"] = bodies.inertia(elements, body)
+    for body in range(model.nbody):
+        if elements.geoms_of(body):
+            found[f"collision:{elements.body[body]}"] = surfaces.collision(elements, body)
+    for joint in range(model.njnt):
+        found[f"joint:{elements.joint[joint]}"] = bodies.joint(elements, joint)
+        found[f"limit:{elements.joint[joint]}"] = bodies.limit(elements, joint, velocity_limit)
+    for tree in range(model.ntree):
+        root = elements.body[int(model.tree_bodyadr[tree])]
+        found[f"tree:{root}"] = bodies.tree(elements, tree)
+    for mesh in sorted(surfaces.felt_data(elements, {"mesh", "sdf"})):
+        found[f"mesh:{elements.mesh[mesh]}"] = surfaces.mesh(elements, mesh)
+    for hfield in sorted(surfaces.felt_data(elements, {"hfield"})):
+        found[f"hfield:{elements.hfield[hfield]}"] = surfaces.hfield(elements, hfield)
+    for geom in range(model.ngeom):
+        name = mujoco.mj_id2name(model, OBJ.mjOBJ_GEOM, geom)
+        if name and not elements.felt[geom]:
+            found[f"geom:{name}"] = surfaces.seen(elements, geom)
+    found["contact:pairs"] = surfaces.pairs(elements)
+    found["contact:filter"] = surfaces.filtered(elements)
+    for coupling, value in couplings.couplings(elements):
+        # An equality and a tendon may bear one name.
+        found.setdefault(f"coupling:{coupling}", {}).update(value)
+    if model.nflex:
+        found["flex:all"] = {name: value_of(getattr(model, name)) for name in sorted(FLEX)}
+    for actuator in range(model.nactuator):
+        found[f"actuator:{elements.actuator[actuator]}"] = actuators.actuator(elements, actuator)
+    for site in range(model.nsite):
+        found[f"frame:{elements.site[site]}"] = sensors.site(elements, site)
+    for sensor in range(model.nsensor):
+        found[f"sensor:{elements.sensor[sensor]}"] = sensors.sensor(elements, sensor)
+    for key in range(model.nkey):
+        found[f"keyframe:{elements.key[key]}"] = keyframes.keyframe(elements, key)
+    found["option:gravity"] = {
+        "gravity [m/s^2]": listed(model.opt.gravity),
+        "disabled": bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY),
+    }
+    found["option:integration"] = settings.options(elements)
+    found["custom"] = settings.custom(elements)
+    found["other"] = settings.other(elements)
+    return found

@@ -1,0 +1,90 @@
+"""The parts of a realization and how they hang together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+
+from pytest_twin.dependency import Part, Structure
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.realization.features.canonical import (
+    value_of,
+)
+from pytest_twin.realization.features.layers import layers
+from pytest_twin.realization.features.structure import structure_of
+
+if TYPE_CHECKING:
+    from pytest_twin.realization.model import Realization
+
+
+def parts(realization: Realization) -> dict[str, Part]:
+    """Part id -> part of a realization, ids with the realization's name in front."""
+    found = model_parts(realization.model, realization.name, realization.velocity_limit)
+    more = {"additions": additions(realization.spec)}
+    if realization.source.effects is not None:
+        more["effects"] = {"sha256": file_sha256(realization.source.effects)}
+    idents = ((f"{realization.name}/{key}", content) for key, content in more.items())
+    return {**found, **{ident: Part(ident, content) for ident, content in idents}}
+
+
+def structure(realization: Realization) -> Structure:
+    """How a realization hangs together."""
+    return model_structure(realization.model, realization.name, realization.parts)
+
+
+def model_parts(
+    model: mujoco.MjModel, name: str, velocity_limit: Mapping[str, float] | None = None
+) -> dict[str, Part]:
+    """Part id -> part of a compiled model.
+
+    Args:
+        model: the model.
+        name: the realization's name, in front of every id.
+        velocity_limit: joint -> rad/s or m/s, where the source states it.
+    """
+    content = layers(model, velocity_limit or {})
+    return {f"{name}/{key}": Part(f"{name}/{key}", value) for key, value in content.items()}
+
+
+def model_structure(model: mujoco.MjModel, name: str, part_ids: Iterable[str]) -> Structure:
+    """How a compiled model hangs together; ``part_ids`` as :func:`model_parts` gives them."""
+    return structure_of(model, name, frozenset(part_ids))
+
+
+def additions(spec: mujoco.MjSpec) -> dict[str, Any]:
+    """What a body that is added to a scene, or a payload, would get from this model's file.
+
+    The main default class and the compiler's bounds leave no trace in what is compiled already.
+    """
+    probe = spec.copy()
+    geom = probe.worldbody.add_body().add_geom()
+    content = {
+        f"geom {name}": value_of(getattr(geom, name))
+        for name in (
+            "contype",
+            "conaffinity",
+            "condim",
+            "priority",
+            "friction",
+            "solmix",
+            "solref",
+            "solimp",
+            "margin",
+            "gap",
+            "adhesion",
+            "surfacevel",
+            "density",
+            "mass",
+            "typeinertia",
+            "fluid_ellipsoid",
+            "fluid_coefs",
+            "size",
+            "pos",
+            "quat",
+        )
+    }
+    bounds = ("boundmass", "boundinertia", "balanceinertia", "settotalmass", "inertiafromgeom")
+    layout = ("inertiagrouprange", "fusestatic", "alignfree", "autolimits", "discardvisual")
+    return content | {name: value_of(getattr(spec.compiler, name)) for name in (*bounds, *layout)}
