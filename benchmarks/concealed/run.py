@@ -1,8 +1,9 @@
-"""Diagnose blind cases, each in a process that is given the case folder alone.
+"""Diagnose blind cases, each in a process that can read the case folder alone.
 
     python benchmarks/concealed/run.py --cases DIR --out DIR [--seconds 600] [--jobs 2]
 
-Writes DIR/<case>/diagnosis.json and what the command printed; the truth is nowhere in reach of it.
+Writes DIR/<case>/diagnosis.json and what the command printed. Where the kernel can, it keeps every
+other file from it (``confine.py``); what was said says whether it did.
 Each case has a core to itself, so that its wall time can be held against the engine's. Goes on
 where it stopped. The order has nothing to do with what is hidden: wherever it stops, what has been
 run is a sample of all.
@@ -14,6 +15,7 @@ import argparse
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import time
@@ -22,27 +24,43 @@ from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 
+from confine import confinable
+
+CONFINE = Path(__file__).with_name("confine.py")
+
 
 def diagnose(case: Path, out: Path, seconds: float, core: int | None = None) -> dict[str, object]:
     """Run the command on one case, on one core or all; its status, wall time and last words."""
-    case, out = case.resolve(), out.resolve()  # the command runs in the folder of the case
-    recordings = sorted(str(path) for path in (case / "recordings").glob("*.mcap"))
+    case, out = case.resolve(), out.resolve()
+    box = out.with_name(f"{out.name}.box")
+    shutil.rmtree(box, ignore_errors=True)
+    box.mkdir(parents=True)
+    confined = confinable()
     command = [
         *(() if core is None else ("taskset", "--cpu-list", str(core))),
+        *((sys.executable, str(CONFINE), "--read", str(case), "--write", str(box), "--")
+          if confined else ()),
         str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(case / "model.xml"),
-        *recordings, "--out", str(out),
+        *sorted(str(path) for path in (case / "recordings").glob("*.mcap")),
+        "--out", str(box / "said"),
     ]  # fmt: skip
+    told: dict[str, object] = {"case": case.name, "confined": confined}
+    environment = {**os.environ, "TMPDIR": str(box), "HOME": str(box)}
     start = time.perf_counter()
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, cwd=case)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=seconds, cwd=case, env=environment
+        )
     except subprocess.TimeoutExpired:
-        return {"case": case.name, "status": "timeout", "seconds": seconds}
-    return {
-        "case": case.name,
-        "status": done.returncode,
-        "seconds": time.perf_counter() - start,
-        "stderr": done.stderr[-2000:],
-    }
+        return {**told, "status": "timeout", "seconds": seconds}
+    else:
+        taken = time.perf_counter() - start
+        if (box / "said").exists():
+            shutil.rmtree(out, ignore_errors=True)
+            (box / "said").rename(out)
+    finally:
+        shutil.rmtree(box, ignore_errors=True)
+    return {**told, "status": done.returncode, "seconds": taken, "stderr": done.stderr[-2000:]}
 
 
 def answer(case: Path, out: Path, seconds: float, cores: SimpleQueue[int]) -> None:

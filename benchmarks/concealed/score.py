@@ -379,9 +379,11 @@ def report(cases: list[Case], checked: str) -> str:
     """Everything, as Markdown."""
     none = sum(c.said is None for c in cases)
     faint = sum(len(c.hidden) - len(c.visible) for c in cases)
+    confined = sum(bool(c.run.get("confined")) for c in cases)
     parts = [
         f"{len(cases)} cases, {none} without a result; {faint} hidden effects below the sensors' "
-        f"noise. {checked}", "", *figures(cases), *cost(cases), "By what is hidden:", "",
+        f"noise. {checked} Kept by the kernel from every file but the case's and the programs': "
+        f"{confined} of {len(cases)}.", "", *figures(cases), *cost(cases), "By what is hidden:", "",
         *kinds(cases), "Outside the catalogue:", "", *outsiders(cases),
         "What was said of each effect, alone or beside others:", "", *by_effect(cases),
         "The same as a matrix:", "", *matrix_table(cases),
