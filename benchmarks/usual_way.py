@@ -1,13 +1,15 @@
 """What parameter fitting alone does on blind cases: mujoco.sysid beside the diagnosis.
 
     pip install 'pytest-twin[benchmarks]'
-    python benchmarks/usual_way.py --cases DIR --results DIR [--truth DIR] --out DIR
+    python benchmarks/usual_way.py --cases DIR --results DIR [--truth DIR] --out FILE [--jobs 2]
     python benchmarks/usual_way.py --delay DIR
 
 For each case mujoco.sysid fits damping, armature, dry friction and servo gains of every joint to
 the recordings that the diagnosis fits, from the same initial states. Both are then judged on the
 held-out recordings by the same measure: root mean square of position, joint by joint, under
-effort commands in the windows of the diagnosis. ``--results`` is what run.py wrote.
+effort commands in the windows of the diagnosis. ``--results`` is what run.py wrote. FILE gets a
+line of JSON for every case; what it has is not fitted again. The order has nothing to do with what
+is hidden.
 
 ``--delay`` writes recordings of one servo whose commands arrive 20 ms late, and prints what both
 say of it.
@@ -18,10 +20,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import random
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -202,16 +207,24 @@ def fit(
     return spec.to_xml(), {"parameters": told, "seconds": seconds}
 
 
-def usual(case: Path, out: Path, iterations: int, *, gains: bool = True) -> dict[str, Any]:
-    """mujoco.sysid on one case: held-out errors before and after, rad or m."""
+def usual(case: Path, iterations: int, *, gains: bool = True) -> dict[str, Any]:
+    """mujoco.sysid on one case: held-out errors before and after, rad or m; infinite after where
+    the fit itself breaks.
+    """
     recordings = sorted((case / "recordings").glob("*.mcap"))
     problem, _ = read_case(case / "model.xml", recordings)
     before = held_out_rms(problem)
     floor = dict(zip(problem.joints, problem.floor.tolist(), strict=True))
-    xml, told = fit(case / "model.xml", problem, iterations, gains=gains)
-    fitted = out / f"{case.name}.xml"
-    fitted.write_text(xml)
-    after = held_out_rms(read_case(fitted, recordings)[0])
+    try:
+        xml, told = fit(case / "model.xml", problem, iterations, gains=gains)
+    except (ValueError, RuntimeError, np.linalg.LinAlgError, mujoco.FatalError) as error:
+        told = {"parameters": {}, "broke": " ".join(str(error).split())}
+        after = dict.fromkeys(before, np.inf)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            fitted = Path(folder) / "model.xml"
+            fitted.write_text(xml)
+            after = held_out_rms(read_case(fitted, recordings)[0])
     held_out = {
         j: {"rms_before": before[j], "rms_after": after[j], "floor": floor[j]} for j in before
     }
@@ -240,6 +253,26 @@ def worst(held_out: dict[str, dict[str, float]]) -> str:
     return f"{joint['rms_before']:.2g} -> {joint['rms_after']:.2g} ({joint['floor']:.1g})"
 
 
+def fit_all(cases: list[Path], out: Path, iterations: int, jobs: int) -> None:
+    """Append a line for each case, so many at the same time."""
+    with ProcessPoolExecutor(jobs) as pool:
+        running = {pool.submit(usual, case, iterations): case for case in cases}
+        try:
+            for done in as_completed(running):
+                with out.open("a") as file:
+                    file.write(json.dumps(done.result()) + "\n")
+                print(running[done].name, file=sys.stderr, flush=True)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def lines_of(file: Path) -> list[dict[str, Any]]:
+    """What a file holds, by case."""
+    told = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    return sorted(told, key=lambda t: str(t["case"]))
+
+
 def table(fitted: Path, results: Path, truth: Path | None) -> list[str]:
     """Case by case, then the medians."""
     lines = [
@@ -248,8 +281,7 @@ def table(fitted: Path, results: Path, truth: Path | None) -> list[str]:
     ]
     shares: list[tuple[float, float]] = []
     of_effect: dict[str, list[tuple[float, float]]] = {}
-    for path in sorted(fitted.glob("*.json")):
-        mine = json.loads(path.read_text())
+    for mine in lines_of(fitted):
         diagnosed = results / mine["case"] / "diagnosis.json"
         hidden = "-"
         if truth is not None:
@@ -354,7 +386,7 @@ def delay_example(out: Path) -> None:
         late_servo(recordings / f"{i}_multisine.mcap", role, seed=i)
     # The gain is the firmware's own; without gravity, inertia and gain would only be known
     # as their ratio.
-    told = usual(out, out, 30, gains=False)
+    told = usual(out, 30, gains=False)
     print(f"true: commands arrive {DELAY * 1e3:.0f} ms late; damping {DAMPING} N*m*s/rad")
     print("mujoco.sysid:")
     for name, p in told["parameters"].items():
@@ -392,19 +424,16 @@ def main() -> None:
     parser.add_argument("--results", type=Path, help="what run.py wrote")
     parser.add_argument("--truth", type=Path, help="to name what is hidden")
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--iterations", type=int, default=10)
+    parser.add_argument("--iterations", type=int, default=8)
+    parser.add_argument("--jobs", type=int, default=2, help="cases at the same time")
     args = parser.parse_args()
     if args.delay is not None:
         delay_example(args.delay)
         return
-    args.out.mkdir(parents=True, exist_ok=True)
-    for case in sorted(p for p in args.cases.iterdir() if p.is_dir()):
-        result = args.out / f"{case.name}.json"
-        if result.exists():
-            continue
-        told = usual(case, args.out, args.iterations)
-        result.write_text(json.dumps(told, indent=1) + "\n")
-        print(case.name, f"{told['seconds']:.0f} s", file=sys.stderr, flush=True)
+    known = {told["case"] for told in lines_of(args.out)}
+    left = [p for p in sorted(args.cases.iterdir()) if p.is_dir() and p.name not in known]
+    random.Random(0).shuffle(left)
+    fit_all(left, args.out, args.iterations, args.jobs)
     print("\n".join(table(args.out, args.results, args.truth)))
 
 
