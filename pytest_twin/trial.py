@@ -99,6 +99,11 @@ class Trial:
     marks: tuple[Mark, ...] = ()
 
     @property
+    def conditions(self) -> Mapping[str, str]:
+        """What it says of itself: its metadata without its role."""
+        return {key: value for key, value in self.metadata.items() if key != "role"}
+
+    @property
     def stamps(self) -> NDArray[np.int64]:
         """(n,) absolute state stamps, ns."""
         return self.start + np.rint(self.time * 1e9).astype(np.int64)

@@ -12,8 +12,8 @@ import numpy as np
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
-from pytest_twin.diagnosis.patched.replay import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.replay import without_delays
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Selected
@@ -147,8 +147,7 @@ def diagnose(
     if inherited is not None:
         realization = without_delays(realization, inherited)
     progress(0.02)
-    fixed = () if inherited is None else stepped_beside(inherited)
-    prepared, trials = pose(realization, trials, fixed, threads, notes)
+    prepared, trials = pose(realization, trials, inherited, threads, notes)
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
@@ -166,7 +165,7 @@ def diagnose(
         found = search(prepared, trials, Selection(prepared.problem, say))
         problems = [prepared.problem]
         if found.astray:
-            found, windowed = _windowed(found, realization, fixed, threads, say, notes)
+            found, windowed = _windowed(found, realization, inherited, threads, say, notes)
             problems.append(windowed)
     progress(0.9)
     notes += found.explained.notes
@@ -183,7 +182,7 @@ def diagnose(
 def _windowed(
     found: Searched,
     realization: Realization,
-    fixed: tuple[AppliedEffect, ...],
+    inherited: Patched | None,
     threads: int,
     say: Callable[[str], None],
     notes: list[str],
@@ -191,7 +190,7 @@ def _windowed(
     """What explains most: whole motions, windows of them, or whole motions by what windows found;
     and the problem in windows.
     """
-    cut, kept = pose(realization, found.trials, fixed, threads, [], window=WINDOW)
+    cut, kept = pose(realization, found.trials, inherited, threads, [], window=WINDOW)
     other = confirmed(cut, kept, found, say)
     if other is None:
         other = search(cut, kept, Selection(cut.problem, say, _CLEAR))

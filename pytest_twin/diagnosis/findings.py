@@ -142,7 +142,7 @@ def explain(
             confidence = 0.0
         if not len(problem.held_out):
             confidence = min(confidence, _UNTESTED)
-        if hypothesis.at_bound(term) or hypothesis.out_of_shape(term):
+        if hypothesis.at_bound(term) or problem.out_of_shape(hypothesis, term):
             confidence = min(confidence, _BOUNDED)
             pruned.notes.append(
                 f"{label(problem, term)}: a parameter stands at its physical bound; something "

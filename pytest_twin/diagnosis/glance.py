@@ -172,7 +172,7 @@ def _prepared(
 ) -> Prepared:
     if patched is None:
         return prepare(realization, fit, aside)
-    prepared = prepare(without_delays(realization, patched), fit, aside)
+    prepared = prepare(without_delays(realization, patched), fit, aside, coldness=patched.coldness)
     problem = prepared.problem
     problem.simulator.fixed = fixed_values(stepped_beside(patched), problem.joints, 1)
     if problem.refined is not None:

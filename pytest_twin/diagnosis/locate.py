@@ -8,7 +8,7 @@ deviations, and held against what the sensors' noise alone would give.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -35,6 +35,8 @@ _LIFT, _SHARE = 1.5, 0.45
 _EDGES = 33
 # A slice whose ends were searched fits better by that alone.
 _SEARCHED = 0.8
+# Values of one condition that are slices; more are names of recordings.
+_MOST_VALUES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,7 @@ class Motion:
         load: (n, joints) N*m or N, effort that the rigid bodies ask for.
         command_rate: (n, joints) of the command, per s.
         touching: (n,) whether the robot is at a surface; None where there is none.
+        conditions: what the recording says of itself: payload, controller, temperature, any ID.
     """
 
     name: str
@@ -71,18 +74,19 @@ class Motion:
     load: FloatArray
     command_rate: FloatArray
     touching: NDArray[np.bool_] | None = None
+    conditions: Mapping[str, str] = field(default_factory=dict)
 
 
 def motions(prepared: Prepared, trials: Sequence[Trial]) -> list[Motion]:
     """Every segment's smoothed motion, in the problem's order."""
     problem = prepared.problem
     return [
-        _motion(problem, segment, trials[owner].path.name)
+        _motion(problem, segment, trials[owner])
         for segment, owner in zip(problem.simulator.segments, prepared.segment_trial, strict=True)
     ]
 
 
-def _motion(problem: Problem, segment: Segment, name: str) -> Motion:
+def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
     q, v, a = derivatives(segment.time, segment.position)
     simulator, model = problem.simulator, segment.model
     contact = simulator.models.contact
@@ -110,7 +114,10 @@ def _motion(problem: Problem, segment: Segment, name: str) -> Motion:
     command = np.nan_to_num(segment.command[np.maximum(held, 0)])
     _, rate, _ = derivatives(segment.time, command)
     touches = np.interp(segment.time, segment.time[at], close) > 0.5
-    return Motion(name, segment.time, q, v, a, load, rate, touches if contact.world.size else None)
+    return Motion(
+        trial.path.name, segment.time, q, v, a, load, rate,
+        touches if contact.world.size else None, trial.conditions,
+    )  # fmt: skip
 
 
 def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
@@ -193,7 +200,9 @@ def _span(values: FloatArray, blame: FloatArray) -> tuple[float, float]:
 
 
 def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Slices of the motion: by speed, reversal, direction, acceleration, pose, load, time."""
+    """Slices of the motion: by speed, reversal, direction, acceleration, pose, load, time, contact,
+    and by what differs between recordings (temperature, payload, controller, any ID).
+    """
 
     def column(name: str) -> FloatArray:
         return np.concatenate([getattr(m, name)[:, joint] for m in paths])
@@ -233,6 +242,23 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
         at_surface = np.concatenate([m.touching for m in paths if m.touching is not None])
         words = f"in contact, or within {1e3 * _TOUCHING:.0f} mm of it"
         found += [(words, at_surface), ("without contact", ~at_surface)]
+    return found + _conditions(paths)
+
+
+def _conditions(paths: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
+    """Slices by what recordings say of themselves, where several say the same or few differ."""
+    recordings = {m.name: m.conditions for m in paths}
+    found = []
+    for key in sorted({k for c in recordings.values() for k in c}):
+        given = [c.get(key) for c in recordings.values()]
+        values = {v for v in given if v is not None}
+        if len(set(given)) < 2 or len(values) > _MOST_VALUES:
+            continue
+        for value in sorted(values):
+            mask = np.concatenate(
+                [np.full(len(m.time), m.conditions.get(key) == value) for m in paths]
+            )
+            found.append((f"{key} {value}", mask))
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ from pytest_twin.diagnosis.problem import (
     nominal_replay,
 )
 from pytest_twin.diagnosis.start import Starts, free_starts
+from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
 from pytest_twin.diagnosis.windows import WINDOW, segments_of, start_width
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
@@ -47,11 +49,13 @@ class Prepared:
         problem: to explain.
         segment_trial: trial index of each segment.
         floor_parts: name of a source -> (joints,) deviations, SI units.
+        coldness: temperatures of the trials, where they tell something.
     """
 
     problem: Problem
     segment_trial: tuple[int, ...]
     floor_parts: dict[str, FloatArray]
+    coldness: Coldness
 
 
 def prepare(
@@ -61,6 +65,7 @@ def prepare(
     *,
     threads: int = 0,
     window: float | None = None,
+    coldness: Coldness = MappingProxyType({}),
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
@@ -70,6 +75,7 @@ def prepare(
         threads: of the simulation; 0 for all.
         window: s, that motions are cut into, halved where they are too wild for it; by default
             those under effort commands alone.
+        coldness: by temperature, as an earlier diagnosis had it; by default the trials tell.
 
     Raises:
         RecordingError: no joint that the model and every recording share.
@@ -77,10 +83,12 @@ def prepare(
     """
     trials = [*fit, *held_out]
     joints = _shared_joints(realization, trials)
+    coldness = coldness or coldness_of(trials)
     segments: list[Segment] = []
     owner: list[int] = []
     for i, trial in enumerate(trials):
-        made = segments_of(realization, trial, i, joints, window)
+        cold = coldness_in(coldness, trial)
+        made = segments_of(realization, trial, i, joints, window, cold)
         segments += made
         owner += [i] * len(made)
     simulator = RowSimulator(segments, joints, threads=threads)
@@ -114,7 +122,8 @@ def prepare(
     steps = discretization(problem)
     allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
     if window in (None, WINDOW) and _too_wild(segments, steps, allowed):
-        return prepare(realization, fit, held_out, threads=threads, window=0.5 * WINDOW)
+        half = 0.5 * WINDOW
+        return prepare(realization, fit, held_out, threads=threads, window=half, coldness=coldness)
     if segments[0].mode == "effort":
         problem.step_left = _LEFT_OF_JUMPS
     elif simulator.models.contact.world.size:
@@ -135,7 +144,7 @@ def prepare(
             }
         _trust_efforts(problem, effort_floor, jumps)
     parts = {NOISE: noise, "discretization of the simulator": steps}
-    return Prepared(problem, tuple(owner), parts)
+    return Prepared(problem, tuple(owner), parts, coldness)
 
 
 def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.start import FreeStart, Starts
+from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment
@@ -95,6 +96,22 @@ class Problem:
     def stepped(self) -> int:
         """Steps that were simulated so far."""
         return self.simulator.stepped + (0 if self.refined is None else self.refined.stepped)
+
+    def out_of_shape(self, hypothesis: Hypothesis, term: Term) -> bool:
+        """Whether a law stands for something else, as :meth:`Hypothesis.out_of_shape` has it.
+
+        Where trials differ in temperature, what depends on it need not warm up within one of them.
+        """
+        lasts = catalogue()[term.effect].asks_temperature and self.differ_in_temperature
+        values = hypothesis.theta[hypothesis.slice_of(term)]
+        shapes = [v for p, v in zip(term.parameters, values, strict=True) if p.neutral is None]
+        longest = [p.upper for p in term.parameters if p.neutral is None]
+        return hypothesis.out_of_shape(term) and not (lasts and shapes == longest)
+
+    @property
+    def differ_in_temperature(self) -> bool:
+        """Whether some trials were colder than others, by what they say."""
+        return len({s.coldness for s in self.simulator.segments}) > 1
 
     def predict(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]

@@ -9,8 +9,8 @@ import numpy as np
 
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
-from pytest_twin.diagnosis.patched.model import AppliedEffect
-from pytest_twin.diagnosis.patched.replay import fixed_values
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.replay import fixed_values, stepped_beside
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
@@ -145,18 +145,31 @@ def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: 
 def pose(
     realization: Realization,
     trials: TrialSet,
-    fixed: tuple[AppliedEffect, ...],
+    inherited: Patched | None,
     threads: int,
     notes: list[str],
     window: float | None = None,
 ) -> tuple[Prepared, TrialSet]:
     """The problem, without recordings on which the model itself diverges.
 
+    Args:
+        realization: the model as it came.
+        trials: what was recorded.
+        inherited: effects beside the model, where an earlier diagnosis wrote it.
+        threads: of the batches, 0 for all cores.
+        notes: gets what was left out.
+        window: s, as :func:`~pytest_twin.diagnosis.prepare.prepare` has it.
+
     Raises:
         SimulationError: it diverges on all of them.
     """
+    fixed = () if inherited is None else stepped_beside(inherited)
+    coldness = {} if inherited is None else inherited.coldness
     while True:
-        prepared = prepare(realization, trials.fit, trials.held_out, threads=threads, window=window)
+        prepared = prepare(
+            realization, trials.fit, trials.held_out,
+            threads=threads, window=window, coldness=coldness,
+        )  # fmt: skip
         problem = prepared.problem
         if fixed:
             problem.simulator.fixed = fixed_values(fixed, problem.joints, 1)

@@ -37,6 +37,7 @@ def segments_of(
     index: int,
     joints: Sequence[str],
     window: float | None = None,
+    coldness: float = 1.0,
 ) -> list[Segment]:
     """A trial in the model's terms: one segment, or short windows.
 
@@ -46,6 +47,7 @@ def segments_of(
         index: of the trial, kept in its segments.
         joints: columns; all are in the trial.
         window: s; by default effort commands have :data:`WINDOW`, others none.
+        coldness: of the trial, as its segments have it.
 
     Raises:
         SpecError: a controller or payload that the model lacks.
@@ -70,6 +72,7 @@ def segments_of(
         "mode": trial.command_mode,
         "command_time": trial.command_time[ascending],
         "command": command[ascending],
+        "coldness": coldness,
     }
     if window is None and trial.command_mode != "effort":
         first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])

@@ -135,6 +135,7 @@ class World:
             there the link has no armature, damping, dry friction or drive of its own. The last is
             effort that always acts on the motor, N*m or N.
         link_inertia: least that a link puts against its gear, kg*m^2 or kg.
+        coldness: (rows,) of the trial: 1 in the coldest, 0 in the warmest.
         motor: its side of the gears; None where all are rigid.
         state: memory of effects between steps, by effect id.
     """
@@ -159,6 +160,7 @@ class World:
     motor_damping: FloatArray
     motor_constant: FloatArray
     link_inertia: FloatArray
+    coldness: FloatArray = field(default_factory=lambda: np.ones(1))
     motor: MotorSide | None = None
     state: dict[str, Any] = field(default_factory=dict)
 
@@ -220,6 +222,7 @@ class Effect:
         remembers_path: whether what its ``force`` keeps fades with the way that the joint goes, not
             with time.
         reads_other_joints: whether a hook of a joint reads what another joint's drive does.
+        asks_temperature: whether a hook reads how cold a trial is.
     """
 
     id: ClassVar[str]
@@ -234,6 +237,7 @@ class Effect:
     remembers: ClassVar[bool] = False
     remembers_path: ClassVar[bool] = False
     reads_other_joints: ClassVar[bool] = False
+    asks_temperature: ClassVar[bool] = False
 
     def overrides(self, *hooks: str) -> bool:
         """Whether any of these hooks does anything."""

@@ -180,17 +180,21 @@ class PreslidingHysteresis(_DryFriction):
 
 
 class ThermalFriction(_DryFriction):
-    """Friction that falls as the gear warms up in use."""
+    """Friction that falls as the gear warms up in use, and in a warmer room."""
 
     id = "thermal_friction"
     family = "friction"
     level = "excess"
-    law = "level = dry friction + excess exp(-t / warm_up_time)"
+    law = (
+        "level = dry friction + excess coldness exp(-t / warm_up_time), coldness 1 in the coldest "
+        "trials (metadata temperature), 0 in the warmest, 1 where no temperatures are told"
+    )
     source = "Bittencourt, Axelsson, J. Dyn. Syst. Meas. Control 136 (2014)"
     parameters = (
         Parameter("excess", "effort", 0.0, -5.0, 5.0, (0.2,), "effort"),
         Parameter("warm_up_time", "time", None, 0.5, 1000.0, (2.0, 5.0, 12.0, 40.0)),
     )
+    asks_temperature = True
     confused_with: ClassVar = {
         "coulomb_friction": "the same motion cold and warm",
         "external_force": "the same motion twice, with a pause",
@@ -198,7 +202,7 @@ class ThermalFriction(_DryFriction):
 
     def friction(self, world: World, values: Values) -> None:
         warm = np.maximum(values["warm_up_time"], 1e-6)
-        cold = np.exp(-world.time[:, None] / warm)
+        cold = world.coldness[:, None] * np.exp(-world.time[:, None] / warm)
         world.friction_level = world.friction_level + values["excess"] * cold
 
 

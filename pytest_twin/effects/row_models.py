@@ -24,7 +24,7 @@ from pytest_twin.effects.segment import Segment
 OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
-    "motor_constant", "link_inertia",
+    "motor_constant", "link_inertia", "coldness",
 )  # fmt: skip
 """What of a world has a row for each simulation."""
 
@@ -169,6 +169,7 @@ class RowModels:
             motor_damping=np.zeros(count),
             motor_constant=np.zeros(count),
             link_inertia=np.full(count, np.inf),
+            coldness=np.array([self.segments[r].coldness for r in segments]),
         )
         world.gain[:, layout.bare] = 1.0
         for i, m in enumerate(models):

@@ -29,6 +29,7 @@ class Segment:
             positions and velocities of the whole trial, smoothed.
         motor_shift: (joints,) rad or m by which motors behind gears that give start elsewhere than
             where they would carry their links at rest, or where their windows' lead brought them.
+        coldness: 1 in the coldest trial, 0 in the warmest; 1 where nobody says.
     """
 
     trial: int
@@ -45,6 +46,7 @@ class Segment:
     initial_velocity: FloatArray
     history: tuple[FloatArray, FloatArray, FloatArray] | None = None
     motor_shift: FloatArray | None = None
+    coldness: float = 1.0
 
     @property
     def amid(self) -> bool:

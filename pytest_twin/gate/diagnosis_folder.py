@@ -53,6 +53,7 @@ def write_diagnosis(
             found.prepared.problem,
             found.explained.hypothesis,
             inherited,
+            found.prepared.coldness,
         )
     said = found.to_json(realization=f"{REALIZATION}/")
     atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")

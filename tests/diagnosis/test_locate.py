@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -147,3 +148,23 @@ def test_a_push_is_located_at_the_joint_that_is_pushed(tmp_path: Path, cause: in
     pushed = (time > 1.3) & (time < 1.6)
     assert np.median(found.force[pushed, cause]) == pytest.approx(1.5, rel=0.15)
     assert np.abs(np.median(found.force[pushed, other])) < 0.25
+
+
+def test_recordings_are_sliced_by_what_they_say_of_themselves() -> None:
+    """Blame in the warm ones is called so; what all have in common, or each alone, is no slice."""
+    time = np.arange(0.0, 4.0, 0.01)
+    paths = [
+        replace(
+            motion(time, 0.2 * np.sin(5.0 * time + k), f"{k}.mcap"),
+            conditions={"temperature": "cold" if k % 2 else "warm", "robot": "a", "run": str(k)},
+        )
+        for k in range(8)
+    ]
+    slices = {text: mask for text, mask in regimes(paths, 0, "rad") if " within " not in text}
+    told = {text for text in slices if text.startswith(("temperature", "robot", "run"))}
+    assert told == {"temperature cold", "temperature warm"}
+    warm = np.concatenate([np.full(len(time), k % 2 == 0) for k in range(8)])
+    assert (slices["temperature warm"] == warm).all()
+    assert place_of(paths, 0.01 + warm, 0, "rad").summary == (
+        "temperature warm: 99 % of it in 50 % of the time"
+    )

@@ -6,6 +6,7 @@ Nothing here comes from the package but the writer of recordings. The equations 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,7 @@ def swing(
     delay: float = 0.0,
     viscous: float = 0.0,
     lag: float = 0.0,
+    dry: float = 0.0,
     joint: int = 0,
 ) -> np.ndarray:
     """(steps, joints) rad under (steps, joints) setpoints; what is hidden acts on one joint."""
@@ -64,6 +66,8 @@ def swing(
     damping[joint] += viscous
     keep = np.zeros(joints)
     keep[joint] = np.exp(-STEP / lag) if lag else 0.0
+    level = np.zeros(joints)
+    level[joint] = dry
     given = np.zeros(joints)
     q, v = np.zeros(joints), np.zeros(joints)
     out = np.empty_like(wanted)
@@ -75,6 +79,7 @@ def swing(
         given = asked + keep * (given - asked)
         effort = given - damping * v + MASS * 9.81 * LENGTH * np.sin(q)
         v = v + STEP * effort / inertia
+        v = np.sign(v) * np.maximum(np.abs(v) - STEP * level / inertia, 0.0)
         q = q + STEP * v
     return out
 
@@ -87,6 +92,7 @@ def record(
     seconds: float = 2.2,
     joints: tuple[str, ...] = JOINTS,
     noise: float = 1e-4,
+    told: Mapping[str, str] | None = None,
     **hidden: float,
 ) -> Path:
     """Write one recording: commands at 100 Hz, positions at 200 Hz with noise."""
@@ -95,7 +101,7 @@ def record(
     rng = np.random.default_rng([seed, 1])
     sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
     measured = moved[seen] + noise * rng.standard_normal((len(seen), len(joints)))
-    write(path, joints, sent * STEP, wanted[sent], seen * STEP, measured, role)
+    write(path, joints, sent * STEP, wanted[sent], seen * STEP, measured, role, told=told)
     return path
 
 
@@ -108,6 +114,7 @@ def write(
     seen: np.ndarray,
     role: str | None = None,
     velocity: np.ndarray | None = None,
+    told: Mapping[str, str] | None = None,
 ) -> None:
     """Write commands and states, times in s."""
 
@@ -124,7 +131,7 @@ def write(
                 "/joint_states", joints, stamps(seen_at), stamps(seen_at), seen, velocity, None
             ),
         ],
-        {} if role is None else {"role": role},
+        {**({} if role is None else {"role": role}), **(told or {})},
     )
 
 

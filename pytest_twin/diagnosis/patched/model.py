@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError
 from pytest_twin.realization import Realization
@@ -43,10 +44,12 @@ class Patched:
     Attributes:
         joints: columns that laws act on, in order.
         effects: all, those in the model too.
+        coldness: of trials by their temperature, where an effect asks for it.
     """
 
     joints: tuple[str, ...]
     effects: tuple[AppliedEffect, ...] = field(default=())
+    coldness: Coldness = field(default_factory=dict)
 
     @property
     def beside(self) -> tuple[AppliedEffect, ...]:
@@ -70,6 +73,7 @@ def effects_json(patched: Patched) -> dict[str, Any]:
     return {
         "schema": 1,
         "joints": list(patched.joints),
+        **({"coldness": dict(patched.coldness)} if patched.coldness else {}),
         "effects": [
             {
                 "effect": e.effect,
@@ -110,6 +114,11 @@ def read_effects(path: Path) -> Patched:
         "joints",
         "names of joints",
     )
+    coldness = data.get("coldness", {})
+    need(isinstance(coldness, dict) and len(coldness) <= _MAX_EFFECTS, "coldness", "a table")
+    for temperature, value in coldness.items():
+        need(_finite(value), f"coldness.{temperature}", "a finite number", value)
+    need(not coldness or len(set(coldness.values())) > 1, "coldness", "temperatures that differ")
     listed = data.get("effects")
     need(isinstance(listed, list) and len(listed) <= _MAX_EFFECTS, "effects", "a list")
     found = []
@@ -125,11 +134,14 @@ def read_effects(path: Path) -> Patched:
         known = {p.name for p in catalogue()[name].parameters}
         need(isinstance(values, dict) and set(values) <= known, f"{here}.values", str(known))
         for key, value in values.items():
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            need(number and math.isfinite(value), f"{here}.values.{key}", "a finite number", value)
+            need(_finite(value), f"{here}.values.{key}", "a finite number", value)
         if not item["in_model"]:
             need(set(values) == known, f"{here}.values", str(known))
         found.append(
             AppliedEffect(name, joint, {k: float(v) for k, v in values.items()}, item["in_model"])
         )
-    return Patched(tuple(joints), tuple(found))
+    return Patched(tuple(joints), tuple(found), {k: float(v) for k, v in coldness.items()})
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

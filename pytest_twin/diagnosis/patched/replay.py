@@ -10,6 +10,7 @@ import numpy as np
 
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
+from pytest_twin.diagnosis.temperature import coldness_in
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import EffectValues
@@ -104,7 +105,8 @@ def replay_patched(
         Columns are ``patched.joints``, rows the trials' own states.
 
     Raises:
-        RecordingError: a joint that the effects act on is not in a recording.
+        RecordingError: a joint that the effects act on is not in a recording, or a temperature that
+            they depend on.
         SimulationError: a simulation diverged.
     """
     stepped = without_delays(realization, patched)
@@ -118,7 +120,8 @@ def replay_patched(
                 value=", ".join(missing),
                 expected=", ".join(patched.joints),
             )
-        segment = whole_segment(stepped, trial, patched.joints)
+        cold = coldness_in(patched.coldness, trial)
+        segment = whole_segment(stepped, trial, patched.joints, cold)
         predicted = _predict(segment, patched, threads)
         if not np.isfinite(predicted.position).all():
             raise SimulationError("the simulation diverged", path=trial.path)
@@ -198,9 +201,11 @@ def _as_measured(
     )
 
 
-def whole_segment(realization: Realization, trial: Trial, joints: Sequence[str]) -> Segment:
+def whole_segment(
+    realization: Realization, trial: Trial, joints: Sequence[str], coldness: float
+) -> Segment:
     """One segment from the first state of a trial to its last."""
-    parts = segments_of(realization, trial, 0, joints)
+    parts = segments_of(realization, trial, 0, joints, coldness=coldness)
     if len(parts) == 1:
         return parts[0]
     kept = [np.concatenate([[True], np.diff(p.time) > 0]) for p in parts]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -16,6 +17,8 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.patched.model import MODEL_FILE, Patched, effects_json
 from pytest_twin.diagnosis.patched.native import NativeWriter
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.temperature import Coldness
+from pytest_twin.effects import catalogue
 from pytest_twin.formats import atomic
 from pytest_twin.realization import Realization
 from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin
@@ -27,6 +30,7 @@ def write_realization(
     problem: Problem,
     hypothesis: Hypothesis,
     inherited: Patched | None = None,
+    coldness: Coldness = MappingProxyType({}),
 ) -> Patched:
     """Write ``model.xml``, ``effects.json`` and, with controllers or payloads, ``twin.yaml``.
 
@@ -36,6 +40,7 @@ def write_realization(
         problem: that was explained.
         hypothesis: its findings.
         inherited: effects of the realization that was diagnosed, where it was a patched one.
+        coldness: of the trials, by temperature.
 
     Raises:
         PathError: the folder cannot be written.
@@ -50,7 +55,8 @@ def write_realization(
             for p, t in zip(term.parameters, theta, strict=True)
         }
         effects += writer.take(term, values)
-    patched = Patched(problem.joints, tuple(effects))
+    asked = any(catalogue()[e.effect].asks_temperature for e in effects)
+    patched = Patched(problem.joints, tuple(effects), coldness if asked else {})
     writer.settle()
     text = writer.text()
     if realization.source.kind == "mjcf":

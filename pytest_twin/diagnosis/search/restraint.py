@@ -219,7 +219,7 @@ def _stretched(tested: _Tested) -> _Gone:
         if explained.all() if t.joint < 0 else explained[t.joint]:
             continue
         likely = tested.chance(t) >= _EVEN
-        at_an_end = hypothesis.at_bound(t) or hypothesis.out_of_shape(t)
+        at_an_end = hypothesis.at_bound(t) or problem.out_of_shape(hypothesis, t)
         if likely and not at_an_end and not _in_doubt(tested, k):
             continue
         why = "stand at a physical bound, or could be absent" if likely else "be likelier"

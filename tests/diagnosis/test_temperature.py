@@ -1,0 +1,145 @@
+"""Trials that differ in temperature, by their metadata: friction that follows it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from two_pendulums import mjcf, record
+
+from pytest_twin import cli
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.patched.model import read_effects
+from pytest_twin.diagnosis.temperature import coldness_in, coldness_of
+from pytest_twin.errors import RecordingError, SpecError
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.trial import Trial, make_trial
+from pytest_twin.twin import EFFECTS_FILE
+
+EXCESS = 0.1
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A diagnosis of trials in the cold, where the left joint rubs, and in the warmth."""
+    folder = tmp_path_factory.mktemp("cold")
+    (folder / "model.xml").write_text(mjcf())
+    files = [
+        record(
+            folder / f"{role}_{name}{seed}.mcap", seed, role=role, dry=level, joint=0,
+            told={"temperature": name},
+        )
+        for seed, (role, name, level) in enumerate(
+            (role, name, level)
+            for role in ("fit", "fit", "held_out")
+            for name, level in (("cold", EXCESS), ("warm", 0.0))
+        )
+    ]  # fmt: skip
+    words = ["diagnose", str(folder / "model.xml"), *map(str, files)]
+    assert cli.main([*words, "--out", str(folder / "out")]) == 0
+    return folder
+
+
+def said(folder: Path) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text())
+    return loaded
+
+
+def test_friction_of_the_cold_trials_is_named_with_their_temperature(folder: Path) -> None:
+    """A level for all trials would be wrong in each of them."""
+    found = said(folder)
+    (finding,) = found["findings"]
+    assert (found["verdict"], finding["effect"], finding["joint"]) == (
+        "explained", "thermal_friction", "left",
+    )  # fmt: skip
+    assert finding["parameters"]["excess"]["value"] == pytest.approx(EXCESS, rel=0.03)
+    low, high = finding["parameters"]["excess"]["ci95"]
+    assert low <= EXCESS <= high
+    assert finding["confidence"] > 0.9
+    assert finding["where"]["summary"].startswith("temperature cold: ")
+    assert all("cold" in name for name in finding["where"]["windows"])
+
+
+def test_the_folder_is_replayed_at_the_temperature_of_the_recording(folder: Path) -> None:
+    for name, seed in (("cold", 4), ("warm", 5)):
+        recording = folder / f"held_out_{name}{seed}.mcap"
+        out = folder / f"{name}.mcap"
+        assert cli.main(["replay", str(folder / "out"), str(recording), "--out", str(out)]) == 0
+        predicted, measured = (read_recording(p).series["state"].position for p in (out, recording))
+        assert predicted is not None
+        assert measured is not None
+        error = said(folder)["held_out"]["left"]
+        rms = float(np.sqrt(np.mean((predicted - measured)[:, 0] ** 2)))
+        assert rms < 2.0 * error["floor"] < 0.1 * error["rms_before"]
+
+
+def test_a_replay_without_a_temperature_is_refused_with_what_is_known(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    silent = record(folder / "silent.mcap", 9)
+    words = ["replay", str(folder / "out"), str(silent), "--out", str(folder / "no.mcap")]
+    assert cli.main(words) == 2
+    text = capsys.readouterr().err
+    assert "silent.mcap" in text
+    assert "friction that depends on temperature was found" in text
+    assert "like cold, warm" in text
+    assert not (folder / "no.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("coldness", "expected"),
+    [({"cold": "very"}, "a finite number"), ([1.0], "a table"),
+     ({"a": 0.5, "b": 0.5}, "temperatures that differ")],
+)  # fmt: skip
+def test_a_list_of_effects_with_other_temperatures_is_refused(
+    folder: Path, tmp_path: Path, coldness: object, expected: str
+) -> None:
+    listed = json.loads((folder / "out" / "realization" / EFFECTS_FILE).read_text())
+    assert listed["coldness"] == {"cold": 1.0, "warm": 0.0}
+    path = tmp_path / EFFECTS_FILE
+    path.write_text(json.dumps({**listed, "coldness": coldness}))
+    with pytest.raises(SpecError, match=expected):
+        read_effects(path)
+
+
+def trial(tmp_path: Path, name: str, temperature: str | None) -> Trial:
+    (tmp_path / "model.xml").write_text(mjcf())
+    told = None if temperature is None else {"temperature": temperature}
+    path = record(tmp_path / name, 0, seconds=0.3, told=told)
+    return make_trial(
+        read_recording(path), load_model(tmp_path / "model.xml").realization.structure
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "coldness"),
+    [
+        (["20", "-5", "45"], {"-5": 1.0, "20": 0.5, "45": 0.0}),
+        (["20 C", "40 °C"], {"20 C": 1.0, "40 °C": 0.0}),
+        (["293.15 K", "283.15 K"], {"283.15 K": 1.0, "293.15 K": 0.0}),
+        (["warm", "cold"], {"cold": 1.0, "warm": 0.0}),
+        # No order, no difference, not all of them told: nothing is known.
+        (["a", "b", "c"], {}),
+        (["20 C", "300 K", "40 C"], {}),
+        (["20", "20.0"], {}),
+        (["20", None], {}),
+        ([None, None], {}),
+    ],
+)
+def test_temperatures_are_ordered_where_they_can_be(
+    tmp_path: Path, names: list[str | None], coldness: dict[str, float]
+) -> None:
+    trials = [trial(tmp_path, f"{i}.mcap", name) for i, name in enumerate(names)]
+    assert coldness_of(trials) == pytest.approx(coldness)
+
+
+def test_a_temperature_in_between_or_beyond_is_on_the_same_line(tmp_path: Path) -> None:
+    known = {"20 C": 1.0, "40 C": 0.0}
+    for name, share in (("25 C", 0.75), ("10 C", 1.5), ("60 C", 0.0), ("40 C", 0.0)):
+        assert coldness_in(known, trial(tmp_path, "t.mcap", name)) == pytest.approx(share)
+    with pytest.raises(RecordingError, match="like 20 C, 40 C"):
+        coldness_in(known, trial(tmp_path, "t.mcap", "lukewarm"))
+    assert coldness_in({}, trial(tmp_path, "t.mcap", None)) == 1.0
