@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, finding_json
-from pytest_twin.diagnosis.locate import Where, missing_force, motions, place_of
+from pytest_twin.diagnosis.locate import Where, frequencies, missing_force, motions, place_of
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.replay import without_delays
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
@@ -102,6 +102,10 @@ class Diagnosis:
                     "unit": e.unit,
                 }
                 for joint, e in self.errors.items()
+            },
+            "floor": {
+                source: dict(zip(self.prepared.problem.joints, map(float, rms), strict=True))
+                for source, rms in self.prepared.floor_parts.items()
             },
             "unexplained": {
                 joint: {
@@ -218,6 +222,9 @@ def _left(diagnosed: Searched) -> dict[str, Left]:
     def add(j: int, blame: FloatArray) -> None:
         joint = problem.joints[j]
         where = place_of(paths, np.nan_to_num(blame), j, errors[joint].unit)
+        band = frequencies(paths, after[:, j], j)
+        if band is not None:
+            where = replace(where, summary=f"{where.summary}; {band}")
         found[joint] = Left(errors[joint].fraction, where)
 
     clear = max(_CAUSE * float(strength.max(initial=0.0)), 1e-9)

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import welch
 
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
@@ -35,6 +36,8 @@ _LIFT, _SHARE = 1.5, 0.45
 _EDGES = 33
 # A slice whose ends were searched fits better by that alone.
 _SEARCHED = 0.8
+# s of the longest stretch that a spectrum is taken of, and samples of the shortest.
+_SPECTRUM, _FEWEST = 4.0, 16
 # Values of one condition that are slices; more are names of recordings.
 _MOST_VALUES = 6
 
@@ -184,6 +187,48 @@ def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) ->
             best = score
             words = f"{text}: {100 * held:.0f} % of it in {100 * time:.0f} % of the time"
     return words
+
+
+def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | None:
+    """The band that holds more of what is left of a joint than of its motion, in words.
+
+    Args:
+        paths: of the segments.
+        left: (samples over all segments,) rad or m.
+        joint: its column.
+    """
+    interval = float(np.median(np.concatenate([np.diff(m.time) for m in paths])))
+    longest = max(float(m.time[-1] - m.time[0]) for m in paths)
+    size = 2 ** int(np.ceil(np.log2(min(longest, _SPECTRUM) / interval + 1.0)))
+    power, at = np.zeros((2, size // 2 + 1)), 0
+    for m in paths:
+        grid = np.arange(m.time[0], m.time[-1], interval)
+        mine, at = left[at : at + len(m.time)], at + len(m.time)
+        if len(grid) < _FEWEST:
+            continue
+        for k, values in enumerate((mine, m.position[:, joint])):
+            even = np.interp(grid, m.time, np.nan_to_num(values))
+            _, found = welch(even, nperseg=min(size, len(even)), nfft=size)
+            power[k] += len(grid) * found
+    if not power.sum(axis=1).all():
+        return None
+    held, usual = np.concatenate([np.zeros((2, 1)), np.cumsum(power, axis=1)], axis=1)
+    held, usual = held / held[-1], usual / usual[-1]
+    inside, motion = (x[None, :] - x[:, None] for x in (held, usual))
+    # A band is said for being narrow, too.
+    edges = np.arange(len(held))
+    width = (edges[None, :] - edges[:, None]) / len(held)
+    expected = np.maximum(np.maximum(motion, width), 1e-9)
+    good = (inside >= _SHARE) & (inside >= _LIFT * expected)
+    score = np.where(good, inside * np.log(np.maximum(inside, 1e-9) / expected), -np.inf)
+    first, last = np.unravel_index(int(np.argmax(score)), score.shape)
+    if not good[first, last]:
+        return None
+    low, high = ((k - 0.5) / (size * interval) for k in (first, last))
+    return (
+        f"{max(low, 0.0):.2g} to {high:.2g} Hz: {100 * inside[first, last]:.0f} % of what is left, "
+        f"{100 * motion[first, last]:.0f} % of the motion"
+    )
 
 
 def _span(values: FloatArray, blame: FloatArray) -> tuple[float, float]:

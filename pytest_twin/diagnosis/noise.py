@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import nnls
 
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import FloatArray
@@ -12,6 +13,8 @@ from pytest_twin.effects.segment import Predicted, Segment
 
 # Samples that a cubic is fitted to, and its coefficients.
 _NEIGHBOURS, _CUBIC = 15, 4
+# Groups of windows of like speed.
+_SPEEDS = 12
 # Share of the samples, those that the model's step changes least, that tell an effort's noise.
 _QUIET = 0.3
 
@@ -34,20 +37,53 @@ def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
     return noise
 
 
+def timing_jitter(time: FloatArray, position: FloatArray) -> float:
+    """Standard deviation of stamps, s, about when (n, joints) samples were really taken.
+
+    A sample that is late is off by its speed: what cubics through neighbours leave grows with its
+    square. Medians over windows of like speed keep reversals and impacts out; the clock is one for
+    all joints.
+    """
+    if len(time) < _SPEEDS * _NEIGHBOURS:
+        return 0.0
+    square, speed = _cubics(time, position)
+    free = _NEIGHBOURS - _CUBIC
+    # Of a chi-squared variable over its mean (Wilson, Hilferty 1931).
+    median = (1.0 - 2.0 / (9.0 * free)) ** 3
+    jitter = []
+    for s, v in zip(square.T, speed.T, strict=True):
+        bins = np.array_split(np.argsort(np.abs(v)), _SPEEDS)
+        level = np.array([np.median(s[b]) for b in bins]) / median
+        if not level.all():
+            # An encoder whose counts stand still.
+            continue
+        fast = np.array([np.mean(v[b] ** 2) for b in bins])
+        (_, slope), _ = nnls(np.stack([1.0 / level, fast / level], axis=1), np.ones(_SPEEDS))
+        jitter.append(np.sqrt(slope))
+    return float(np.median(jitter)) if jitter else 0.0
+
+
 def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
     """(joints,) deviation of samples from cubics, one through every few neighbours."""
+    square, _ = _cubics(time, position)
+    spread: FloatArray = np.sqrt(np.median(square, axis=0))
+    return spread
+
+
+def _cubics(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(windows, joints) variance of samples about cubics through neighbours, and their speed."""
     count = len(time) // _NEIGHBOURS
     inside = slice(0, count * _NEIGHBOURS)
     windows = time[inside].reshape(count, _NEIGHBOURS)
     middle = 0.5 * (windows[:, :1] + windows[:, -1:])
     half = np.maximum(0.5 * (windows[:, -1:] - windows[:, :1]), 1e-12)
     powers = ((windows - middle) / half)[..., None] ** np.arange(_CUBIC)
-    basis, _ = np.linalg.qr(powers)
+    basis, triangle = np.linalg.qr(powers)
     samples = position[inside].reshape(count, _NEIGHBOURS, -1)
-    off = samples - basis @ (basis.transpose(0, 2, 1) @ samples)
-    free = _NEIGHBOURS - _CUBIC
-    spread: FloatArray = np.sqrt(np.median((off**2).sum(axis=1), axis=0) / free)
-    return spread
+    along = basis.transpose(0, 2, 1) @ samples
+    off = samples - basis @ along
+    variance: FloatArray = (off**2).sum(axis=1) / (_NEIGHBOURS - _CUBIC)
+    return variance, np.linalg.solve(triangle, along)[:, 1] / half
 
 
 def _quantum(values: FloatArray) -> float:
@@ -81,6 +117,23 @@ def _by_trial(
         time = np.concatenate([segments[i].time for i in mine])
         each.append(sensor_noise(time, np.concatenate([values[i] for i in mine])))
     return np.array(each)
+
+
+def timing_noise(segments: Sequence[Segment], owner: Sequence[int]) -> FloatArray:
+    """(joints,) what jitter of the stamps makes of positions, rad or m, in the worst trial; the
+    noise has it in it.
+    """
+    each = []
+    for trial in sorted(set(owner)):
+        mine = [segments[i] for i, o in enumerate(owner) if o == trial]
+        time = np.concatenate([s.time for s in mine])
+        position = np.concatenate([s.position for s in mine])
+        usual = np.zeros(position.shape[1])
+        if len(time) >= 2 * _NEIGHBOURS:
+            usual = np.sqrt(np.mean(_cubics(time, position)[1] ** 2, axis=0))
+        each.append(timing_jitter(time, position) * usual)
+    worst: FloatArray = np.max(each, axis=0)
+    return worst
 
 
 def effort_noise(

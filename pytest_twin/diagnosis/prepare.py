@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
-from pytest_twin.diagnosis.noise import effort_noise, greatest_noise, quiet_noise
+from pytest_twin.diagnosis.noise import effort_noise, greatest_noise, quiet_noise, timing_noise
 from pytest_twin.diagnosis.problem import (
     REFINE,
     Problem,
@@ -143,7 +143,11 @@ def prepare(
                 for i, add in problem.defect.items()
             }
         _trust_efforts(problem, effort_floor, jumps)
-    parts = {NOISE: noise, "discretization of the simulator": steps}
+    parts = {
+        NOISE: noise,
+        "of it, sample timing": timing_noise(segments, owner),
+        "discretization of the simulator": steps,
+    }
     return Prepared(problem, tuple(owner), parts, coldness)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import (
     Motion,
     blame_windows,
+    frequencies,
     missing_force,
     place_of,
     regimes,
@@ -168,3 +170,29 @@ def test_recordings_are_sliced_by_what_they_say_of_themselves() -> None:
     assert place_of(paths, 0.01 + warm, 0, "rad").summary == (
         "temperature warm: 99 % of it in 50 % of the time"
     )
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+def test_what_is_left_at_one_frequency_is_said_to_be_there(irregular: bool) -> None:
+    rng = np.random.default_rng(1)
+    paths, left = [], []
+    for k in range(3):
+        time = np.arange(0.0, 6.0 + k, 0.01)
+        time = np.sort(time + 0.003 * irregular * rng.uniform(-1.0, 1.0, len(time)))
+        paths.append(motion(time, 0.4 * np.sin(2 * np.pi * 0.7 * time + k), f"{k}.mcap"))
+        ring = np.sin(2 * np.pi * 9.0 * time + k)
+        left.append(1e-3 * ring + 2e-4 * rng.standard_normal(len(time)))
+    text = frequencies(paths, np.concatenate(left), 0)
+    assert text is not None
+    found = re.match(r"([\d.]+) to ([\d.]+) Hz: (\d+) % of what is left, 0 % of the motion", text)
+    assert found, text
+    low, high, share = map(float, found.groups())
+    assert 8.3 < low < 9.0 < high < 9.7
+    assert share > 80
+
+
+def test_what_is_left_as_the_motion_goes_has_no_band() -> None:
+    time = np.arange(0.0, 6.0, 0.01)
+    wave = 0.4 * np.sin(2 * np.pi * 0.7 * time)
+    assert frequencies([motion(time, wave)], 0.01 * wave, 0) is None
+    assert frequencies([motion(time, wave)], 0.0 * wave, 0) is None

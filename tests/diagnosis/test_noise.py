@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_twin.diagnosis.noise import effort_noise, sensor_noise
+from pytest_twin.diagnosis.noise import effort_noise, sensor_noise, timing_jitter
 from pytest_twin.diagnosis.windows import edges_of
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Predicted, Segment
@@ -82,3 +82,24 @@ def test_an_effort_sensor_is_as_loud_as_in_most_trials() -> None:
         )  # fmt: skip
         nominal.append(Predicted(still, still, still))
     assert effort_noise(segments, nominal, range(5)) == pytest.approx(0.05, rel=0.2)
+
+
+@pytest.mark.parametrize("noise", [2e-5, 1e-3])
+@pytest.mark.parametrize("jitter", [0.0, 3e-4, 1e-3])
+def test_jitter_of_stamps_is_told_from_noise(noise: float, jitter: float) -> None:
+    """Samples at times that their stamps miss: noise that grows with speed, and no other."""
+    rng = np.random.default_rng(3)
+    time = 0.005 * np.arange(2400)
+    taken = time + jitter * rng.standard_normal(len(time))
+    waves = rng.uniform(0.3, 1.8, (2, 3, 3))
+    turns = (2 * np.pi * np.outer(taken, f) + p for f, p in zip(*waves, strict=True))
+    moved = 0.3 * np.sum([np.sin(turn) for turn in turns], axis=0)
+    found = timing_jitter(time, moved + noise * rng.standard_normal(moved.shape))
+    # Noise of 1 mrad, at some rad/s, may pass for a tenth of a millisecond.
+    assert found == pytest.approx(jitter, rel=0.1, abs=0.1 * noise)
+
+
+def test_short_and_resting_recordings_tell_no_jitter() -> None:
+    time = 0.005 * np.arange(2400)
+    assert timing_jitter(time[:60], np.zeros((60, 2))) == 0.0
+    assert timing_jitter(time, np.zeros((2400, 2))) == 0.0
