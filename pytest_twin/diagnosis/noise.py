@@ -13,6 +13,7 @@ from pytest_twin.effects.segment import Predicted, Segment
 
 # Samples that a cubic is fitted to, and its coefficients.
 _NEIGHBOURS, _CUBIC = 15, 4
+_FREE = _NEIGHBOURS - _CUBIC
 # Groups of windows of like speed.
 _SPEEDS = 12
 # Share of the samples, those that the model's step changes least, that tell an effort's noise.
@@ -47,9 +48,8 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
     if len(time) < _SPEEDS * _NEIGHBOURS:
         return 0.0
     square, speed = _cubics(time, position)
-    free = _NEIGHBOURS - _CUBIC
-    # Of a chi-squared variable over its mean (Wilson, Hilferty 1931).
-    median = (1.0 - 2.0 / (9.0 * free)) ** 3
+    # Of a chi-squared variable (Wilson, Hilferty 1931).
+    median = _FREE * (1.0 - 2.0 / (9.0 * _FREE)) ** 3
     jitter = []
     for s, v in zip(square.T, speed.T, strict=True):
         bins = np.array_split(np.argsort(np.abs(v)), _SPEEDS)
@@ -66,12 +66,12 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
 def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
     """(joints,) deviation of samples from cubics, one through every few neighbours."""
     square, _ = _cubics(time, position)
-    spread: FloatArray = np.sqrt(np.median(square, axis=0))
+    spread: FloatArray = np.sqrt(np.median(square, axis=0) / _FREE)
     return spread
 
 
 def _cubics(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(windows, joints) variance of samples about cubics through neighbours, and their speed."""
+    """(windows, joints) squares of samples off cubics through neighbours, and their speed."""
     count = len(time) // _NEIGHBOURS
     inside = slice(0, count * _NEIGHBOURS)
     windows = time[inside].reshape(count, _NEIGHBOURS)
@@ -82,8 +82,8 @@ def _cubics(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatAr
     samples = position[inside].reshape(count, _NEIGHBOURS, -1)
     along = basis.transpose(0, 2, 1) @ samples
     off = samples - basis @ along
-    variance: FloatArray = (off**2).sum(axis=1) / (_NEIGHBOURS - _CUBIC)
-    return variance, np.linalg.solve(triangle, along)[:, 1] / half
+    square: FloatArray = (off**2).sum(axis=1)
+    return square, np.linalg.solve(triangle, along)[:, 1] / half
 
 
 def _quantum(values: FloatArray) -> float:

@@ -223,6 +223,7 @@ class Effect:
             with time.
         reads_other_joints: whether a hook of a joint reads what another joint's drive does.
         asks_temperature: whether a hook reads how cold a trial is.
+        reads_drive: whether ``friction`` reads what the drive delivers.
     """
 
     id: ClassVar[str]
@@ -238,6 +239,7 @@ class Effect:
     remembers_path: ClassVar[bool] = False
     reads_other_joints: ClassVar[bool] = False
     asks_temperature: ClassVar[bool] = False
+    reads_drive: ClassVar[bool] = False
 
     def overrides(self, *hooks: str) -> bool:
         """Whether any of these hooks does anything."""

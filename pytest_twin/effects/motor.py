@@ -126,6 +126,8 @@ class MotorLoadFriction(Effect):
         "stribeck_friction": "two loads at the same speeds",
     }
 
+    reads_drive = True
+
     def friction(self, world: World, values: Values) -> None:
         reach = np.maximum(values["stribeck_velocity"], 1e-9)
         fall = np.exp(-np.abs(world.motor_velocity) / reach)

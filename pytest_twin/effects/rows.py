@@ -321,9 +321,11 @@ class RowSimulator:
         loaded = bool(hooks["friction"] or hooks["gear"])
         commanded = np.ascontiguousarray(commands.swapaxes(0, 1))
         pushed = np.empty((rows, len(self.joints)))
-        # Friction may depend on what the motor puts through its gear.
-        asked = bool(hooks["drive"] or hooks["friction"])
         by_hand = bare.any()
+        # What nobody reads or changes between steps is not worked out there.
+        asked = bool(hooks["drive"]) or any(e.reads_drive for e, _ in hooks["friction"])
+        pushes = bool(hooks["force"] or hooks["drive"] or hooks["gear"] or by_hand)
+        apart = written.apart.any()
 
         def before(k: int) -> None:
             world.time = start + k * self.timestep
@@ -332,8 +334,9 @@ class RowSimulator:
             if k:
                 effort[k - 1] += actuator_force[:, at_dof]
             world.setpoint = commanded[k]
-            pushed[:] = written.constant
-            world.applied = pushed
+            if pushes:
+                pushed[:] = written.constant
+                world.applied = pushed
             if loaded:
                 world.friction_level = level
                 world.load = bias[:, at_dof]
@@ -344,8 +347,9 @@ class RowSimulator:
                     self.models.write_bounds(written.force_range, world)
                 world.lower, world.upper = bounds
             if written.friction is not None:
-                written.friction[:, at_dof] = np.where(
-                    written.apart, 0.0, np.maximum(world.friction_level, 0.0)
+                level_now = np.maximum(world.friction_level, 0.0)
+                written.friction[:, at_dof] = (
+                    np.where(written.apart, 0.0, level_now) if apart else level_now
                 )
             if hooks["drive"] or hooks["gear"]:
                 # A rigid joint's engine gives what the law asks for; a motor apart has no engine.
@@ -356,7 +360,8 @@ class RowSimulator:
                 by_command = np.where(written.apart, 0.0, world.setpoint)[:, bare]
                 world.applied[:, bare] += by_command
                 effort[k][:, bare] += by_command
-            applied[:, at_dof] = world.applied
+            if pushes:
+                applied[:, at_dof] = world.applied
             ctrl[:, control] = world.setpoint[:, at_driven] * scale
 
         lockstep(batch, steps, before)
