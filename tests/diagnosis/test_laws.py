@@ -111,13 +111,13 @@ def test_efforts_of_bodies_are_those_of_their_parts(
     whole = [rigid_terms(simulator, motion, values(problem, [v]))[0].effort for v in variants]
     efforts = Efforts(simulator, motion)
     asked: list[int] = []
-    batch = RowSimulator.batch
+    written = RowSimulator.written
 
     def counted(self: RowSimulator, rows: NDArray[np.int64], effects: Any) -> object:
         asked.append(len(rows) // len(whole[0][0]))
-        return batch(self, rows, effects)
+        return written(self, rows, effects)
 
-    monkeypatch.setattr(RowSimulator, "batch", counted)
+    monkeypatch.setattr(RowSimulator, "written", counted)
     size = np.abs(whole[0]).max()
     for found, true in zip(efforts.of(values(problem, variants[:4]), 4), whole, strict=False):
         assert found == pytest.approx(true, abs=1e-9 * size)
