@@ -319,6 +319,7 @@ def finding_json(finding: Finding) -> dict[str, Any]:
     out: dict[str, Any] = {
         "effect": finding.effect,
         "joint": finding.joint,
+        "path": finding.term.law.path,
         "confidence": round(finding.confidence, 4),
         "parameters": {
             name: {"value": e.value, "unit": e.unit, "ci95": [e.low, e.high]}

@@ -27,6 +27,17 @@ Quantity = Literal[
     "command",
 ]  # fmt: skip
 Scope = Literal["joint", "robot"]
+_PATHS: Mapping[str, str] = {
+    "timing": "sensor",
+    "sensing": "sensor",
+    "actuation": "actuator",
+    "friction": "transmission",
+    "transmission": "transmission",
+    "rigid_body": "rigid body",
+    "contact": "contact",
+    "environment": "surroundings",
+}
+"""Family -> where its effects sit, those that change the command aside."""
 SMOOTH_STEP = 1e-3
 """Finite difference of a parameter that the motion follows smoothly."""
 
@@ -240,6 +251,15 @@ class Effect:
     reads_other_joints: ClassVar[bool] = False
     asks_temperature: ClassVar[bool] = False
     reads_drive: ClassVar[bool] = False
+
+    @property
+    def path(self) -> str:
+        """Where between command and reading it sits: ``command``, ``actuator``, ``transmission``,
+        ``rigid body``, ``sensor``, ``contact`` or ``surroundings``.
+        """
+        if self.overrides("command_delay", "command") and not self.overrides("drive"):
+            return "command"
+        return _PATHS[self.family]
 
     def overrides(self, *hooks: str) -> bool:
         """Whether any of these hooks does anything."""

@@ -40,6 +40,7 @@ def test_a_late_command_is_named_on_its_joint_with_the_delay_in_the_interval(lat
     assert (found["schema"], found["verdict"]) == (1, "explained")
     (finding,) = found["findings"]
     assert (finding["effect"], finding["joint"]) == ("command_delay", "right")
+    assert finding["path"] == "command"
     delay = finding["parameters"]["delay"]
     assert delay["unit"] == "s"
     assert delay["ci95"][0] <= 0.02 <= delay["ci95"][1]
