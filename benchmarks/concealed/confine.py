@@ -11,9 +11,8 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
-
-import pytest_twin
 
 try:
     import landlock
@@ -41,9 +40,14 @@ def confine(read: Path, write: Path) -> None:
         write: a folder that may be read and written.
 
     Raises:
+        ModuleNotFoundError: the package that diagnoses is not installed.
         OSError: the kernel refuses.
     """
-    package = Path(pytest_twin.__file__).parent
+    # Found, not imported: nothing beside the plant runs the package's code.
+    spec = find_spec("pytest_twin")
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError("pytest_twin is not installed beside this Python")
+    package = Path(spec.origin).parent
     programs = {*_SYSTEM, sys.prefix, sys.base_prefix, str(package)}
     rights = landlock.FSAccess
     readable = rights.READ_FILE | rights.READ_DIR
