@@ -11,7 +11,16 @@ from collections.abc import Sequence
 from pytest_twin import __version__
 from pytest_twin.errors import TwinError
 
-COMMANDS: tuple[str, ...] = ("init", "intake", "audit", "realize", "replay", "diagnose", "verify")
+COMMANDS: tuple[str, ...] = (
+    "init",
+    "intake",
+    "audit",
+    "realize",
+    "replay",
+    "diagnose",
+    "effects",
+    "verify",
+)
 UNUSABLE_INPUT = 2
 READER_GONE = 141
 

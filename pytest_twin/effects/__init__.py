@@ -7,11 +7,30 @@ from collections.abc import Mapping
 from importlib.metadata import entry_points
 
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.checked import checked
+from pytest_twin.errors import SpecError
 
 __all__ = ["Effect", "ModelFields", "Parameter", "Values", "World", "catalogue"]
 
 
 @functools.cache
 def catalogue() -> Mapping[str, Effect]:
-    """Every installed effect by id, in the order of the entry points ``pytest_twin.effects``."""
-    return {point.name: point.load()() for point in entry_points(group="pytest_twin.effects")}
+    """Every installed effect by id, in the order of the entry points ``pytest_twin.effects``.
+
+    Raises:
+        SpecError: one cannot be loaded, does not hold together, or is brought twice.
+    """
+    effects: dict[str, Effect] = {}
+    for point in entry_points(group="pytest_twin.effects"):
+        try:
+            brought = point.load()()
+        except Exception as error:  # an installed package's own code
+            raise SpecError(
+                f"the package that brings this effect cannot be loaded: {type(error).__name__}: "
+                f"{error}",
+                where="effect", value=point.name,
+            ) from error  # fmt: skip
+        if point.name in effects:
+            raise SpecError("two packages bring this effect", where="effect", value=point.name)
+        effects[point.name] = checked(brought, point.name)
+    return effects

@@ -27,7 +27,9 @@ Quantity = Literal[
     "command",
 ]  # fmt: skip
 Scope = Literal["joint", "robot"]
-_PATHS: Mapping[str, str] = {
+MODES = ("position", "velocity", "effort")
+"""What a drive may be commanded."""
+PATHS: Mapping[str, str] = {
     "timing": "sensor",
     "sensing": "sensor",
     "actuation": "actuator",
@@ -61,6 +63,28 @@ _UNITS: Mapping[str, tuple[str, str]] = {
     "temperature": ("K", "K"),
 }
 
+REFERENCES: Mapping[str, str] = {
+    # of a parameter that is a reciprocal: that of the reported value
+    "one": "",
+    "twelfth": "a twelfth of the longest recording",
+    "effort": "the drive's rms effort",
+    "velocity": "the rms speed",
+    "position": "the positions' standard deviation",
+    "damping": "rms effort / rms speed",
+    "stiffness": "rms effort / standard deviation of positions",
+    "drag": "rms effort / rms speed^2",
+    "inertia": "the inertia that the joint moves",
+    "compliance": "rms effort / standard deviation of positions",
+    "slowness": "the command's rms rate",
+    "inverse_velocity": "the rms speed that is asked for",
+    "inverse_effort": "the drive's peak effort",
+    "command": "the rms command (a position servo's tracking error)",
+    "mass": "the last link's mass",
+    "clearance": "1 cm",
+    "length": "the way from the last joint to its link's centre of mass",
+}
+"""Scale of a joint that bounds and starts are multiples of -> what it is."""
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
@@ -74,10 +98,8 @@ class Parameter:
         lower, upper: physical bounds, in multiples of ``reference``.
         starts: values to start a fit from, in multiples of ``reference``; signed effects are
             tried with the sign that the data ask for.
-        reference: the joint's own scale that bounds and starts are multiples of: ``one``,
-            ``effort`` (root mean square of the drive's effort), ``velocity``, ``position``,
-            ``twelfth`` (of the longest trial, s), ``inertia`` (reflected), ``damping`` (effort /
-            velocity), ``stiffness`` (effort / position), ``clearance`` (1 cm).
+        reference: the joint's own scale that bounds and starts are multiples of, one of
+            ``REFERENCES``.
         reciprocal_of: name and quantity of what is reported in its place: a law that is absent at
             infinity is fitted by its reciprocal.
         step: finite difference of a fit's Jacobian, in multiples of ``reference``; wide where the
@@ -245,7 +267,7 @@ class Effect:
     scope: ClassVar[Scope] = "joint"
     confused_with: ClassVar[Mapping[str, str]] = {}
     has_in_it: ClassVar[frozenset[str]] = frozenset()
-    modes: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
+    modes: ClassVar[tuple[str, ...]] = MODES
     remembers: ClassVar[bool] = False
     remembers_path: ClassVar[bool] = False
     reads_other_joints: ClassVar[bool] = False
@@ -259,7 +281,7 @@ class Effect:
         """
         if self.overrides("command_delay", "command") and not self.overrides("drive"):
             return "command"
-        return _PATHS[self.family]
+        return PATHS[self.family]
 
     def overrides(self, *hooks: str) -> bool:
         """Whether any of these hooks does anything."""

@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.first_order.rigid_terms import Efforts, rigid_terms
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import REFERENCES
 from pytest_twin.effects.rows import RowSimulator
 
 Variant = Mapping[Term, Sequence[float]]
@@ -35,6 +36,10 @@ def problem() -> Problem:
 
 
 DRAG_HIDDEN = {Term("viscous_friction", ELBOW): {"coefficient": 0.2}}
+
+
+def test_every_reference_has_a_scale(problem: Problem) -> None:
+    assert problem.scales.of.keys() == REFERENCES.keys()
 
 
 def values(problem: Problem, variants: Sequence[Variant]) -> ActiveEffects:

@@ -17,6 +17,7 @@ JOINTS = ("left", "right")
 STEP = 1e-4
 START_NS = 1_700_000_000_000_000_000
 MASS, LENGTH, INERTIA, ARMATURE = 0.5, 0.1, 0.002, 0.003
+MAGNET_AT, MAGNET_WIDTH = 0.15, 0.1
 KP, KV, DAMPING, LIMIT = 6.0, 0.15, 0.05, 5.0
 
 _BODY = f"""
@@ -55,6 +56,7 @@ def swing(
     viscous: float = 0.0,
     lag: float = 0.0,
     dry: float = 0.0,
+    magnet: float = 0.0,
     joint: int = 0,
 ) -> np.ndarray:
     """(steps, joints) rad under (steps, joints) setpoints; what is hidden acts on one joint."""
@@ -68,6 +70,8 @@ def swing(
     keep[joint] = np.exp(-STEP / lag) if lag else 0.0
     level = np.zeros(joints)
     level[joint] = dry
+    pull = np.zeros(joints)
+    pull[joint] = magnet
     given = np.zeros(joints)
     q, v = np.zeros(joints), np.zeros(joints)
     out = np.empty_like(wanted)
@@ -77,7 +81,9 @@ def swing(
         sent = wanted[np.maximum(k - late, 0), columns]
         asked = np.clip(KP * (sent - q) - KV * v, -LIMIT, LIMIT)
         given = asked + keep * (given - asked)
+        away = (q - MAGNET_AT) / MAGNET_WIDTH
         effort = given - damping * v + MASS * 9.81 * LENGTH * np.sin(q)
+        effort -= pull * away * np.exp((1.0 - away**2) / 2.0)
         v = v + STEP * effort / inertia
         v = np.sign(v) * np.maximum(np.abs(v) - STEP * level / inertia, 0.0)
         q = q + STEP * v

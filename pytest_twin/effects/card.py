@@ -1,0 +1,90 @@
+"""The catalogue as people read it: a card for each effect, in Markdown."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable, Mapping
+
+from pytest_twin.effects.base import MODES, REFERENCES, Effect, Parameter
+
+
+def cards(effects: Mapping[str, Effect]) -> str:
+    """A table of all effects by where they sit, and a card for each."""
+    paths: dict[str, list[Effect]] = {}
+    for effect in effects.values():
+        paths.setdefault(effect.path, []).append(effect)
+    overview = _table(
+        ("path", "effects"),
+        ((path, ", ".join(f"[`{e.id}`](#{e.id})" for e in paths[path])) for path in sorted(paths)),
+    )
+    each = [card(e) for path in sorted(paths) for e in sorted(paths[path], key=lambda e: e.id)]
+    return "\n".join([overview, *each])
+
+
+def card(effect: Effect) -> str:
+    """What an effect is, its law, parameters, source, and what it is confused with."""
+    where = "the whole robot" if effect.scope == "robot" else "any joint"
+    lines = [
+        f"## {effect.id}",
+        "",
+        f"{_summary(effect)} *{effect.path.capitalize()}; {where}; under commands of "
+        f"{_listed(effect.modes)}.*",
+        "",
+        *(f"    {part.strip()}" for part in effect.law.split("; ")),
+        "",
+        _table(
+            ("parameter", "unit", "absent at", "may be"),
+            ((f"`{p.reported_name}`", _unit(p), _absent(p), _range(p)) for p in effect.parameters),
+        ),
+    ]
+    if effect.confused_with:
+        told_apart = ((f"`{rival}`", by) for rival, by in effect.confused_with.items())
+        lines.append(_table(("confused with", "told apart by"), told_apart))
+    lines += [f"Source: {effect.source}.", ""]
+    return "\n".join(lines)
+
+
+def _summary(effect: Effect) -> str:
+    return (inspect.getdoc(type(effect)) or "").split("\n\n")[0].replace("\n", " ")
+
+
+def _unit(parameter: Parameter) -> str:
+    units = {mode: _both(parameter, mode) for mode in MODES}
+    if len(set(units.values())) == 1:
+        return units[MODES[0]]
+    return _listed([f"{unit} ({mode})" for mode, unit in units.items()])
+
+
+def _both(parameter: Parameter, servo: str) -> str:
+    hinge, slide = (parameter.unit(joint, servo) for joint in ("hinge", "slide"))
+    return f"`{hinge}`" if hinge == slide else f"`{hinge}` or `{slide}`"
+
+
+def _absent(parameter: Parameter) -> str:
+    """The neutral value; a parameter without one shapes what another switches on."""
+    if parameter.neutral is None:
+        return ""
+    value = parameter.reported(parameter.neutral)
+    return "infinity" if value == float("inf") else f"{value:g}"
+
+
+def _range(parameter: Parameter) -> str:
+    if parameter.choice:
+        return _listed([f"{start:g}" for start in parameter.starts])
+    of = REFERENCES[parameter.reference]
+    scale = f" times {of}" if of else ""
+    if parameter.reciprocal_of is not None:
+        return f"at least {parameter.reported(parameter.upper):.3g}{scale}"
+    return f"{parameter.lower:g} to {parameter.upper:g}{scale}"
+
+
+def _listed(words: Iterable[str]) -> str:
+    *most, last = words
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = (header, tuple("---" for _ in header), *rows)
+    # A bar would end a cell.
+    cells = (" | ".join(cell.replace("|", "\\|") for cell in line) for line in lines)
+    return "".join(f"| {line} |\n" for line in cells)

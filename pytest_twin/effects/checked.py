@@ -1,0 +1,63 @@
+"""Whether an effect says of itself what a diagnosis reads, wherever it was written."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import NoReturn, get_args
+
+from pytest_twin.effects.base import MODES, PATHS, REFERENCES, Effect, Parameter, Quantity, Scope
+from pytest_twin.errors import SpecError
+
+
+def checked(effect: object, name: str) -> Effect:
+    """The effect that an entry point brings, once what it states holds together.
+
+    Args:
+        effect: what the entry point's class came to.
+        name: the entry point's.
+
+    Raises:
+        SpecError: it says something else than it may.
+    """
+    if not isinstance(effect, Effect):
+        _refuse(name, "class", type(effect).__name__, "a subclass of pytest_twin.effects.Effect")
+    for field in ("id", "family", "law", "source", "parameters"):
+        if not getattr(effect, field, None):
+            _refuse(name, field, None, "stated by the class")
+    _one_of(name, "id", effect.id, (name,))
+    _one_of(name, "family", effect.family, PATHS)
+    _one_of(name, "scope", effect.scope, get_args(Scope))
+    for mode in effect.modes:
+        _one_of(name, "modes", mode, MODES)
+    for parameter in effect.parameters:
+        _check_parameter(name, parameter)
+    if all(p.neutral is None for p in effect.parameters):
+        _refuse(name, "parameters", None, "one with a neutral value, at which the effect is absent")
+    return effect
+
+
+def _check_parameter(name: str, parameter: Parameter) -> None:
+    here = f"parameters.{parameter.name}"
+    _one_of(name, f"{here}.quantity", parameter.quantity, get_args(Quantity))
+    _one_of(name, f"{here}.reference", parameter.reference, REFERENCES)
+    lower, upper = parameter.lower, parameter.upper
+    if not lower < upper:
+        _refuse(name, f"{here}.lower", lower, f"below upper, {upper:g}")
+    if not parameter.starts:
+        _refuse(name, f"{here}.starts", None, "at least one")
+    known = () if parameter.neutral is None else (parameter.neutral,)
+    for value in (*known, *parameter.starts):
+        if not lower <= value <= upper:
+            _refuse(name, here, value, f"neutral value and starts within {lower:g} and {upper:g}")
+
+
+def _one_of(name: str, field: str, value: object, choices: Collection[str]) -> None:
+    if value not in choices:
+        _refuse(name, field, value, ", ".join(choices))
+
+
+def _refuse(name: str, field: str, value: object, expected: str) -> NoReturn:
+    raise SpecError(
+        "an installed effect does not hold together",
+        where=f"{name}.{field}", value=value, expected=expected,
+    )  # fmt: skip

@@ -1,0 +1,103 @@
+"""An effect from someone else's package, as the docs show it: one class and one entry point."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "diagnosis"))
+
+from two_pendulums import MAGNET_AT, MAGNET_WIDTH, case
+
+DOCS = Path(__file__).parents[2] / "docs" / "effects.md"
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of packages in which the docs' own is installed."""
+    text = DOCS.read_text()
+    module = re.search(r"<!-- own effect -->\n```python\n(.*?)```", text, re.DOTALL)
+    entry_points = re.search(r'```toml\n\[project\.entry-points\."(.*?)"\]\n(.*?) = "(.*?)"', text)
+    assert module
+    assert entry_points
+    site = tmp_path / "site"
+    told = site / "my_effects-1.0.dist-info"
+    told.mkdir(parents=True)
+    (site / "my_effects.py").write_text(module[1])
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: my-effects\nVersion: 1.0\n")
+    group, name, target = entry_points.groups()
+    (told / "entry_points.txt").write_text(f"[{group}]\n{name} = {target}\n")
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    return site
+
+
+def pytest_twin(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).with_name("pytest-twin")), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_it_is_listed(site: Path) -> None:
+    done = pytest_twin("effects")
+    assert done.returncode == 0, done.stderr
+    assert "[`magnet`](#magnet)" in done.stdout
+    assert "    u = (q - pose) / width" in done.stdout
+    assert "| `strength` | `N*m` or `N` | 0 | 0 to 10 times the drive's rms effort |" in done.stdout
+
+
+def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
+    """What was in nobody's catalogue is named once somebody has put it there."""
+    words = case(tmp_path / "case", magnet=0.08)
+    done = pytest_twin("diagnose", *words, "--out", str(tmp_path / "why"))
+    assert done.returncode == 0, done.stdout + done.stderr
+    said = json.loads((tmp_path / "why" / "diagnosis.json").read_text())
+    assert [(f["effect"], f["joint"]) for f in said["findings"]] == [("magnet", "left")]
+    found = said["findings"][0]["parameters"]
+    for name, truth in (("strength", 0.08), ("pose", MAGNET_AT), ("width", MAGNET_WIDTH)):
+        low, high = found[name]["ci95"]
+        assert low <= truth <= high
+        assert found[name]["value"] == pytest.approx(truth, rel=0.05)
+    replayed = pytest_twin(
+        "replay", str(tmp_path / "why"), words[-1], "--out", str(tmp_path / "predicted.mcap")
+    )
+    assert replayed.returncode == 0, replayed.stderr
+
+
+@pytest.mark.parametrize(
+    ("written", "instead", "told"),
+    [
+        ("import numpy", "import no_such_module", "cannot be loaded: ModuleNotFoundError"),
+        ('family = "environment"', 'family = "magic"', "magnet.family"),
+        ('"effort", 0.0, 0.0, 10.0', '"effort", None, 0.0, 10.0', "neutral value"),
+        ('id = "magnet"', 'id = "coulomb_friction"', "magnet.id"),
+        ("-3.2, 3.2", "3.2, -3.2", "magnet.parameters.pose.lower"),
+        ("(0.05, 0.15)", "(0.05, 5.0)", "magnet.parameters.width"),
+        ('(0.3,), "effort"', '(0.3,), "joule"', "magnet.parameters.strength.reference"),
+        ("class Magnet(Effect)", "class Magnet", "subclass of pytest_twin.effects.Effect"),
+    ],
+)
+def test_what_does_not_hold_together_is_one_line(
+    site: Path, written: str, instead: str, told: str
+) -> None:
+    module = site / "my_effects.py"
+    text = module.read_text()
+    assert written in text
+    module.write_text(text.replace(written, instead))
+    done = pytest_twin("effects")
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+
+
+def test_an_effect_is_brought_once(site: Path) -> None:
+    told = site / "my_effects-1.0.dist-info" / "entry_points.txt"
+    told.write_text("[pytest_twin.effects]\ncogging = my_effects:Magnet\n")
+    module = site / "my_effects.py"
+    module.write_text(module.read_text().replace('id = "magnet"', 'id = "cogging"'))
+    done = pytest_twin("effects")
+    assert done.returncode == 2
+    assert "two packages bring this effect" in done.stderr
