@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 
 from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.errors import SpecError
+from pytest_twin.installed import brought
 
 __all__ = ["Check", "Measure", "Observation", "Progress", "Trace", "check_of", "kinds"]
 
 
 @functools.cache
-def _entry_points() -> Mapping[str, object]:
+def _entry_points() -> Mapping[str, EntryPoint]:
     return {point.name: point for point in entry_points(group="pytest_twin.checks")}
 
 
@@ -32,12 +33,5 @@ def check_of(kind: str) -> Check:
     point = _entry_points().get(kind)
     if point is None:
         raise SpecError("unknown kind", where="kind", value=kind, expected=", ".join(kinds()))
-    try:
-        check: Check = point.load()()  # type: ignore[attr-defined]
-    except Exception as error:  # an installed package's own code
-        raise SpecError(
-            f"the package that brings this kind cannot be loaded: {type(error).__name__}: {error}",
-            where="kind",
-            value=kind,
-        ) from error
+    check: Check = brought(point, "kind")
     return check

@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.checked import checked
 from pytest_twin.errors import SpecError
+from pytest_twin.installed import brought
 
 __all__ = ["Effect", "ModelFields", "Parameter", "Values", "World", "catalogue"]
 
@@ -22,15 +23,7 @@ def catalogue() -> Mapping[str, Effect]:
     """
     effects: dict[str, Effect] = {}
     for point in entry_points(group="pytest_twin.effects"):
-        try:
-            brought = point.load()()
-        except Exception as error:  # an installed package's own code
-            raise SpecError(
-                f"the package that brings this effect cannot be loaded: {type(error).__name__}: "
-                f"{error}",
-                where="effect", value=point.name,
-            ) from error  # fmt: skip
         if point.name in effects:
             raise SpecError("two packages bring this effect", where="effect", value=point.name)
-        effects[point.name] = checked(brought, point.name)
+        effects[point.name] = checked(brought(point, "effect"), point.name)
     return effects
