@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, finding_json
-from pytest_twin.diagnosis.locate import Where, frequencies, missing_force, motions, place_of
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.replay import without_delays
-from pytest_twin.diagnosis.prepare import NOISE, Prepared
-from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import Searched, carried, confirmed, pose, search
 from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.unexplained import Left, unexplained
 from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 
-# A joint whose missing force stands out this much less than the clearest one only shows it.
-_CAUSE = 0.4
 # Share of the squared mismatch that may be left along the motion where a law of the catalogue is
 # worth a search in windows.
 _CLEAR = 0.1
@@ -41,19 +38,6 @@ _NAMED_IN_WINDOWS = (
     f"named in windows of {WINDOW:g} s that start from what was measured, fitted over whole "
     "recordings: where a joint sticks and slips, whole motions tell fewer names apart"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Left:
-    """What stays unexplained at one joint.
-
-    Attributes:
-        fraction: of the squared mismatch.
-        where: when and in which regime.
-    """
-
-    fraction: float
-    where: Where
 
 
 @dataclass(slots=True)
@@ -167,13 +151,16 @@ def diagnose(
     # Candidates that run away overflow; what is not finite is ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         found = search(prepared, trials, Selection(prepared.problem, say))
-        problems = [prepared.problem]
+        problems, near = [prepared.problem], None
         if found.astray:
-            found, windowed = _windowed(found, realization, inherited, threads, say, notes)
-            problems.append(windowed)
+            near = pose(realization, found.trials, inherited, threads, [], window=WINDOW)
+            problems.append(near[0].problem)
+            found = _windowed(found, *near, say, notes)
+        left = {}
+        if found.verdict in ("improved", "unexplained"):
+            left = unexplained(found, *(near or (found.prepared, found.trials)))
     progress(0.9)
     notes += found.explained.notes
-    left = _left(found) if found.verdict in ("improved", "unexplained") else {}
     if not len(prepared.problem.held_out):
         notes.append("errors and gains are of the recordings that were fitted")
     progress(0.94)
@@ -185,58 +172,30 @@ def diagnose(
 
 def _windowed(
     found: Searched,
-    realization: Realization,
-    inherited: Patched | None,
-    threads: int,
+    cut: Prepared,
+    kept: TrialSet,
     say: Callable[[str], None],
     notes: list[str],
-) -> tuple[Searched, Problem]:
-    """What explains most: whole motions, windows of them, or whole motions by what windows found;
-    and the problem in windows.
+) -> Searched:
+    """What explains most: whole motions, windows of them, or whole motions by what windows found.
+
+    Args:
+        found: by whole motions.
+        cut, kept: the problem in windows, and its trials.
+        say: told what is considered.
+        notes: gets how it was named.
     """
-    cut, kept = pose(realization, found.trials, inherited, threads, [], window=WINDOW)
     other = confirmed(cut, kept, found, say)
     if other is None:
         other = search(cut, kept, Selection(cut.problem, say, _CLEAR))
     if other.supersedes(found):
         notes.append(_IN_WINDOWS)
-        return other, cut.problem
+        return other
     if other.beside(found):
         whole = carried(found, other)
         if whole.leaves_less(found):
             notes.append(_NAMED_IN_WINDOWS)
-            return whole, cut.problem
-    return found, cut.problem
-
-
-def _left(diagnosed: Searched) -> dict[str, Left]:
-    """The joints whose own force is missing, the clearest first."""
-    prepared, after, errors = diagnosed.prepared, diagnosed.after, diagnosed.errors
-    trials = (*diagnosed.trials.fit, *diagnosed.trials.held_out)
-    problem = prepared.problem
-    force = missing_force(problem, after, prepared.floor_parts[NOISE])
-    strength = force.strength
-    paths = motions(prepared, trials)
-    found: dict[str, Left] = {}
-
-    def add(j: int, blame: FloatArray) -> None:
-        joint = problem.joints[j]
-        where = place_of(paths, np.nan_to_num(blame), j, errors[joint].unit)
-        band = frequencies(paths, after[:, j], j)
-        if band is not None:
-            where = replace(where, summary=f"{where.summary}; {band}")
-        found[joint] = Left(errors[joint].fraction, where)
-
-    clear = max(_CAUSE * float(strength.max(initial=0.0)), 1e-9)
-    for j in sorted(map(int, np.flatnonzero(strength >= clear)), key=lambda j: -strength[j]):
-        if problem.joints[j] in errors and errors[problem.joints[j]].fraction > 0.0:
-            add(j, np.maximum((force.force[:, j] / force.noise[j]) ** 2 - 1.0, 0.0))
-    if not found:
-        # No force stands out of the encoders' noise: what is left is slow, and only shows.
-        for joint, error in errors.items():
-            if not error.explained:
-                j = problem.joints.index(joint)
-                add(j, (after[:, j] / problem.floor[j]) ** 2)
+            return whole
     return found
 
 

@@ -1,0 +1,99 @@
+"""What stays unexplained is found where it acts, also where whole motions part from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.searched import Searched, pose
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.unexplained import unexplained
+from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.realization import load
+from pytest_twin.trial import make_trial
+
+ARM = """
+<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body name="arm"><inertial pos="0 0 0.15" mass="1" diaginertia="0.01 0.01 0.002"/>
+ <joint name="lift" axis="0 1 0" damping="0.1"/></body></worldbody>
+<actuator><velocity name="lift" joint="lift" kv="3"/></actuator></mujoco>
+"""
+TIGHT = 0.25
+"""rad from which a cable pulls back, 20 N*m/rad."""
+
+
+def recorded(folder: Path, seed: int) -> Path:
+    """An arm under a velocity servo that is held back by a cable above an angle."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    model.opt.timestep = 2e-4
+    data = mujoco.MjData(model)
+    time = np.arange(0.0, 6.0, 0.01)
+    command = np.cos(1.1 * time + 0.2 * seed)[:, None] * 0.7
+    position = np.empty_like(command)
+    for k in range(len(time)):
+        position[k], data.ctrl[:] = data.qpos, command[k]
+        for _ in range(50):
+            data.qfrc_applied[0] = -20.0 * max(float(data.qpos[0]) - TIGHT, 0.0)
+            mujoco.mj_step(model, data)
+    stamp = 10**18 + np.rint(time * 1e9).astype(np.int64)
+    noisy = position + 1e-4 * np.random.default_rng(seed).standard_normal(position.shape)
+    path = folder / f"{seed}.mcap"
+    series = [
+        JointSeries("/joint_commands", ("lift",), stamp, stamp, None, command, None),
+        JointSeries("/joint_states", ("lift",), stamp, stamp, noisy, None, None),
+    ]
+    write_recording(path, series, {})
+    return path
+
+
+def unnamed(prepared: Prepared, trials: TrialSet) -> Searched:
+    """A search that came to nothing."""
+    problem = prepared.problem
+    (left,) = problem.residuals([EMPTY], np.arange(len(problem.simulator.segments)))
+    rms = float(np.sqrt(np.mean(left**2)))
+    errors = {"lift": JointError(rms, rms, float(problem.floor[0]), "rad")}
+    nominal = Contest(problem).nominal
+    selected = Selected(nominal, nominal)
+    return Searched(
+        prepared, trials, selected, Explained((), EMPTY), left, left, errors, "unexplained"
+    )
+
+
+def share_in(windows: list[list[float]], time: np.ndarray, tight: np.ndarray) -> float:
+    """Share of the samples in windows in which the cable pulls."""
+    inside = np.any([(time >= a) & (time <= b) for a, b in windows], axis=0)
+    return float(np.mean(tight[inside]))
+
+
+def test_a_cable_under_a_velocity_servo_is_found_where_it_pulls(tmp_path: Path) -> None:
+    """An error of the speed adds up: most of it is late, wherever the cable pulls."""
+    (tmp_path / "arm.xml").write_text(ARM)
+    realization = load(tmp_path / "arm.xml")
+    recordings = [read_recording(recorded(tmp_path, seed)) for seed in (1, 2)]
+    fit, held_out = (make_trial(r, realization.structure) for r in recordings)
+    whole, trials = pose(realization, TrialSet((fit,), (held_out,), ()), None, 1, [])
+    cut, kept = pose(realization, trials, None, 1, [], window=0.5)
+    found = unnamed(whole, trials)
+    place = unexplained(found, cut, kept)["lift"].where
+    low, high = (float(x) for x in place.summary.split(" rad:")[0].split()[1::2])
+    assert TIGHT - 0.02 < low < high < TIGHT + 0.2
+    assert set(place.windows) == {"1.mcap", "2.mcap"}
+    adrift = unexplained(found, whole, trials)["lift"].where
+    near, far = (
+        [
+            share_in(where.windows[t.path.name], t.time, t.position[:, 0] > TIGHT)
+            for t in (fit, held_out)
+            if t.path.name in where.windows
+        ]
+        for where in (place, adrift)
+    )
+    assert min(near) > 0.85
+    assert min(near) > min(far) + 0.2
