@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pytest_twin.diagnosis.cost import Cost, cost
-from pytest_twin.diagnosis.findings import Explained, finding_json
+from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.replay import without_delays
 from pytest_twin.diagnosis.prepare import Prepared
@@ -190,7 +190,7 @@ def _windowed(
         other = search(cut, kept, Selection(cut.problem, say, _CLEAR))
     if other.supersedes(found):
         notes.append(_IN_WINDOWS)
-        return other
+        return replace(other, explained=by_whole_motions(other.explained, found.prepared.problem))
     if other.beside(found):
         whole = carried(found, other)
         if whole.leaves_less(found):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -167,6 +167,21 @@ def explain(
         )
     found.sort(key=lambda f: -f.stands)
     return Explained(tuple(found), hypothesis, width, pruned.notes)
+
+
+def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
+    """Findings of windows, ordered by how far whole motions of ``problem`` move without each.
+
+    A speed that adds up, or a servo that swings, moves them further than any window. Where one of
+    them runs away nothing is told, and they stay.
+    """
+    hypothesis = explained.hypothesis
+    gone = [hypothesis.without(f.term) for f in explained.findings]
+    stands = _heights(problem, [hypothesis, *gone])
+    if not np.isfinite(stands).all():
+        return explained
+    moved = [replace(f, stands=s) for f, s in zip(explained.findings, stands, strict=True)]
+    return replace(explained, findings=tuple(sorted(moved, key=lambda f: -f.stands)))
 
 
 def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:

@@ -197,6 +197,7 @@ class Cogging(Effect):
     family = "actuation"
     law = "effort = sine sin(harmonic q) + cosine cos(harmonic q)"
     source = "Holtz, Springob, IEEE Trans. Ind. Electron. 43 (1996): torque ripple"
+    of_position = True
     parameters = (
         Parameter("sine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort"),
         Parameter("cosine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort"),

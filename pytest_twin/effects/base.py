@@ -257,6 +257,7 @@ class Effect:
         reads_other_joints: whether a hook of a joint reads what another joint's drive does.
         asks_temperature: whether a hook reads how cold a trial is.
         reads_drive: whether ``friction`` reads what the drive delivers.
+        of_position: whether its effort follows from the joint's position and nothing else.
     """
 
     id: ClassVar[str]
@@ -273,6 +274,7 @@ class Effect:
     reads_other_joints: ClassVar[bool] = False
     asks_temperature: ClassVar[bool] = False
     reads_drive: ClassVar[bool] = False
+    of_position: ClassVar[bool] = False
 
     @property
     def path(self) -> str:

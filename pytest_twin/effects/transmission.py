@@ -19,6 +19,7 @@ class JointSpring(Effect):
     family = "transmission"
     law = "effort = -stiffness (q - rest), written as preload - stiffness q"
     source = "Siciliano et al., Robotics (2009), sec. 7.2"
+    of_position = True
     parameters = (
         Parameter("stiffness", "stiffness", 0.0, -2.0, 20.0, (0.1,), "stiffness"),
         Parameter("preload", "effort", 0.0, -10.0, 10.0, (0.1,), "effort"),

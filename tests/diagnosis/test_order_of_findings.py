@@ -7,8 +7,10 @@ import pytest
 from test_behind_gears import with_true
 from test_first_order import ELBOW, problem_of
 
-from pytest_twin.diagnosis.findings import _heights
+from pytest_twin.diagnosis import findings
+from pytest_twin.diagnosis.findings import Explained, Finding, _heights, by_whole_motions
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.locate import Where
 
 WEAK, DRAG = Term("torque_constant", 0), Term("viscous_friction", ELBOW)
 SOON = 0.25
@@ -38,3 +40,32 @@ def test_whole_motions_count_in_full() -> None:
     apart = np.concatenate([a.position - b.position for a, b in zip(with_it, without, strict=True)])
     level = np.sqrt(np.mean(apart**2, axis=0)) / problem.floor
     assert height == pytest.approx(level.max())
+
+
+def named(term: Term, joints: tuple[str, ...]) -> Finding:
+    """A finding of which nothing is known but where it acts."""
+    joint = None if term.joint < 0 else joints[term.joint]
+    return Finding(
+        term.effect, joint, 1.0, {}, Where("", {}), 1.0, 0.0, (), "", (), term
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("diverges", [False, True])
+def test_findings_of_windows_are_ordered_by_whole_motions(
+    diverges: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where whole motions can be compared at all."""
+    problem = problem_of("position", {DRAG: {"coefficient": 0.3}})
+    both = with_true(problem, DRAG, {"coefficient": 0.3})
+    slight = with_true(problem, WEAK, {"relative_error": 0.01})
+    both = both.with_term_of(slight, WEAK)
+    wrong = (named(WEAK, problem.joints), named(DRAG, problem.joints))
+    explained = Explained(wrong, both)
+    if diverges:
+        heights = iter([[np.inf, 1.0]])
+        monkeypatch.setattr(findings, "_heights", lambda *_: next(heights))
+    found = by_whole_motions(explained, problem).findings
+    expected = ["torque_constant", "viscous_friction"]
+    assert [f.effect for f in found] == (expected if diverges else expected[::-1])
+    if not diverges:
+        assert found[0].stands > 3.0 * found[1].stands > 0.0

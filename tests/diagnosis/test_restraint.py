@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search import contest
 from pytest_twin.diagnosis.search.restraint import (
     _in_doubt,
+    _misshapen,
     _perhaps_absent,
     _stretched,
     _Tested,
@@ -127,6 +128,30 @@ def test_a_name_of_wide_interval_stays_where_much_more_is_left_without_it(
 
     assert stretched(flat, without) == ([] if named else [term])
     assert stretched(fitted, 40.0) == []
+
+
+@pytest.mark.parametrize(
+    ("hidden", "left", "named"),
+    [
+        pytest.param({"magnet": 0.3}, 30.0, False, id="another shape"),
+        pytest.param({"magnet": 0.3}, 12.0, True, id="hardly anything is left"),
+        pytest.param({"dry": 0.05}, 30.0, True, id="what is left goes with the velocity"),
+    ],
+)
+def test_a_law_of_position_that_leaves_more_of_position_is_no_name(
+    tmp_path: Path, hidden: dict[str, float], left: float, named: bool
+) -> None:
+    """A spring where a magnet pulls is stiff in one place and slack in another."""
+    prepared, _ = bench(tmp_path, **hidden)
+    problem, term = prepared.problem, Term("joint_spring", 0)
+    weights = 1.0 / problem.signal_floor
+    start = EMPTY.with_term(term, np.array([0.1, 0.0]))
+    (fitted,) = fit(problem, [start], weights, problem.fit, iterations=8)
+    gone = _misshapen(of_one_term(problem, fitted, left, without=left))
+    assert list(gone) == ([] if named else [0])
+    for note in gone.values():
+        assert note.startswith("near in the catalogue is joint_spring at left, but ")
+        assert "goes with the joint's position, too: what acts has another shape" in note
 
 
 @pytest.mark.parametrize(

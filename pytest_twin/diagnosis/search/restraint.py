@@ -11,9 +11,11 @@ import numpy as np
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
+from pytest_twin.diagnosis.locate import missing_force
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Selected
-from pytest_twin.diagnosis.verdict import STANDS_OUT, JointError, worth_a_name
+from pytest_twin.diagnosis.smoothing import derivatives
+from pytest_twin.diagnosis.verdict import LEFT, STANDS_OUT, JointError, worth_a_name
 from pytest_twin.effects.base import FloatArray
 
 _REFIT = 4
@@ -36,6 +38,10 @@ _UNLIKELY, _EVEN = 0.02, 0.5
 _ABSENT_BAR, _DOUBTED = 2.0, 2.0
 # Share of the squared mismatch that without a name is left in addition, where it is no doubt.
 _NEEDED = 0.25
+# Share of the force that is missing with a law of position which goes with position once more, and
+# more than with velocity, where the law has not the shape of what acts; and stretches of either
+# that this is told by.
+_SAME, _STRETCHES = 0.25, 24
 
 
 @dataclass(slots=True)
@@ -230,8 +236,48 @@ def _stretched(tested: _Tested) -> _Gone:
     return gone
 
 
+def _misshapen(tested: _Tested) -> _Gone:
+    """A law of position at a joint that stays unexplained, where the force that is missing with it
+    goes with position as well: something else acts there (a cable that goes slack is no spring).
+    """
+    problem, joints = tested.problem, len(tested.problem.joints)
+    left = [
+        JointError(float(b), float(a), 1.0, "")
+        for b, a in zip(tested.before[:joints], tested.base[:joints], strict=True)
+    ]
+    for k, t in enumerate(tested.terms):
+        if not t.law.of_position or left[t.joint].explained or left[t.joint].fraction <= LEFT:
+            continue
+        share, of_velocity = _shares(problem, tested.fitted.hypothesis, t.joint)
+        if share > max(_SAME, of_velocity):
+            return {
+                k: f"near in the catalogue is {tested.label(k)}, but {100 * share:.0f} % of the "
+                "force that is missing with it goes with the joint's position, too: what acts has "
+                "another shape; it is not claimed"
+            }
+    return {}
+
+
+def _shares(problem: Problem, hypothesis: Hypothesis, joint: int) -> tuple[float, float]:
+    """Shares of the variance of a joint's missing force that its position and velocity explain."""
+    segments = problem.simulator.segments
+    (residual,) = problem.residuals([hypothesis], np.arange(len(segments)))
+    force = missing_force(problem, residual, problem.floor).force[:, joint]
+    whole = float(np.var(force)) * len(force)
+    if not np.isfinite(whole) or whole <= 0.0:
+        return 0.0, 0.0
+
+    def share(values: FloatArray) -> float:
+        stretches = np.array_split(force[np.argsort(values, kind="stable")], _STRETCHES)
+        return 1.0 - sum(float(np.var(part)) * len(part) for part in stretches) / whole
+
+    motion = [derivatives(s.time, s.position[:, joint : joint + 1]) for s in segments]
+    position, velocity = (np.concatenate([m[order][:, 0] for m in motion]) for order in (0, 1))
+    return share(position), share(velocity)
+
+
 _RULES: tuple[Callable[[_Tested], _Gone], ...] = (
-    _diverging, _under_the_floor, _idle, _slight, _unlikely, _stretched,
+    _diverging, _under_the_floor, _idle, _slight, _unlikely, _stretched, _misshapen,
 )  # fmt: skip
 
 
