@@ -145,7 +145,8 @@ def prepare(
         _trust_efforts(problem, effort_floor, jumps)
     parts = {
         NOISE: noise,
-        "of it, sample timing": timing_noise(segments, owner),
+        # Of a joint that swings fast now and then its mean square is more than the usual noise.
+        "of it, sample timing": np.minimum(timing_noise(segments, owner), noise),
         "discretization of the simulator": steps,
     }
     return Prepared(problem, tuple(owner), parts, coldness)

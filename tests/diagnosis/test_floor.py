@@ -12,6 +12,7 @@ from two_pendulums import START_NS
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.noise import timing_noise
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
@@ -178,3 +179,17 @@ def test_a_sample_in_the_step_in_which_a_command_jumps_is_not_trusted(tmp_path: 
         assert (found[[100, 200]] < 0.01).all(), found[[100, 200]]
         # All other commands repeat the one before.
         assert (np.delete(found, [100, 200]) > 0.5).mean() > 0.9
+
+
+def test_what_timing_makes_of_a_noise_is_no_more_than_it(tmp_path: Path) -> None:
+    """A joint that creeps and then swings: over all of it late stamps cost more than is usual."""
+    t = TICK * np.arange(300)
+    command = 0.3 * np.sin(2.0 * np.pi * 0.3 * t) + 0.6 * np.sin(20.0 * t) * (t > 2.2)
+    trial = trial_of(tmp_path, POSITION, command, noise=1e-6)
+    late = 2e-3 * np.random.default_rng(0).uniform(-1.0, 1.0, len(trial.time))
+    late[0] = 0.0
+    trial = replace(trial, time=trial.time + late)
+    usual, timing, _ = prepared(tmp_path, trial).floor_parts.values()
+    segment_wide = timing_noise(prepared(tmp_path, trial).problem.simulator.segments, [0])
+    assert segment_wide[0] > 1.5 * usual[0], "or there is nothing to cap"
+    assert timing[0] == usual[0]
