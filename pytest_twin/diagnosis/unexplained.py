@@ -40,14 +40,14 @@ def unexplained(diagnosed: Searched, near: Prepared, trials: TrialSet) -> dict[s
         trials: of that.
     """
     errors, problem, hypothesis = diagnosed.errors, near.problem, diagnosed.explained.hypothesis
-    after = diagnosed.after
+    whole = motions(diagnosed.prepared, (*diagnosed.trials.fit, *diagnosed.trials.held_out))
+    paths, after = whole, diagnosed.after
     if near is not diagnosed.prepared:
+        paths = motions(near, (*trials.fit, *trials.held_out))
         problem.refine_at(hypothesis)
-        after = problem.residuals([hypothesis], np.arange(len(problem.simulator.segments)))[0]
+        (after,) = problem.residuals([hypothesis], np.arange(len(problem.simulator.segments)))
     force = missing_force(problem, after, near.floor_parts[NOISE])
     strength = force.strength
-    paths = motions(near, (*trials.fit, *trials.held_out))
-    whole = motions(diagnosed.prepared, (*diagnosed.trials.fit, *diagnosed.trials.held_out))
     found: dict[str, Left] = {}
 
     def add(j: int, blame: FloatArray) -> None:

@@ -246,7 +246,9 @@ def _misshapen(tested: _Tested) -> _Gone:
         for b, a in zip(tested.before[:joints], tested.base[:joints], strict=True)
     ]
     for k, t in enumerate(tested.terms):
-        if not t.law.of_position or left[t.joint].explained or left[t.joint].fraction <= LEFT:
+        if t.joint < 0 or not t.law.of_position:
+            continue
+        if left[t.joint].explained or left[t.joint].fraction <= LEFT:
             continue
         share, of_velocity = _shares(problem, tested.fitted.hypothesis, t.joint)
         if share > max(_SAME, of_velocity):
