@@ -151,14 +151,14 @@ def diagnose(
     # Candidates that run away overflow; what is not finite is ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         found = search(prepared, trials, Selection(prepared.problem, say))
-        problems, near = [prepared.problem], None
+        problems, near = [prepared.problem], (prepared, trials)
         if found.astray:
-            near = pose(realization, found.trials, inherited, threads, [], window=WINDOW)
+            near = pose(realization, trials, inherited, threads, [], window=WINDOW)
             problems.append(near[0].problem)
             found = _windowed(found, *near, say, notes)
         left = {}
         if found.verdict in ("improved", "unexplained"):
-            left = unexplained(found, *(near or (found.prepared, found.trials)))
+            left = unexplained(found, *near)
     progress(0.9)
     notes += found.explained.notes
     if not len(prepared.problem.held_out):

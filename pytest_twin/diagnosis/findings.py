@@ -117,10 +117,9 @@ def explain(
     if not hypothesis.terms:
         return Explained((), hypothesis, notes=pruned.notes)
     width = spread(problem, pruned.fitted)
-    everywhere = np.arange(len(problem.simulator.segments))
     problem.refine_at(hypothesis)
     gone = [hypothesis.without(t) for t in hypothesis.terms]
-    residuals = problem.residuals([hypothesis, *pruned.rests], everywhere)
+    residuals = problem.residuals([hypothesis, *pruned.rests], problem.everywhere)
     stands = _heights(problem, [hypothesis, *gone])
     in_test = problem.in_test
 

@@ -163,7 +163,7 @@ class Problem:
         self._start_at(starts)
         if self.refined is None:
             return {}, starts
-        rows = np.arange(len(self.simulator.segments))
+        rows = self.everywhere
         values = effect_values([hypothesis] * len(rows), len(self.joints), self.scales)
         coarse = self.simulator.simulate(rows, values)
         fine = self.refined.simulate(rows, values)
@@ -216,6 +216,11 @@ class Problem:
         return np.concatenate([self.floor, self.effort_floor])
 
     @property
+    def everywhere(self) -> NDArray[np.int64]:
+        """All segments."""
+        return np.arange(len(self.simulator.segments))
+
+    @property
     def tested(self) -> NDArray[np.int64]:
         """Segments that a name is held against: held out, or all that was fitted."""
         return self.held_out if len(self.held_out) else self.fit
@@ -223,9 +228,8 @@ class Problem:
     @property
     def in_test(self) -> NDArray[np.bool_]:
         """(samples,) of all segments, whether they lie in :attr:`tested` ones."""
-        everywhere = np.arange(len(self.simulator.segments))
         inside: NDArray[np.bool_] = np.repeat(
-            np.isin(everywhere, self.tested), self.lengths(everywhere)
+            np.isin(self.everywhere, self.tested), self.lengths(self.everywhere)
         )
         return inside
 

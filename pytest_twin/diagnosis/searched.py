@@ -105,7 +105,7 @@ def confirmed(
     selection = Selection(prepared.problem, say)
     contest = selection.contest
     rival = contest.settled(contest.as_it_is(start))
-    before, after = (_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
+    before, after = (left_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
     if not all(e.explained for e in _errors(prepared, before, after).values()):
         return None
     selected = selection.run(rival)
@@ -136,7 +136,7 @@ def carried(found: Searched, other: Searched) -> Searched:
 def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:
     problem = prepared.problem
     explained = explain(prepared, selected, pruned, (*trials.fit, *trials.held_out))
-    before, after = (_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
+    before, after = (left_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
     errors = _errors(prepared, before, after)
     word = verdict(errors, explained.findings)
     return Searched(prepared, trials, selected, explained, before, after, errors, word)
@@ -177,8 +177,7 @@ def pose(
                 problem.refined.fixed = problem.simulator.fixed
             problem.refine_at(EMPTY)
         everything = (*trials.fit, *trials.held_out)
-        everywhere = np.arange(len(problem.simulator.segments))
-        predicted = problem.predict([EMPTY], everywhere)[0]
+        predicted = problem.predict([EMPTY], problem.everywhere)[0]
         lost = {
             prepared.segment_trial[s]
             for s, p in enumerate(predicted)
@@ -204,10 +203,10 @@ def pose(
         trials = replace(trials, fit=fit, held_out=aside)
 
 
-def _everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
+def left_everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     """(samples, signals) that it leaves of all segments, the step's error corrected for it."""
     problem.refine_at(hypothesis)
-    return problem.residuals([hypothesis], np.arange(len(problem.simulator.segments)))[0]
+    return problem.residuals([hypothesis], problem.everywhere)[0]
 
 
 def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[str, JointError]:

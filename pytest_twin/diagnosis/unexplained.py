@@ -8,7 +8,7 @@ import numpy as np
 
 from pytest_twin.diagnosis.locate import Where, frequencies, missing_force, motions, place_of
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
-from pytest_twin.diagnosis.searched import Searched
+from pytest_twin.diagnosis.searched import Searched, left_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.effects.base import FloatArray
 
@@ -39,13 +39,12 @@ def unexplained(diagnosed: Searched, near: Prepared, trials: TrialSet) -> dict[s
             is missing where the simulated arm is somewhere else by then.
         trials: of that.
     """
-    errors, problem, hypothesis = diagnosed.errors, near.problem, diagnosed.explained.hypothesis
+    errors, problem = diagnosed.errors, near.problem
     whole = motions(diagnosed.prepared, (*diagnosed.trials.fit, *diagnosed.trials.held_out))
     paths, after = whole, diagnosed.after
     if near is not diagnosed.prepared:
         paths = motions(near, (*trials.fit, *trials.held_out))
-        problem.refine_at(hypothesis)
-        (after,) = problem.residuals([hypothesis], np.arange(len(problem.simulator.segments)))
+        after = left_everywhere(problem, diagnosed.explained.hypothesis)
     force = missing_force(problem, after, near.floor_parts[NOISE])
     strength = force.strength
     found: dict[str, Left] = {}

@@ -148,11 +148,10 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
 
     problem, prepared = found.prepared.problem, found.prepared
     everything = (*found.trials.fit, *found.trials.held_out)
-    tested = problem.held_out if len(problem.held_out) else problem.fit
-    every = np.arange(len(problem.simulator.segments))
+    every, tested = problem.everywhere, problem.tested
     lengths = problem.lengths(every)
     starts = np.concatenate([[0], np.cumsum(lengths)])
-    inside = np.repeat(np.isin(every, tested), lengths)
+    inside = problem.in_test
     paths = [
         m for m, t in zip(motions(prepared, everything), np.isin(every, tested), strict=True) if t
     ]

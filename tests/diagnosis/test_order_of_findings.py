@@ -62,8 +62,7 @@ def test_findings_of_windows_are_ordered_by_whole_motions(
     wrong = (named(WEAK, problem.joints), named(DRAG, problem.joints))
     explained = Explained(wrong, both)
     if diverges:
-        heights = iter([[np.inf, 1.0]])
-        monkeypatch.setattr(findings, "_heights", lambda *_: next(heights))
+        monkeypatch.setattr(findings, "_heights", lambda *_: [np.inf, 1.0])
     found = by_whole_motions(explained, problem).findings
     expected = ["torque_constant", "viscous_friction"]
     assert [f.effect for f in found] == (expected if diverges else expected[::-1])

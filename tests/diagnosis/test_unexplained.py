@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.rivals import Selected
-from pytest_twin.diagnosis.searched import Searched, pose
+from pytest_twin.diagnosis.searched import Searched, left_everywhere, pose
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import unexplained
 from pytest_twin.diagnosis.verdict import JointError
@@ -57,7 +57,7 @@ def recorded(folder: Path, seed: int) -> Path:
 def unnamed(prepared: Prepared, trials: TrialSet) -> Searched:
     """A search that came to nothing."""
     problem = prepared.problem
-    (left,) = problem.residuals([EMPTY], np.arange(len(problem.simulator.segments)))
+    left = left_everywhere(problem, EMPTY)
     rms = float(np.sqrt(np.mean(left**2)))
     errors = {"lift": JointError(rms, rms, float(problem.floor[0]), "rad")}
     nominal = Contest(problem).nominal

@@ -82,6 +82,13 @@ class _Tested:
         """How well its parameters are known."""
         return spread(self.problem, self.fitted)
 
+    @cached_property
+    def errors(self) -> list[JointError]:
+        """Of each joint, in floors: as the model came, and with the fit."""
+        pairs = zip(self.before, self.base, strict=True)
+        each = [JointError(float(before), float(after), 1.0, "") for before, after in pairs]
+        return each[: len(self.problem.joints)]
+
     @property
     def terms(self) -> tuple[Term, ...]:
         """Of the fit."""
@@ -215,14 +222,10 @@ def _stretched(tested: _Tested) -> _Gone:
     unexplained with them.
     """
     problem, hypothesis = tested.problem, tested.fitted.hypothesis
-    joints = len(problem.joints)
-    explained = np.array([
-        JointError(float(b), float(a), 1.0, "").explained
-        for b, a in zip(tested.before[:joints], tested.base[:joints], strict=True)
-    ])  # fmt: skip
+    explained = [error.explained for error in tested.errors]
     gone = {}
     for k, t in enumerate(tested.terms):
-        if explained.all() if t.joint < 0 else explained[t.joint]:
+        if all(explained) if t.joint < 0 else explained[t.joint]:
             continue
         likely = tested.chance(t) >= _EVEN
         at_an_end = hypothesis.at_bound(t) or problem.out_of_shape(hypothesis, t)
@@ -240,17 +243,13 @@ def _misshapen(tested: _Tested) -> _Gone:
     """A law of position at a joint that stays unexplained, where the force that is missing with it
     goes with position as well: something else acts there (a cable that goes slack is no spring).
     """
-    problem, joints = tested.problem, len(tested.problem.joints)
-    left = [
-        JointError(float(b), float(a), 1.0, "")
-        for b, a in zip(tested.before[:joints], tested.base[:joints], strict=True)
-    ]
     for k, t in enumerate(tested.terms):
         if t.joint < 0 or not t.law.of_position:
             continue
-        if left[t.joint].explained or left[t.joint].fraction <= LEFT:
+        error = tested.errors[t.joint]
+        if error.explained or error.fraction <= LEFT:
             continue
-        share, of_velocity = _shares(problem, tested.fitted.hypothesis, t.joint)
+        share, of_velocity = _shares(tested.problem, tested.fitted.hypothesis, t.joint)
         if share > max(_SAME, of_velocity):
             return {
                 k: f"near in the catalogue is {tested.label(k)}, but {100 * share:.0f} % of the "
@@ -263,7 +262,7 @@ def _misshapen(tested: _Tested) -> _Gone:
 def _shares(problem: Problem, hypothesis: Hypothesis, joint: int) -> tuple[float, float]:
     """Shares of the variance of a joint's missing force that its position and velocity explain."""
     segments = problem.simulator.segments
-    (residual,) = problem.residuals([hypothesis], np.arange(len(segments)))
+    (residual,) = problem.residuals([hypothesis], problem.everywhere)
     force = missing_force(problem, residual, problem.floor).force[:, joint]
     whole = float(np.var(force)) * len(force)
     if not np.isfinite(whole) or whole <= 0.0:
