@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
-from pytest_twin.diagnosis.first_order.responses import bins, responses
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.responses import responses
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View, candidates
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term

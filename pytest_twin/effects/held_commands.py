@@ -22,7 +22,7 @@ class HeldCommands:
     def __init__(self, segments: Sequence[Segment], timestep: float) -> None:
         self.segments = segments
         self.timestep = timestep
-        self._prompt: dict[tuple[int, int], FloatArray] = {}
+        self._prompt: dict[int, FloatArray] = {}
         self._areas: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def means(
@@ -41,32 +41,32 @@ class HeldCommands:
             steps: how many.
             timestep: s.
         """
-        count = self.segments[0].command.shape[1]
-        # Most rows ask for the same: each is worked out once.
-        asked = np.stack([(rows[:, None] * count + joints).ravel(), delay.ravel()])
-        unlike, of = np.unique(asked, axis=1, return_inverse=True)
-        means = np.empty((unlike.shape[1], steps))
-        for i, (which, late) in enumerate(unlike.T):
-            segment, joint = divmod(int(which), count)
-            means[i] = self._mean(segment, joint, float(late), steps, timestep)
+        # Most rows ask for the same: each is worked out once, and what one segment's joints ask for
+        # at the same time, together.
+        asked = np.stack([np.broadcast_to(rows[:, None], joints.shape), delay, joints], axis=-1)
+        unlike, of = np.unique(asked.reshape(-1, 3), axis=0, return_inverse=True)
+        means = np.empty((len(unlike), steps))
+        firsts = np.flatnonzero(np.append(True, np.any(np.diff(unlike[:, :2], axis=0), axis=1)))
+        for first, end in zip(firsts, np.append(firsts[1:], len(unlike)), strict=True):
+            which = unlike[first:end, 2].astype(np.int64)
+            segment, late = int(unlike[first, 0]), float(unlike[first, 1])
+            means[first:end] = self._means(segment, late, steps, timestep)[which]
         return np.swapaxes(means[of.reshape(joints.shape)], 1, 2)
 
-    def _mean(
-        self, segment: int, joint: int, delay: float, steps: int, timestep: float
-    ) -> FloatArray:
-        kept = (segment, joint)
+    def _means(self, segment: int, delay: float, steps: int, timestep: float) -> FloatArray:
+        """(joints, steps)."""
         prompt = delay == 0.0 and timestep == self.timestep
-        if prompt and len(self._prompt.get(kept, ())) >= steps:
-            return self._prompt[kept][:steps]
+        if prompt and segment in self._prompt and self._prompt[segment].shape[1] >= steps:
+            return self._prompt[segment][:, :steps]
         s = self.segments[segment]
         at = s.start - delay + timestep * np.arange(steps + 1)
         far, area = self._area(segment)
+        last = np.clip(np.searchsorted(far, at, side="right") - 1, 0, len(s.command) - 1)
         # Before the first stamp the first command holds.
-        summed = np.interp(at, far, area[joint])
-        summed += np.minimum(at - far[0], 0.0) * s.command[0, joint]
-        mean: FloatArray = np.diff(summed) / timestep
+        summed = area[:, last] + s.command[last].T * (at - far[last])
+        mean: FloatArray = np.diff(summed, axis=1) / timestep
         if prompt:
-            self._prompt[kept] = mean
+            self._prompt[segment] = mean
         return mean
 
     def _area(self, segment: int) -> tuple[FloatArray, FloatArray]:

@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.first_order.along import Along, along
+from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
 from pytest_twin.diagnosis.first_order.laws import Laws, force_slopes
-from pytest_twin.diagnosis.first_order.responses import bins, linearized, responses
+from pytest_twin.diagnosis.first_order.responses import linearized, responses
 from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms, upsampled
 from pytest_twin.diagnosis.first_order.screen import (
     Answers,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from test_behind_gears import fitted, with_true
 from test_first_order import ELBOW, SHOULDER, problem_of
 
-from pytest_twin.diagnosis.first_order.responses import Linear, bins
+from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
@@ -41,13 +40,3 @@ def test_a_look_from_nearby_is_not_taken_again(
     # What the other fit had named has no response there: it is asked here.
     look_around(problem, contest.nominal, fresh)
     assert taken == [DRAG]
-
-
-def test_bins_of_one_segment_are_those_of_all() -> None:
-    problem = problem_of("effort", {})
-    binned = bins(problem, problem.fit)
-    lengths = problem.lengths(problem.fit)
-    values = np.random.default_rng(4).standard_normal((sum(lengths), 2))
-    parts = np.split(values, np.cumsum(lengths)[:-1])
-    each = [binned.of_segment(i).mean(part) for i, part in enumerate(parts)]
-    assert np.concatenate(each) == pytest.approx(binned.mean(values))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from test_first_order import ELBOW, SHOULDER, problem_of
 
-from pytest_twin.diagnosis.first_order.responses import bins, linearized
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.responses import linearized
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View, candidates
 from pytest_twin.diagnosis.first_order.sharpen import sharpened
 from pytest_twin.diagnosis.fit import fit, propose

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.first_order.along import Along, along
+from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
 from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Forces, Laws, force_slopes
+from pytest_twin.diagnosis.first_order.readings import Column, Readings
 from pytest_twin.diagnosis.first_order.rigid_terms import (
     Efforts,
     Rigid,
@@ -31,12 +33,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import BETWEEN_STEPS, EffectValues, with_fixed
 from pytest_twin.effects.base import Effect, FloatArray, Values
 
-_BIN, _COARSEST = 0.02, 0.05
-"""s that residuals are averaged over."""
 _IN_FORCES = ("gains", "command_delay", "sample_time", "fields", "separates", *BETWEEN_STEPS)
-_MOST_BINNED = 12_000
-_AT_ONCE = 64
-"""Columns that are turned into readings together: few enough to stay in a core's cache."""
 _CLOSEST = 16
 """Candidates that are simulated at every starting size, where none is of first order."""
 
@@ -56,49 +53,6 @@ class Response:
     start: FloatArray
     switches: tuple[int, ...]
     change: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Bins:
-    """Samples of segments averaged over short stretches.
-
-    Attributes:
-        edges: first sample of every bin, over all segments stacked.
-        counts: samples in each.
-        lengths: bins of each segment.
-    """
-
-    edges: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    lengths: tuple[int, ...]
-
-    def mean(self, stacked: FloatArray) -> FloatArray:
-        """(bins, ...) means of (samples, ...)."""
-        total = np.add.reduceat(stacked, self.edges, axis=0)
-        out: FloatArray = total / self.counts.reshape(-1, *([1] * (stacked.ndim - 1)))
-        return out
-
-    def of_segment(self, i: int) -> Bins:
-        """Those of one segment alone."""
-        first = sum(self.lengths[:i])
-        mine = slice(first, first + self.lengths[i])
-        return Bins(self.edges[mine] - self.edges[first], self.counts[mine], (self.lengths[i],))
-
-
-def bins(problem: Problem, segments: NDArray[np.int64]) -> Bins:
-    """Bins of ``_BIN`` s, longer where there are many signals; at least a sample each."""
-    edges, counts, lengths, at = [], [], [], 0
-    times = [problem.simulator.segments[s].time for s in segments]
-    seconds = sum(float(t[-1] - t[0]) for t in times) * len(problem.signal_floor)
-    width = float(np.clip(seconds / _MOST_BINNED, _BIN, _COARSEST))
-    for time in times:
-        stride = max(1, round(width / float(np.median(np.diff(time)))))
-        first = np.arange(0, len(time), stride)
-        edges.append(at + first)
-        counts.append(np.diff(np.append(first, len(time))))
-        lengths.append(len(first))
-        at += len(time)
-    return Bins(np.concatenate(edges), np.concatenate(counts), tuple(lengths))
 
 
 def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
@@ -175,22 +129,6 @@ def _alone(full: FloatArray, switches: tuple[int, ...], switch: int) -> FloatArr
     alone = full.copy()
     alone[[k for k in switches if k != switch]] = 0.0
     return alone
-
-
-@dataclass(slots=True)
-class _Column:
-    """One switch of one candidate: what it adds, to be turned into readings.
-
-    Attributes:
-        force, drive: (segments, samples, joints), or None.
-        initial: (segments, 2 joints) of the state behind the first reading, or None.
-        direct: per segment (samples, signals) of readings, or None.
-    """
-
-    force: FloatArray | None = None
-    drive: FloatArray | None = None
-    initial: FloatArray | None = None
-    direct: list[FloatArray] | None = None
 
 
 def responses(
@@ -271,7 +209,9 @@ class Linear:
             force_slopes(self.simulator, self.along, self.rigid, active),
         )  # fmt: skip
         self.bins = bins(problem, segments)
+        self.readings = Readings(problem, self.along, self.deviation, self.bins)
         self.starts = self._free_starts()
+        self.readings.free(self.starts)
 
     def residual(self, residual: FloatArray) -> FloatArray:
         """(bins, signals) of (samples, signals), freed of shifted starts as responses are."""
@@ -298,19 +238,12 @@ class Linear:
             segment = self.simulator.segments[s]
             free = free_shifts(segment)
             if free:
-                response = self._read(i, state[i, :, :joints, :free]).reshape(-1, free)
+                response = self.readings.at_stamps(i, state[i, :, :joints, :free])
+                response = response.reshape(-1, free)
                 out[i] = free_start(
                     response, segment, self.problem.start_noise, self.problem.start_width
                 )
         return out
-
-    def _read(self, i: int, values: FloatArray) -> FloatArray:
-        """(stamps, ...) of (samples, ...) values of segment ``i``, linear in between."""
-        time = self.simulator.segments[self.segments[i]].time
-        at = (time - self.along.time[i, 0]) / self.along.interval
-        left = np.clip(at.astype(np.int64), 0, len(values) - 2)
-        part = (at - left).reshape(-1, *([1] * (values.ndim - 1)))
-        return np.asarray(values[left] * (1.0 - part) + values[left + 1] * part)
 
     def _active(self, values: EffectValues) -> list[tuple[Effect, Values]]:
         return [(catalogue()[e], v) for e, v in values.items()]
@@ -321,7 +254,7 @@ class Linear:
         """All candidates', those of one effect together."""
         out: list[Response] = []
         plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
-        columns: list[_Column] = []
+        columns: list[Column] = []
         for effect, group in itertools.groupby(
             sorted(terms, key=lambda t: t.effect), key=lambda t: t.effect
         ):
@@ -329,11 +262,7 @@ class Linear:
             for term, start, switches, found in self._columns(catalogue()[effect], mine):
                 plan.append((term, start, switches))
                 columns += found
-        changes = [
-            change
-            for first in range(0, len(columns), _AT_ONCE)
-            for change in self._readings(columns[first : first + _AT_ONCE])
-        ]
+        changes = self.readings.of(columns)
         at = 0
         for term, start, switches in plan:
             change = np.stack(changes[at : at + len(switches)], axis=-1)
@@ -344,7 +273,7 @@ class Linear:
 
     def _columns(
         self, effect: Effect, terms: Sequence[Term]
-    ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[_Column]]]:
+    ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[Column]]]:
         """Columns of one effect at all its joints: every joint has it at once."""
         sizes = grid(terms[0])
         switches = sizes[0][1]
@@ -413,10 +342,10 @@ class Linear:
             term.joint: forces[i * len(rows) : (i + 1) * len(rows)] for i, term in enumerate(terms)
         }
 
-    def _sensed(self, effect: Effect, values: Values, row: int, joint: int) -> _Column:
+    def _sensed(self, effect: Effect, values: Values, row: int, joint: int) -> Column:
         """What sensors and clocks change by themselves."""
         if not _sensing([(effect, values)]):
-            return _Column()
+            return Column()
         mine = {n: x[row : row + 1] for n, x in values.items()}
         direct = []
         for i, s in enumerate(self.segments):
@@ -445,7 +374,7 @@ class Linear:
         repeated = {n: np.repeat(x, len(q0), axis=0) for n, x in mine.items()}
         q, v = effect.unsense(q0, v0, repeated)
         initial = np.concatenate([_only(q - q0, joint), _only(v - v0, joint)], axis=1)
-        return _Column(initial=initial if initial.any() else None, direct=direct)
+        return Column(initial=initial if initial.any() else None, direct=np.concatenate(direct))
 
     def _at(self, values: FloatArray, i: int, stamps: FloatArray) -> FloatArray:
         """(stamps, joints) of (samples, joints) values of segment ``i``, linear."""
@@ -468,7 +397,7 @@ class Linear:
         )
         active = self._active(values)
         total, drive = self.laws.changes(active, copies, self._active(self.own), self.base)
-        columns = [_Column(total[k], drive[k]) for k in range(copies)]
+        columns = [Column(total[k], drive[k]) for k in range(copies)]
         if any(changes_bodies(e, v, joints) for e, v in (*active, *self._active(self.own))):
             samples = self.along.position.shape[1]
             efforts = self.efforts.of(active, copies)
@@ -478,22 +407,17 @@ class Linear:
                     effort - self.own_effort, self.rigid.at, samples
                 )
         base_reading, base_start = self._read_off(_sensing(self._active(self.own)), 0)
-        sensing, known = _sensing(active), dict[bytes, tuple[list[FloatArray], FloatArray]]()
+        sensing, known = _sensing(active), dict[bytes, tuple[FloatArray, FloatArray]]()
         for k, column in enumerate(columns):
             # Few hypotheses differ in what they make of a reading.
             key = b"".join(x[k].tobytes() for _, v in sensing for x in v.values())
             if key not in known:
-                known[key] = self._read_off(sensing, k)
-            reading, start = known[key]
-            column.direct = [r - b for r, b in zip(reading, base_reading, strict=True)]
-            column.initial = start - base_start
-        return [
-            change
-            for first in range(0, copies, _AT_ONCE)
-            for change in self._readings(columns[first : first + _AT_ONCE])
-        ]
+                reading, start = self._read_off(sensing, k)
+                known[key] = reading - base_reading, start - base_start
+            column.direct, column.initial = known[key]
+        return self.readings.of(columns)
 
-    def _read_off(self, active: ActiveEffects, row: int) -> tuple[list[FloatArray], FloatArray]:
+    def _read_off(self, active: ActiveEffects, row: int) -> tuple[FloatArray, FloatArray]:
         """What sensors and clocks make of the predicted motion, and the state behind its start."""
         mine = [(e, {n: x[row : row + 1] for n, x in v.items()}) for e, v in active]
         n = len(self.problem.joints)
@@ -515,59 +439,7 @@ class Linear:
         v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
         for effect, v in reversed(mine):
             q, v0 = effect.unsense(q, v0, {k: np.repeat(x, len(q), axis=0) for k, x in v.items()})
-        return out, np.concatenate([q, v0], axis=1)
-
-    # -- readings
-
-    def _readings(self, columns: Sequence[_Column]) -> list[FloatArray]:
-        """(bins, signals) of every column."""
-        shape = self.along.position.shape
-        segments, joints = shape[0], shape[2]
-        none = np.zeros(shape)
-        initial = np.zeros((segments, 2 * joints, len(columns)))
-        for k, c in enumerate(columns):
-            if c.initial is not None:
-                initial[..., k] = c.initial
-        state = drive = None
-        if initial.any() or any(c.force is not None for c in columns):
-            force = _side_by_side([none if c.force is None else c.force for c in columns])
-            state = self.deviation.of(force, initial)
-        if self.problem.effort_floor is not None:
-            drive = _side_by_side([none if c.drive is None else c.drive for c in columns])
-        parts = []
-        for i, s in enumerate(self.segments):
-            segment = self.simulator.segments[s]
-            if state is None:
-                position = np.zeros((len(segment.time), joints, len(columns)))
-            else:
-                position = self._read(i, state[i, :, :joints])
-            signals = [position]
-            if drive is not None:
-                effort = drive[i]
-                if state is not None:
-                    effort = (
-                        effort
-                        - self.deviation.stiffness[i][..., None] * state[i, :, :joints]
-                        - self.deviation.damping[i][..., None] * state[i, :, joints:]
-                    )
-                signals.append(self._read(i, effort))
-            stacked = np.concatenate(signals, axis=1)
-            for k, c in enumerate(columns):
-                if c.direct is not None:
-                    stacked[:, :, k] += c.direct[i]
-            stacked[:, joints:] = self.problem.trusted(int(s), stacked[:, joints:])
-            if i in self.starts:
-                stacked[:, :joints] = self.starts[i].freed_columns(stacked[:, :joints])
-            parts.append(self.bins.of_segment(i).mean(stacked).astype(np.float32))
-        binned = np.concatenate(parts)
-        return [np.asarray(binned[:, :, k]) for k in range(len(columns))]
-
-
-def _side_by_side(columns: Sequence[FloatArray]) -> FloatArray:
-    """(..., columns), as ``np.stack`` has them; it writes column by column, each into every line
-    of the cache, and takes four times as long.
-    """
-    return np.ascontiguousarray(np.moveaxis(np.array(columns), 0, -1))
+        return np.concatenate(out), np.concatenate([q, v0], axis=1)
 
 
 def _sensing(active: ActiveEffects) -> ActiveEffects:

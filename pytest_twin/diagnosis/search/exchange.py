@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.polish import Polished
-from pytest_twin.diagnosis.first_order.responses import Response, bins
+from pytest_twin.diagnosis.first_order.responses import Response
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.responses import (
     Linear,
     answered,
-    bins,
     linearized,
     simulated,
 )

@@ -1,0 +1,85 @@
+"""Deviations are read by one product with a matrix as sensors read them, stamp by stamp."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_first_order import problem_of
+
+from pytest_twin.diagnosis.first_order.readings import Column
+from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects.base import FloatArray
+
+RNG = np.random.default_rng(3)
+
+
+def with_efforts(problem: Problem) -> Problem:
+    """The same with measured efforts, which are trusted more here and less there."""
+    joints = len(problem.joints)
+    problem.effort_floor = np.full(joints, 0.01)
+    for i, n in enumerate(problem.lengths(problem.fit)):
+        problem.effort_trust[i] = RNG.uniform(0.1, 1.0, (n, joints))
+    return problem
+
+
+def drawn(linear: Linear, signals: int) -> list[Column]:
+    """Columns of every make, two of which share what they read directly."""
+    segments, samples, joints = linear.along.position.shape
+    stamps = int(linear.bins.counts.sum())
+    moving = [RNG.standard_normal((segments, samples, joints)) for _ in range(4)]
+    start = RNG.standard_normal((segments, 2 * joints))
+    direct = RNG.standard_normal((stamps, signals))
+    return [
+        Column(force=moving[0], drive=moving[1]),
+        Column(direct=direct),
+        Column(force=moving[2], initial=start, direct=direct),
+        Column(drive=moving[3]),
+        Column(initial=start),
+        Column(),
+    ]
+
+
+def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
+    """(bins, signals) as a sensor would have it."""
+    problem, along, deviation = linear.problem, linear.along, linear.deviation
+    segments, samples, joints = along.position.shape
+    none = np.zeros((segments, samples, joints))
+    force = none if column.force is None else column.force
+    start = np.zeros((segments, 2 * joints)) if column.initial is None else column.initial
+    state = deviation.of(force[..., None], start[..., None])[..., 0]
+    q, v = state[..., :joints], state[..., joints:]
+    drive = none if column.drive is None else column.drive
+    effort = drive - deviation.stiffness * q - deviation.damping * v
+    parts, first = [], 0
+    for i, s in enumerate(linear.segments):
+        time = problem.simulator.segments[s].time
+        signals = [q[i]] if problem.effort_floor is None else [q[i], effort[i]]
+        read = np.stack(
+            [np.interp(time, along.time[i], x) for x in np.concatenate(signals, axis=1).T], axis=1
+        )
+        if column.direct is not None:
+            read += column.direct[first : first + len(time)]
+        first += len(time)
+        read[:, joints:] = problem.trusted(int(s), read[:, joints:])
+        if i in linear.starts:
+            read[:, :joints] = linear.starts[i].freed(read[:, :joints])
+        parts.append(read)
+    stacked, ends = np.concatenate(parts), np.cumsum(linear.bins.counts)
+    return np.array([part.mean(axis=0) for part in np.split(stacked, ends[:-1])])
+
+
+@pytest.mark.parametrize("mode", ["position", "effort"])
+@pytest.mark.parametrize("measured", [False, True])
+def test_readings_are_those_of_each_stamp(mode: str, measured: bool) -> None:
+    problem = problem_of(mode, {})
+    if measured:
+        problem = with_efforts(problem)
+    linear = Linear(problem, EMPTY, problem.fit)
+    assert bool(linear.starts) is (mode == "effort")
+    columns = drawn(linear, len(problem.signal_floor))
+    for column, found in zip(columns, linear.readings.of(columns), strict=True):
+        expected = stamp_by_stamp(linear, column)
+        assert found.shape == expected.shape
+        assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
