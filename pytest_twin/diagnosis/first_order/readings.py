@@ -82,7 +82,7 @@ class Readings:
             shifts = start.solve.shape[0]
             solve = start.solve.reshape(shifts, -1, self.joints)
             of_samples = np.stack([s @ self._at[i] for s in np.moveaxis(solve, 2, 0)], axis=2)
-            mean = self._mean[self._bins[i] : self._bins[i + 1], self._of(i)]
+            mean = self._mean[self._bins[i] : self._bins[i + 1], self._stamps_of(i)]
             response = start.response.reshape(len(self._at[i].indptr) - 1, -1)
             self._starts[i] = _Start(
                 of_samples.reshape(shifts, -1), start.solve,
@@ -102,7 +102,7 @@ class Readings:
             for change in self._of_few(columns[first : first + _AT_ONCE])
         ]
 
-    def _of(self, i: int) -> slice:
+    def _stamps_of(self, i: int) -> slice:
         """Stamps of segment ``i`` among all."""
         return slice(int(self._stamps[i]), int(self._stamps[i + 1]))
 
@@ -136,20 +136,30 @@ class Readings:
         for k, c in enumerate(columns):
             if c.direct is not None:
                 binned[:, :, k] += means[id(c.direct)]
+        self._take_starts_off(binned, columns, moved)
+        out = binned.astype(np.float32)
+        return [np.asarray(out[:, :, k]) for k in range(count)]
+
+    def _take_starts_off(
+        self, binned: FloatArray, columns: Sequence[Column], moved: FloatArray | None
+    ) -> None:
+        """Take off (bins, signals, columns) what shifted starts explain of deviations and of what
+        is read directly.
+        """
+        direct = {id(c.direct): c.direct for c in columns if c.direct is not None}
         for i, start in self._starts.items():
-            shift = np.zeros((len(start.solve), count))
+            shift = np.zeros((len(start.solve), len(columns)))
             if moved is not None:
-                shift += start.of_samples @ moved[i].reshape(-1, count)
+                shift += start.of_samples @ moved[i].reshape(-1, len(columns))
             solved = {
-                key: start.solve @ d[self._of(i), :joints].ravel() for key, d in direct.items()
+                key: start.solve @ d[self._stamps_of(i), : self.joints].ravel()
+                for key, d in direct.items()
             }
             for k, c in enumerate(columns):
                 if c.direct is not None:
                     shift[:, k] += solved[id(c.direct)]
-            mine = binned[self._bins[i] : self._bins[i + 1], :joints]
+            mine = binned[self._bins[i] : self._bins[i + 1], : self.joints]
             mine -= (start.response @ shift).reshape(mine.shape)
-        out = binned.astype(np.float32)
-        return [np.asarray(out[:, :, k]) for k in range(count)]
 
     def _read_off(self, direct: FloatArray) -> FloatArray:
         """(bins, signals) means of (stamps, signals) readings, efforts as far as trusted."""
