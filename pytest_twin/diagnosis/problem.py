@@ -141,6 +141,18 @@ class Problem:
                 out[i] = flat[k * n : (k + 1) * n]
         return out
 
+    def followed(
+        self, hypothesis: Hypothesis, segments: NDArray[np.int64]
+    ) -> tuple[FloatArray, FloatArray, list[Predicted]]:
+        """True positions and velocities at every step of the model's, (segments, steps + 1, joints)
+        under a hypothesis, and its predictions as :meth:`predict` has them.
+        """
+        values = effect_values([hypothesis] * len(segments), len(self.joints), self.scales)
+        q, v, read = self.simulator.followed(segments, values)
+        if hypothesis.rough:
+            return q, v, self.predict([hypothesis], segments)[0]
+        return q, v, [self._corrected(int(s), p, 1.0) for s, p in zip(segments, read, strict=True)]
+
     def _corrected(self, segment: int, p: Predicted, share: float) -> Predicted:
         error = self.defect.get(segment)
         return p if error is None else corrected(p, error, share)

@@ -120,6 +120,15 @@ class RowSimulator:
         q, v, _ = self._moved(rows, acting(with_fixed(values, self.fixed, len(rows))))
         return q, v
 
+    def followed(
+        self, rows: NDArray[np.int64], values: EffectValues
+    ) -> tuple[FloatArray, FloatArray, list[Predicted]]:
+        """As :meth:`trajectories`, and what is read of them."""
+        effects = acting(with_fixed(values, self.fixed, len(rows)))
+        motion = self._moved(rows, effects)
+        segments = [self.segments[r] for r in rows]
+        return motion[0], motion[1], sampled(segments, effects, motion, self.timestep)
+
     def gear_stretch(
         self, rows: NDArray[np.int64], values: EffectValues, load: FloatArray
     ) -> FloatArray:

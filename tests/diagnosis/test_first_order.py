@@ -30,7 +30,7 @@ from pytest_twin.diagnosis.first_order.screen import (
     candidates,
 )
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
+from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, nominal_replay
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.diagnosis.start import free_starts
 from pytest_twin.effects import catalogue
@@ -401,3 +401,25 @@ def test_every_hidden_effect_is_of_the_catalogue() -> None:
     assert families >= {
         "timing", "sensing", "actuation", "friction", "transmission", "rigid_body", "environment",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("mode", ["position", "effort"])
+@pytest.mark.parametrize(
+    ("term", "rough"),
+    [(Term("viscous_friction", SHOULDER), False), (Term("contact_friction", ROBOT), True)],
+    ids=["smooth", "rough"],
+)
+def test_what_is_followed_is_what_is_predicted(mode: str, term: Term, rough: bool) -> None:
+    problem = problem_of(mode, {})
+    problem.refined = RowSimulator(
+        problem.simulator.segments, problem.joints, threads=1, refine=REFINE
+    )
+    hypothesis = EMPTY.with_term(term, np.array([p.starts[0] for p in term.parameters]))
+    assert hypothesis.rough is rough
+    problem.refine_at(hypothesis)
+    assert problem.defect
+    _, _, followed = problem.followed(hypothesis, problem.fit)
+    for once, again in zip(followed, problem.predict([hypothesis], problem.fit)[0], strict=True):
+        assert (once.position == again.position).all()
+        assert (once.velocity == again.velocity).all()
+        assert (once.effort == again.effort).all()

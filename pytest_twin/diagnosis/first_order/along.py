@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
+from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.effects.base import FloatArray
@@ -82,8 +82,7 @@ def along(
     """
     simulator = problem.simulator
     joints = len(problem.joints)
-    values = effect_values([hypothesis] * len(segments), joints, problem.scales)
-    q, v = simulator.trajectories(segments, values)
+    q, v, predictions = problem.followed(hypothesis, segments)
     steps = max(1, int(_GRID / simulator.timestep + 1e-9))
     q, v = q[:, ::steps], v[:, ::steps]
     samples = q.shape[1]
@@ -91,7 +90,6 @@ def along(
     starts = np.array([simulator.segments[s].start for s in segments])
     time = starts[:, None] + interval * np.arange(samples)
     shift = np.zeros((3, *q.shape))
-    predictions = problem.predict([hypothesis], segments)[0]
     for i, (s, predicted) in enumerate(zip(segments, predictions, strict=True)):
         stamps = simulator.segments[s].time
         off = np.nan_to_num(simulator.segments[s].position - predicted.position)
