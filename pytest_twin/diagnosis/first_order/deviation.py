@@ -25,7 +25,7 @@ class Deviation:
     """Transition of (position, velocity) deviations from sample to sample.
 
     Attributes:
-        step: (segments, samples - 1, 2 joints, 2 joints).
+        step: (samples - 1, segments, 2 joints, 2 joints): what one sample asks for lies together.
         push: (segments, samples - 1, 2 joints, joints) per unit of force held over a sample.
         stiffness, damping: (segments, samples, joints) of the drive, zero at its limit.
     """
@@ -46,13 +46,14 @@ class Deviation:
             (segments, samples, 2 joints, k) positions, then velocities.
         """
         segments, samples, joints, k = force.shape
-        out = np.zeros((segments, samples, 2 * joints, k))
+        out = np.zeros((samples, segments, 2 * joints, k))
         if initial is not None:
-            out[:, 0] = initial
-        for t in range(samples - 1):
-            mean = 0.5 * (force[:, t] + force[:, t + 1])
-            out[:, t + 1] = self.step[:, t] @ out[:, t] + self.push[:, t] @ mean
-        return out
+            out[0] = initial
+        mean = 0.5 * (force[:, 1:] + force[:, :-1])
+        np.matmul(self.push, mean, out=out[1:].swapaxes(0, 1))
+        for before, after, step in zip(out[:-1], out[1:], self.step, strict=True):
+            after += step @ before
+        return out.swapaxes(0, 1)
 
 
 def deviation(
@@ -119,4 +120,5 @@ def deviation(
     whole = np.eye(2 * n)
     both = np.concatenate([whole + 0.5 * h * a, h * b], axis=-1)
     solved = np.linalg.solve(whole - 0.5 * h * a, both)
-    return Deviation(solved[..., : 2 * n], solved[..., 2 * n :], stiffness, damping)
+    step = np.ascontiguousarray(solved[..., : 2 * n].swapaxes(0, 1))
+    return Deviation(step, solved[..., 2 * n :], stiffness, damping)

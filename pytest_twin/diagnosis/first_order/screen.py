@@ -9,7 +9,7 @@ one or two others in its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -183,10 +183,23 @@ class Answers:
 
     def products(self, response: int) -> FloatArray:
         """(signals, columns, switches) inner products with a response's own columns."""
-        if response not in self._products:
-            mine = self.columns[:, self.at[response]].swapaxes(-1, -2)
-            self._products[response] = np.matmul(self.columns, mine).astype(np.float64)
+        self.take_products([response])
         return self._products[response]
+
+    def take_products(self, responses: Iterable[int]) -> None:
+        """Take inner products with the columns of several responses, at a fifth of what they cost
+        one by one.
+        """
+        new = [i for i in dict.fromkeys(responses) if i not in self._products]
+        if not new:
+            return
+        mine = self.columns[:, self.columns_of(new)].swapaxes(-1, -2)
+        found = np.matmul(self.columns, mine).astype(np.float64)
+        at = 0
+        for i in new:
+            count = len(self.responses[i].switches)
+            self._products[i] = found[:, :, at : at + count]
+            at += count
 
 
 class Lens:
@@ -403,12 +416,10 @@ class Search:
             if len(s.chosen) < self.most
             for c in lens.children(s, count)
         }
-        out = []
-        for key, chosen in wanted.items():
-            if key not in self._seen:
-                self._seen[key] = lens.structure(chosen)
-            out.append(self._seen[key])
-        return out
+        new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
+        lens.answers.take_products(i for chosen in new.values() for i in chosen)
+        self._seen |= {key: lens.structure(chosen) for key, chosen in new.items()}
+        return [self._seen[key] for key in wanted]
 
     def _swap(self, lens: Lens, best: Structure) -> None:
         """Look at the structure with terms exchanged for one or two others, while that pays."""
