@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.effects.motor_side import Gear, MotorSide
+from pytest_twin.trial import CommandMode
 
 FloatArray = NDArray[np.float64]
 Values = Mapping[str, FloatArray]
@@ -27,7 +28,7 @@ Quantity = Literal[
     "command",
 ]  # fmt: skip
 Scope = Literal["joint", "robot"]
-MODES = ("position", "velocity", "effort")
+MODES: tuple[CommandMode, ...] = get_args(CommandMode)
 """What a drive may be commanded."""
 PATHS: Mapping[str, str] = {
     "timing": "sensor",

@@ -57,7 +57,7 @@ class Layout:
             if not modes:
                 continue
             mode = modes.pop()
-            target = command_input(model, joint, mode)  # type: ignore[arg-type]
+            target = command_input(model, joint, mode)
             self.servo[j] = mode
             if target is not None:
                 self.control[j], self.actuator[j] = target.control, target.actuator

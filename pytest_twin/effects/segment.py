@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.trial import CommandMode
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class Segment:
 
     trial: int
     model: mujoco.MjModel
-    mode: str
+    mode: CommandMode
     start: float
     time: FloatArray
     position: FloatArray

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import mujoco
 
 from pytest_twin.errors import SpecError
-
-CommandMode = Literal["position", "velocity", "effort"]
+from pytest_twin.trial import CommandMode
 
 # As integers: an enum of MuJoCo that stands on the left of == knows no numpy integer.
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

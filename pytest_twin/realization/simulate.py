@@ -13,8 +13,9 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SimulationError
-from pytest_twin.realization.inputs import CommandMode, steady_activation
+from pytest_twin.realization.inputs import steady_activation
 from pytest_twin.realization.model import Realization
+from pytest_twin.trial import CommandMode
 
 Vector = NDArray[np.float64]
 
