@@ -26,7 +26,7 @@ from pytest_twin.diagnosis.patched.replay import (
     stepped_beside,
     without_delays,
 )
-from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare
+from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare, shared_joints
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import smooth_state
 from pytest_twin.diagnosis.verdict import AT_FLOOR
@@ -173,13 +173,9 @@ def _prepared(
 ) -> Prepared:
     if patched is None:
         return prepare(realization, fit, aside)
-    prepared = prepare(without_delays(realization, patched), fit, aside, coldness=patched.coldness)
-    problem = prepared.problem
-    problem.simulator.fixed = fixed_values(stepped_beside(patched), problem.joints, 1)
-    if problem.refined is not None:
-        problem.refined.fixed = problem.simulator.fixed
-    problem.refine_at(EMPTY)
-    return prepared
+    bare = without_delays(realization, patched)
+    fixed = fixed_values(stepped_beside(patched), shared_joints(bare, [*fit, *aside]), 1)
+    return prepare(bare, fit, aside, coldness=patched.coldness, fixed=fixed)
 
 
 def _causes(force: MissingForce, size: FloatArray) -> list[int]:

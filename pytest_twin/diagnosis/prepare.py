@@ -10,17 +10,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.noise import effort_noise, greatest_noise, quiet_noise, timing_noise
 from pytest_twin.diagnosis.problem import (
     REFINE,
     Problem,
     joint_scales,
     nominal_replay,
+    step_errors,
 )
 from pytest_twin.diagnosis.start import Starts, free_starts
 from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
 from pytest_twin.diagnosis.windows import WINDOW, segments_of, start_width
+from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment
@@ -66,6 +68,7 @@ def prepare(
     threads: int = 0,
     window: float | None = None,
     coldness: Coldness = MappingProxyType({}),
+    fixed: EffectValues | None = None,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
@@ -76,13 +79,14 @@ def prepare(
         window: s, that motions are cut into, halved where they are too wild for it; by default
             those under effort commands alone.
         coldness: by temperature, as an earlier diagnosis had it; by default the trials tell.
+        fixed: effects beside the model, (1, joints) of :func:`shared_joints`.
 
     Raises:
         RecordingError: no joint that the model and every recording share.
         SpecError: a controller, payload or actuator that the model lacks.
     """
     trials = [*fit, *held_out]
-    joints = _shared_joints(realization, trials)
+    joints = shared_joints(realization, trials)
     coldness = coldness or coldness_of(trials)
     segments: list[Segment] = []
     owner: list[int] = []
@@ -91,15 +95,23 @@ def prepare(
         made = segments_of(realization, trial, i, joints, window, cold)
         segments += made
         owner += [i] * len(made)
-    simulator = RowSimulator(segments, joints, threads=threads)
+    simulator = RowSimulator(segments, joints, threads=threads, fixed=fixed)
     is_fit = np.array(owner) < len(fit)
     noise = greatest_noise(segments, [s.position for s in segments], owner)
-    refined = RowSimulator(segments, joints, threads=threads, refine=REFINE)
+    refined = RowSimulator(segments, joints, threads=threads, refine=REFINE, fixed=fixed)
     nominal = nominal_replay(simulator)
     effort_floor: FloatArray | None = None
     if _signed_efforts(segments, nominal):
         effort_floor = effort_noise(segments, nominal, owner)
     scales = joint_scales(simulator, nominal)
+    defect = step_errors(nominal, nominal_replay(refined))
+    steps = discretization(defect, len(joints))
+    allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
+    if window in (None, WINDOW) and _too_wild(segments, steps, allowed):
+        return prepare(
+            realization, fit, held_out,
+            threads=threads, window=0.5 * WINDOW, coldness=coldness, fixed=fixed,
+        )  # fmt: skip
     problem = Problem(
         simulator,
         np.flatnonzero(is_fit),
@@ -114,16 +126,11 @@ def prepare(
 
         def free(hypothesis: Hypothesis) -> Starts:
             return free_starts(
-                segments, joints, noise, problem.start_width, threads, hypothesis, scales
+                segments, joints, noise, problem.start_width, threads, hypothesis, scales, fixed
             )
 
         problem.free = free
-    problem.refine_at(EMPTY)
-    steps = discretization(problem)
-    allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
-    if window in (None, WINDOW) and _too_wild(segments, steps, allowed):
-        half = 0.5 * WINDOW
-        return prepare(realization, fit, held_out, threads=threads, window=half, coldness=coldness)
+    problem.as_it_came(defect)
     if segments[0].mode == "effort":
         problem.step_left = _LEFT_OF_JUMPS
     elif simulator.models.contact.world.size:
@@ -174,16 +181,21 @@ def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArra
     return segments[0].amid and enough and bool((steps > allowed).any())
 
 
-def discretization(problem: Problem) -> FloatArray:
+def discretization(defect: Mapping[int, Predicted], joints: int) -> FloatArray:
     """(joints,) root mean square of what the model's own step changes, rad or m."""
-    changes = [add.position for add in problem.defect.values()]
+    changes = [add.position for add in defect.values()]
     if not changes:
-        return np.zeros(len(problem.joints))
+        return np.zeros(joints)
     error: FloatArray = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0))
     return error
 
 
-def _shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[str, ...]:
+def shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[str, ...]:
+    """Hinges and slides of the model that all trials have.
+
+    Raises:
+        RecordingError: there is none.
+    """
     scalar = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     model = realization.model
     joints = tuple(

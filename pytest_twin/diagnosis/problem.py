@@ -35,6 +35,12 @@ def step_error(coarse: Predicted, fine: Predicted) -> Predicted:
     )
 
 
+def step_errors(coarse: Sequence[Predicted], fine: Sequence[Predicted]) -> dict[int, Predicted]:
+    """Segment -> what the model's own step leaves out of its prediction, where that is finite."""
+    errors = (step_error(c, f) for c, f in zip(coarse, fine, strict=True))
+    return {i: add for i, add in enumerate(errors) if np.isfinite(add.position).all()}
+
+
 def corrected(coarse: Predicted, error: Predicted, share: float = 1.0) -> Predicted:
     """A prediction with the error of its step, or a share of it, taken out."""
     return Predicted(
@@ -83,9 +89,7 @@ class Problem:
     start_width: float = 0.0
     in_starts: int = 0
     step_left: float = 0.125
-    _refined_at: dict[tuple[tuple[Term, ...], bytes], tuple[dict[int, Predicted], Starts]] = field(
-        default_factory=dict
-    )
+    _refined_at: dict[_Key, tuple[dict[int, Predicted], Starts]] = field(default_factory=dict)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -157,31 +161,41 @@ class Problem:
         error = self.defect.get(segment)
         return p if error is None else corrected(p, error, share)
 
+    def as_it_came(self, defect: dict[int, Predicted]) -> None:
+        """Be refined at the model as it came, where the defect of its step was measured before."""
+        starts = self._freed(EMPTY)
+        if starts.motor_shifts:
+            defect = self._defect_at(EMPTY)
+        self._refined_at[_key(EMPTY)] = defect, starts
+        self.refine_at(EMPTY)
+
     def refine_at(self, hypothesis: Hypothesis) -> None:
         """Measure at a hypothesis, on every segment, the defect of the model's step and what a
         shifted start changes.
         """
-        key = (hypothesis.terms, hypothesis.theta.tobytes())
+        key = _key(hypothesis)
         if key not in self._refined_at:
             if len(self._refined_at) >= _REMEMBERED:
                 self._refined_at.pop(next(iter(self._refined_at)))
-            self._refined_at[key] = self._refined(hypothesis)
+            starts = self._freed(hypothesis)
+            self._refined_at[key] = self._defect_at(hypothesis), starts
         self.defect, starts = self._refined_at[key]
         self._start_at(starts)
 
-    def _refined(self, hypothesis: Hypothesis) -> tuple[dict[int, Predicted], Starts]:
-        starts = Starts(self.starts, {}) if self.free is None else self.free(hypothesis)
-        self.in_starts += starts.stepped
-        self._start_at(starts)
+    def _defect_at(self, hypothesis: Hypothesis) -> dict[int, Predicted]:
         if self.refined is None:
-            return {}, starts
+            return {}
         rows = self.everywhere
         values = effect_values([hypothesis] * len(rows), len(self.joints), self.scales)
         coarse = self.simulator.simulate(rows, values)
-        fine = self.refined.simulate(rows, values)
-        errors = (step_error(c, f) for c, f in zip(coarse, fine, strict=True))
-        found = {i: add for i, add in enumerate(errors) if np.isfinite(add.position).all()}
-        return found, starts
+        return step_errors(coarse, self.refined.simulate(rows, values))
+
+    def _freed(self, hypothesis: Hypothesis) -> Starts:
+        """Let segments start where a hypothesis lets them."""
+        starts = Starts(self.starts, {}) if self.free is None else self.free(hypothesis)
+        self.in_starts += starts.stepped
+        self._start_at(starts)
+        return starts
 
     def _start_at(self, starts: Starts) -> None:
         self.starts = starts.free
@@ -253,6 +267,13 @@ class Problem:
     def lengths(self, segments: NDArray[np.int64]) -> list[int]:
         """Samples of each segment."""
         return [len(self.simulator.segments[s].time) for s in segments]
+
+
+_Key = tuple[tuple[Term, ...], bytes]
+
+
+def _key(hypothesis: Hypothesis) -> _Key:
+    return hypothesis.terms, hypothesis.theta.tobytes()
 
 
 def nominal_replay(simulator: RowSimulator) -> list[Predicted]:

@@ -11,7 +11,7 @@ from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.replay import fixed_values, stepped_beside
-from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.prepare import Prepared, prepare, shared_joints
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
@@ -163,20 +163,16 @@ def pose(
     Raises:
         SimulationError: it diverges on all of them.
     """
-    fixed = () if inherited is None else stepped_beside(inherited)
     coldness = {} if inherited is None else inherited.coldness
     while True:
+        everything = (*trials.fit, *trials.held_out)
+        beside = () if inherited is None else stepped_beside(inherited)
+        fixed = fixed_values(beside, shared_joints(realization, everything), 1)
         prepared = prepare(
             realization, trials.fit, trials.held_out,
-            threads=threads, window=window, coldness=coldness,
+            threads=threads, window=window, coldness=coldness, fixed=fixed,
         )  # fmt: skip
         problem = prepared.problem
-        if fixed:
-            problem.simulator.fixed = fixed_values(fixed, problem.joints, 1)
-            if problem.refined is not None:
-                problem.refined.fixed = problem.simulator.fixed
-            problem.refine_at(EMPTY)
-        everything = (*trials.fit, *trials.held_out)
         predicted = problem.predict([EMPTY], problem.everywhere)[0]
         lost = {
             prepared.segment_trial[s]
@@ -184,6 +180,9 @@ def pose(
             if not np.isfinite(p.position).all()
         }
         if not lost:
+            for e in beside:
+                if e.joint not in (None, *problem.joints):
+                    notes.append(f"{e.effect} of joint {e.joint!r} is left out: no motion of it")
             for joint in trials.unseen:
                 # So far off the floor nothing stands out of it, and no fit heeds it.
                 problem.floor[problem.joints.index(joint)] = _UNSEEN

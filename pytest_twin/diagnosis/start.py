@@ -17,6 +17,8 @@ from itertools import chain, islice
 import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
@@ -100,6 +102,7 @@ def free_starts(
     threads: int,
     hypothesis: Hypothesis = EMPTY,
     scales: Scales | None = None,
+    fixed: EffectValues | None = None,
 ) -> Starts:
     """A free start for every segment that would keep an error of it.
 
@@ -115,11 +118,12 @@ def free_starts(
         threads: of the batch.
         hypothesis, scales: around which the shifted starts are simulated: under friction a shift
             of the velocity dies out, without it it grows with time.
+        fixed: effects under every hypothesis, (1, joints).
     """
     if not any(map(free_shifts, segments)):
         return Starts({}, {})
     scales = scales or Scales({})
-    simulator = RowSimulator(segments, joints, threads=threads)
+    simulator = RowSimulator(segments, joints, threads=threads, fixed=fixed)
     stretch = _stretch(simulator, hypothesis, scales)
     placing = _Placing(simulator, noise, width, hypothesis, scales, stretch)
     for far in _TRIED if placing.shifts else ():
@@ -193,7 +197,9 @@ class _Placing:
         shifted = [_shifted(s, self._stretch[i]) for i, s in moved.items()]
         if not shifted:
             return {}
-        simulator = RowSimulator(list(chain(*shifted)), known.joints, threads=known.threads)
+        simulator = RowSimulator(
+            list(chain(*shifted)), known.joints, threads=known.threads, fixed=known.fixed
+        )
         rows = np.arange(len(simulator.segments))
         values = effect_values([self._hypothesis] * len(rows), len(known.joints), self._scales)
         found = iter(simulator.simulate(rows, values))
@@ -232,7 +238,8 @@ def _stretch(simulator: RowSimulator, hypothesis: Hypothesis, scales: Scales) ->
     segments, joints = simulator.segments, len(simulator.joints)
     out = np.zeros((len(segments), joints))
     rows = np.flatnonzero([s.mode == "velocity" for s in segments])
-    if len(rows) and any(t.law.overrides("separates") for t in hypothesis.terms):
+    laws = [*(t.law for t in hypothesis.terms), *(catalogue()[e] for e in simulator.fixed)]
+    if len(rows) and any(law.overrides("separates") for law in laws):
         values = effect_values([hypothesis] * len(rows), joints, scales)
         out[rows] = simulator.gear_stretch(rows, values, scales.of["effort"])
     return out

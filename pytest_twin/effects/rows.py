@@ -54,6 +54,7 @@ class RowSimulator:
         joints: hinges and slides, in the order of the segments' columns.
         threads: of the batch, 0 for all cores that the process may use.
         refine: substeps per model step, to measure the discretization.
+        fixed: effects under every row: parameters as (1, joints) arrays.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class RowSimulator:
         *,
         threads: int = 0,
         refine: int = 1,
+        fixed: EffectValues | None = None,
     ) -> None:
         self.segments = list(segments)
         self.joints = tuple(joints)
@@ -74,8 +76,7 @@ class RowSimulator:
         self.steps = np.array(
             [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]
         )
-        self.fixed: EffectValues = {}
-        """Effects under every row: parameters as (1, joints) arrays."""
+        self.fixed: EffectValues = fixed or {}
         self.stepped = 0
         """Rows times steps so far: what the engine alone would have had to step."""
         self._held = HeldCommands(self.segments, self.timestep)

@@ -16,6 +16,8 @@ from pytest_twin.diagnosis.patched.model import read_effects
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.searched import pose
+from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import read_recording
@@ -124,6 +126,54 @@ def test_several_effects_on_one_actuator_do_not_undo_each_other(
     assert loaded.patched is not None
     (written,) = replay_patched(loaded.realization, loaded.patched, [trial])
     assert np.abs(written.position - beside[0].position).max() < 2e-4
+
+
+def test_a_diagnosis_goes_on_from_the_step_error_of_what_was_found_before(
+    bench: tuple[Path, Trial, Prepared], tmp_path: Path
+) -> None:
+    folder, trial, prepared = bench
+    problem = prepared.problem
+    found = hypothesis(
+        prepared, "joint_elasticity", 0, {"compliance": 1 / 40.0, "damping_time": 0.002}
+    )
+    problem.refine_at(found)
+    (first,) = problem.predict([found], np.array([0]))[0]
+    uncorrected = first.position - problem.defect[0].position
+    assert np.abs(problem.defect[0].position).max() > 1e-5, "the step costs nothing to tell"
+    (tmp_path / "realization").mkdir()
+    write_realization(
+        tmp_path / "realization", load_model(folder / "model.xml").realization, problem, found
+    )
+    loaded = load_model(find_model(tmp_path))
+    again, _ = pose(loaded.realization, TrialSet((trial,), (), ()), loaded.patched, 1, [])
+    (later,) = again.problem.predict([EMPTY], np.array([0]))[0]
+    assert np.abs(later.position - first.position).max() < 1e-8
+    assert np.abs(later.position - uncorrected).max() > 1e-5
+    # Coming back from elsewhere changes nothing.
+    again.problem.refine_at(hypothesis(again, "armature", 1, {"inertia": 0.004}))
+    again.problem.refine_at(EMPTY)
+    (back,) = again.problem.predict([EMPTY], np.array([0]))[0]
+    assert (back.position == later.position).all()
+
+
+def test_an_effect_of_a_joint_that_no_recording_has_is_left_out_and_said(
+    bench: tuple[Path, Trial, Prepared], tmp_path: Path
+) -> None:
+    folder, trial, prepared = bench
+    found = hypothesis(prepared, "rate_limit", 1, {"inverse_rate": 1.0})
+    (tmp_path / "realization").mkdir()
+    realization = load_model(folder / "model.xml").realization
+    write_realization(tmp_path / "realization", realization, prepared.problem, found)
+    loaded = load_model(find_model(tmp_path))
+    fields = {n: getattr(trial, n) for n in Trial.__dataclass_fields__}
+    for name in ("position", "velocity", "effort"):
+        if fields[name] is not None:
+            fields[name] = fields[name][:, :1]
+    alone = Trial(**{**fields, "joints": JOINTS[:1]})
+    notes: list[str] = []
+    again, _ = pose(loaded.realization, TrialSet((alone,), (), ()), loaded.patched, 1, notes)
+    assert again.problem.joints == JOINTS[:1]
+    assert notes == [f"rate_limit of joint {JOINTS[1]!r} is left out: no motion of it"]
 
 
 def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> None:

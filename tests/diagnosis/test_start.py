@@ -105,6 +105,16 @@ def test_a_motor_is_found_where_it_started(hypothesis: Hypothesis, share: float)
     assert left(segment, links, hypothesis) > 30.0, "links alone do not explain it"
 
 
+def test_an_effect_under_every_hypothesis_frees_starts_as_one_of_it() -> None:
+    segment = recorded(resting(), SOFT, 0.5 * EFFORT / STIFFNESS)
+    fixed = effect_values([SOFT], 1, SCALES)
+    noise = np.full(1, NOISE)
+    beside = free_starts([segment], JOINTS, noise, WIDTH, 1, EMPTY, SCALES, fixed)
+    named = starts(segment, SOFT)
+    assert beside.motor_shifts[0] == pytest.approx(named.motor_shifts[0], rel=1e-9)
+    assert beside.free[0].response == pytest.approx(named.free[0].response, rel=1e-9)
+
+
 def test_a_motor_starts_within_a_few_stretches_of_its_gear() -> None:
     far = 40.0 * EFFORT / STIFFNESS
     found = starts(recorded(resting(), SOFT, far), SOFT).motor_shifts[0]

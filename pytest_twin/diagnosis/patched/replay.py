@@ -69,10 +69,13 @@ def fixed_values(
 ) -> EffectValues:
     """Parameters as (rows, joints) arrays; neutral where an effect is absent.
 
-    Several entries of one effect at one joint add up in their switching parameters.
+    Several entries of one effect at one joint add up in their switching parameters. Those of other
+    joints are left out.
     """
     out: dict[str, dict[str, FloatArray]] = {}
     for e in effects:
+        if e.joint not in (None, *joints):
+            continue
         law = catalogue()[e.effect]
         if e.effect not in out:
             out[e.effect] = {
