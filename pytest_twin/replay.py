@@ -7,8 +7,8 @@ How a trial becomes a simulation:
   so that no command comes early or late by the step's length.
 - The first state sets positions and, where it was recorded, velocities; otherwise the robot
   starts at rest. Joints outside the recording start at the model's reference (or where a joint
-  equality puts them), and their position servos hold them there. So do the servos of joints that
-  were recorded but not commanded.
+  equality puts them), and their position servos hold them there: what gravity stretches a servo
+  by is added to its setpoint. So do the servos of joints that were recorded but not commanded.
 - Filters and delays of actuators start settled on the first command.
 - An effort command on a joint without any actuator acts on the joint itself.
 - Between steps, positions follow the cubic through positions and velocities of both ends (error
@@ -34,7 +34,8 @@ from numpy.typing import NDArray
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.inputs import command_input, joint_inputs, steady_activation
+from pytest_twin.realization.first_state import follow_joint_equalities, holding_controls
+from pytest_twin.realization.inputs import command_input, steady_activation
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.trial import Trial
 from pytest_twin.twin import JointCalibration
@@ -274,14 +275,14 @@ class _Run:
         if self.trial.velocity is not None:
             velocity = self.encoders.signed(self.trial.velocity[0])
             data.qvel[self.dof_index] = np.where(np.isfinite(velocity), velocity, 0.0)
-        _follow_joint_equalities(self.model, data, set(self.joint_ids))
+        follow_joint_equalities(self.model, data, set(self.joint_ids))
 
     def _place_commands(self, data: mujoco.MjData) -> None:
         """Controls as steps: the values held, the step from which each holds, and corrections."""
         model, trial = self.model, self.trial
         width = model.nu
         base = np.zeros(width + model.nv)
-        self._hold_uncommanded(base, data)
+        base[:width] = holding_controls(model, data, trial.command_joints)
         values = np.tile(base, (len(trial.command_time), 1))
         encoders = Encoders.of(self.row.calibration, trial.command_joints)
         commands = encoders.model_command(trial.command, trial.command_mode)
@@ -305,16 +306,6 @@ class _Run:
         late = np.flatnonzero((fraction > 0.0) & (np.arange(len(at)) > 0))
         self.split_step = inside[late].astype(np.int64)
         self.split_values = (1.0 - fraction[late])[:, None] * (values[late] - values[late - 1])
-
-    def _hold_uncommanded(self, base: FloatArray, data: mujoco.MjData) -> None:
-        commanded = set(self.trial.command_joints)
-        for joint_id in range(self.model.njnt):
-            name = mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint_id)
-            if name and name not in commanded:
-                for target in joint_inputs(self.model, name):
-                    if target.mode == "position":
-                        position = data.qpos[self.model.jnt_qposadr[joint_id]]
-                        base[target.control] = target.scale * position
 
     def _settle_actuators(self, data: mujoco.MjData) -> None:
         model = self.model
@@ -409,32 +400,6 @@ def _hermite(
     bend = rest * (start_slope - (end - start)) - fraction * (end_slope - (end - start))
     curved: FloatArray = straight + fraction * rest * bend
     return curved
-
-
-def _follow_joint_equalities(model: mujoco.MjModel, data: mujoco.MjData, placed: set[int]) -> None:
-    """Move joints that were not recorded to where active joint equalities put them."""
-    pending = [
-        i
-        for i in range(model.neq)
-        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT
-        and data.eq_active[i]
-        and model.eq_obj2id[i] >= 0
-    ]
-    moved = True
-    while moved:
-        moved = False
-        for i in pending:
-            follower, leader = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
-            if follower in placed or leader not in placed:
-                continue
-            q1, q2 = model.jnt_qposadr[[follower, leader]]
-            v1, v2 = model.jnt_dofadr[[follower, leader]]
-            away = data.qpos[q2] - model.qpos0[q2]
-            law = np.polynomial.Polynomial(model.eq_data[i, :5])
-            data.qpos[q1] = model.qpos0[q1] + law(away)
-            data.qvel[v1] = law.deriv()(away) * data.qvel[v2]
-            placed.add(follower)
-            moved = True
 
 
 def _layouts(runs: Iterable[_Run]) -> list[list[_Run]]:

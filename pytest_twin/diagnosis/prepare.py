@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.problem import (
 )
 from pytest_twin.diagnosis.start import Starts, free_starts
 from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
-from pytest_twin.diagnosis.windows import WINDOW, segments_of, start_width
+from pytest_twin.diagnosis.windows import WINDOW, segments_of
 from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
@@ -121,13 +121,11 @@ def prepare(
         effort_floor,
         refined=refined,
     )
-    problem.start_noise, problem.start_width = noise, start_width(segments[0].time)
+    problem.start_noise = noise
     if any(s.amid or s.mode != "position" for s in segments):
 
         def free(hypothesis: Hypothesis) -> Starts:
-            return free_starts(
-                segments, joints, noise, problem.start_width, threads, hypothesis, scales, fixed
-            )
+            return free_starts(segments, joints, noise, threads, hypothesis, scales, fixed)
 
         problem.free = free
     problem.as_it_came(defect)

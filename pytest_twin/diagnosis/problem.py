@@ -71,7 +71,7 @@ class Problem:
             measured on arms in the air.
         starts: segment -> its free initial state, where errors of it would grow.
         free: gives ``starts`` around a hypothesis, where there are any.
-        start_noise, start_width: what their priors rest on, as :func:`free_starts` takes them.
+        start_noise: (joints,) what their priors rest on, as :func:`free_starts` takes it.
     """
 
     simulator: RowSimulator
@@ -86,7 +86,6 @@ class Problem:
     starts: dict[int, FreeStart] = field(default_factory=dict)
     free: Callable[[Hypothesis], Starts] | None = None
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
-    start_width: float = 0.0
     in_starts: int = 0
     step_left: float = 0.125
     _refined_at: dict[_Key, tuple[dict[int, Predicted], Starts]] = field(default_factory=dict)
@@ -290,7 +289,8 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
 
     def rms(values: list[FloatArray]) -> FloatArray:
         stacked = np.concatenate(values)
-        out: FloatArray = np.sqrt(np.nanmean(stacked**2, axis=0))
+        known = np.maximum(np.isfinite(stacked).sum(axis=0), 1)
+        out: FloatArray = np.sqrt(np.nansum(stacked**2, axis=0) / known)
         return out
 
     effort = np.maximum(rms([p.effort for p in nominal]), 1e-4)

@@ -23,6 +23,7 @@ from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
+from pytest_twin.realization.inputs import joint_inputs
 
 # The floor, rad or m, of a joint whose encoder says nothing.
 _UNSEEN = 1e6
@@ -183,7 +184,13 @@ def pose(
             for e in beside:
                 if e.joint not in (None, *problem.joints):
                     notes.append(f"{e.effect} of joint {e.joint!r} is left out: no motion of it")
-            for joint in trials.unseen:
+            idle = _idle(realization, problem)
+            notes += [
+                f"joint {joint!r} has a servo that no recording commands: it is taken to hold the "
+                "joint where it starts, and nothing is held against it"
+                for joint in idle
+            ]
+            for joint in {*trials.unseen, *idle}:
                 # So far off the floor nothing stands out of it, and no fit heeds it.
                 problem.floor[problem.joints.index(joint)] = _UNSEEN
             return prepared, trials
@@ -200,6 +207,17 @@ def pose(
                 expected="a model that can be stepped through at least one recording",
             )
         trials = replace(trials, fit=fit, held_out=aside)
+
+
+def _idle(realization: Realization, problem: Problem) -> list[str]:
+    """Joints with a position servo whose setpoint nobody knows."""
+    servo = problem.simulator.layout.servo
+    return [
+        joint
+        for joint, told in zip(problem.joints, servo, strict=True)
+        if told == "none"
+        and any(i.mode == "position" for i in joint_inputs(realization.model, joint))
+    ]
 
 
 def left_everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:

@@ -17,6 +17,7 @@ from itertools import chain, islice
 import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
+from pytest_twin.diagnosis.windows import start_width
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import FloatArray
@@ -98,7 +99,6 @@ def free_starts(
     segments: Sequence[Segment],
     joints: Sequence[str],
     noise: FloatArray,
-    width: float,
     threads: int,
     hypothesis: Hypothesis = EMPTY,
     scales: Scales | None = None,
@@ -114,7 +114,6 @@ def free_starts(
         segments: all of the problem.
         joints: their columns.
         noise: (joints,) deviation of a sample, rad or m.
-        width: s, of the local cubic that gave the initial states.
         threads: of the batch.
         hypothesis, scales: around which the shifted starts are simulated: under friction a shift
             of the velocity dies out, without it it grows with time.
@@ -125,7 +124,7 @@ def free_starts(
     scales = scales or Scales({})
     simulator = RowSimulator(segments, joints, threads=threads, fixed=fixed)
     stretch = _stretch(simulator, hypothesis, scales)
-    placing = _Placing(simulator, noise, width, hypothesis, scales, stretch)
+    placing = _Placing(simulator, noise, hypothesis, scales, stretch)
     for far in _TRIED if placing.shifts else ():
         placing.improved({i: far * stretch[i] for i in placing.shifts}, _CLEARLY)
     apart = list(placing.shifts)
@@ -170,12 +169,11 @@ class _Placing:
         self,
         simulator: RowSimulator,
         noise: FloatArray,
-        width: float,
         hypothesis: Hypothesis,
         scales: Scales,
         stretch: FloatArray,
     ) -> None:
-        self._simulator, self._noise, self._width = simulator, noise, width
+        self._simulator, self._noise = simulator, noise
         self._hypothesis, self._scales, self._stretch = hypothesis, scales, stretch
         self.stepped = 0
         none = np.zeros(len(simulator.joints))
@@ -210,7 +208,7 @@ class _Placing:
             response = [(p.position - base.position).ravel() / _STEP for p in others]
             if np.isfinite(response).all():
                 of_shifts = np.stack(response, axis=1)
-                start = free_start(of_shifts, s, self._noise, self._width, self._stretch[i])
+                start = free_start(of_shifts, s, self._noise, self._stretch[i])
                 off = s.position - base.position
                 left = float(np.sum((start.freed(off) / self._noise) ** 2))
                 out[i] = _Around(start, off, left)
@@ -249,29 +247,30 @@ def free_start(
     response: FloatArray,
     segment: Segment,
     noise: FloatArray,
-    width: float,
     motors: FloatArray | None = None,
 ) -> FreeStart:
     """A free start from its (samples * joints, shifts) response.
 
     Args:
         response: to shifts of the links, then of motors behind gears that give.
-        segment, noise, width: as above.
+        segment: which.
+        noise: (joints,) deviation of a sample, rad or m.
         motors: (joints,) deviation of where those start, rad or m; 0 where they are their links.
     """
     weight = np.tile(1.0 / noise**2, len(response) // len(noise))
     motors = np.zeros(len(noise)) if motors is None else motors
     behind = motors[motors > 0.0]
     links = response.shape[1] - len(behind)
-    prior = 1.0 / np.concatenate([_start_variance(segment, noise, width)[:links], behind**2])
+    prior = 1.0 / np.concatenate([_start_variance(segment, noise)[:links], behind**2])
     normal = response.T @ (weight[:, None] * response) + np.diag(prior)
     # Where a motion runs away shifts of its start all look alike: least squares share them out.
     solve = np.linalg.lstsq(normal, response.T * weight, rcond=None)[0].astype(np.float64)
     return FreeStart(response, solve, motors)
 
 
-def _start_variance(segment: Segment, noise: FloatArray, width: float) -> FloatArray:
-    """(2 joints,) variance of initial position and velocity from a local cubic over ``width`` s."""
+def _start_variance(segment: Segment, noise: FloatArray) -> FloatArray:
+    """(2 joints,) variance of initial position and velocity from a local cubic."""
+    width = start_width(segment.time)
     interval = float(np.median(np.diff(segment.time)))
     t = np.arange(-width / 2, width / 2 + interval / 2, interval) / (width / 2)
     basis = np.vander(t, 4, increasing=True)

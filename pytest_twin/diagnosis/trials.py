@@ -93,7 +93,7 @@ def read_trials(
             expected="at least one RECORDING besides --held-out",
         )
     modes = {t.command_mode for t in trials}
-    if len(modes) > 1:
+    if len(modes | {t.command_mode for t in aside}) > 1:
         kept = max(modes, key=lambda mode: sum(t.command_mode == mode for t in trials))
         for t in [*trials, *aside]:
             if t.command_mode != kept:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.segment import Segment
+from pytest_twin.effects.segment import Segment, Unrecorded
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.realization.first_state import follow_joint_equalities, holding_controls
 from pytest_twin.realization.mjcf import compiled
 from pytest_twin.trial import Trial
 
@@ -66,6 +67,8 @@ def segments_of(
             command[:, j] = trial.command[:, trial.command_joints.index(joint)]
     command = encoders.model_command(command, trial.command_mode)
     ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
+    first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])
+    around = _Around(model, joints, trial.command_joints, position[0])
     common = {
         "trial": index,
         "model": model,
@@ -75,10 +78,10 @@ def segments_of(
         "coldness": coldness,
     }
     if window is None and trial.command_mode != "effort":
-        first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])
         return [
             Segment(start=0.0, time=time, position=position, velocity=velocity, effort=effort,
-                    initial_position=position[0], initial_velocity=first, **common)
+                    initial_position=position[0], initial_velocity=first,
+                    unrecorded=around.at(position[0], first), **common)
         ]  # fmt: skip
     out = []
     width = start_width(time)
@@ -93,9 +96,39 @@ def segments_of(
             Segment(start=float(start), time=time[inside], position=position[inside],
                     velocity=None if velocity is None else velocity[inside],
                     effort=None if effort is None else effort[inside],
-                    initial_position=q, initial_velocity=v, history=history, **common)
+                    initial_position=q, initial_velocity=v, history=history,
+                    unrecorded=around.at(q, v), **common)
         )  # fmt: skip
     return out
+
+
+class _Around:
+    """What no recording says of a model, in one trial."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        joints: Sequence[str],
+        commanded: Sequence[str],
+        first: FloatArray,
+    ) -> None:
+        """The model's joints start at (joints,) ``first``, where its servos hold the others."""
+        self._model, self._data = model, mujoco.MjData(model)
+        self._ids = [model.joint(joint).id for joint in joints]
+        self._place(first, np.zeros(len(joints)))
+        self._control = holding_controls(model, self._data, commanded)
+
+    def at(self, position: FloatArray, velocity: FloatArray) -> Unrecorded:
+        """Where (joints,) recorded positions and velocities take the rest of the model."""
+        self._place(position, velocity)
+        return Unrecorded(self._data.qpos.copy(), self._data.qvel.copy(), self._control)
+
+    def _place(self, position: FloatArray, velocity: FloatArray) -> None:
+        model, data = self._model, self._data
+        mujoco.mj_resetData(model, data)
+        data.qpos[model.jnt_qposadr[self._ids]] = position
+        data.qvel[model.jnt_dofadr[self._ids]] = velocity
+        follow_joint_equalities(model, data, self._ids)
 
 
 def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:

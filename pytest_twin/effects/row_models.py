@@ -198,6 +198,7 @@ class RowModels:
         # Threads meet at every step that laws act between: few rows are sooner done alone.
         few = any_hook(effects, *BETWEEN_STEPS) and len(rows) * models[0].nv < _WORTH_THREADS
         batched = _Batched(Batch(models[0], len(rows), nthread=1 if few else threads), models)
+        self._place_unrecorded(batched.batch, rows)
         world = self.world(rows)
         for effect, parameters in reversed(effects):
             world.position, world.velocity = effect.unsense(
@@ -239,6 +240,15 @@ class RowModels:
         if own or fields.armature.any() or moved:
             batched.batch.set_const()
         return Rows(batched.batch, world, apart, constant, friction, force_range)
+
+    def _place_unrecorded(self, batch: Batch, rows: NDArray[np.int64]) -> None:
+        """Start what no recording says anything of."""
+        places = {name: batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
+        for i, r in enumerate(rows):
+            rest = self.segments[r].unrecorded
+            if rest is not None:
+                places["qpos"][i], places["qvel"][i] = rest.qpos, rest.qvel
+                places["ctrl"][i] = rest.control
 
     def _write_dofs(
         self,

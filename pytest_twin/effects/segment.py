@@ -12,6 +12,21 @@ from pytest_twin.trial import CommandMode
 
 
 @dataclass(frozen=True, slots=True)
+class Unrecorded:
+    """What no recording says of a model where a segment starts.
+
+    Attributes:
+        qpos, qvel: (nq,), (nv,) of the whole model: what follows a recorded joint is where that
+            takes it.
+        control: (nu,) of drives that nobody commands.
+    """
+
+    qpos: FloatArray
+    qvel: FloatArray
+    control: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Segment:
     """A stretch of a trial, simulated from its own initial state. Arrays in the model's frame.
 
@@ -24,13 +39,15 @@ class Segment:
         position: (n, joints) rad or m, measured.
         velocity, effort: (n, joints) or None.
         command_time: (m,) s on the trial's clock.
-        command: (m, joints); NaN columns for joints that are not commanded.
+        command: (m, joints); NaN columns for joints that are not commanded: position servos then
+            stay where ``unrecorded`` has them.
         initial_position, initial_velocity: (joints,).
         history: where the start lies amid a motion, (m,) s on the trial's clock and (m, joints)
             positions and velocities of the whole trial, smoothed.
         motor_shift: (joints,) rad or m by which motors behind gears that give start elsewhere than
             where they would carry their links at rest, or where their windows' lead brought them.
         coldness: 1 in the coldest trial, 0 in the warmest; 1 where nobody says.
+        unrecorded: the rest of the model, by default at its reference without commands.
     """
 
     trial: int
@@ -48,6 +65,7 @@ class Segment:
     history: tuple[FloatArray, FloatArray, FloatArray] | None = None
     motor_shift: FloatArray | None = None
     coldness: float = 1.0
+    unrecorded: Unrecorded | None = None
 
     @property
     def amid(self) -> bool:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from two_pendulums import JOINTS, STEP, mjcf, record, reference, swing, write
+from two_pendulums import JOINTS, START_NS, STEP, mjcf, record, reference, swing, write
 
 from pytest_twin import cli
 from pytest_twin.commands.replay import load_model
@@ -14,6 +14,7 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.errors import RecordingError
+from pytest_twin.formats.mcap import JointSeries, write_recording
 
 
 class Bench:
@@ -129,6 +130,56 @@ def test_another_unit_is_not_taken_for_physics(bench: Bench, factor: float, word
     with pytest.raises(RecordingError, match=words):
         bench.read(odd)
     assert names(bench.read(bench.put("a.mcap"), odd).fit) == ["a.mcap"]
+
+
+def test_a_held_out_recording_of_another_mode_is_left_out(bench: Bench) -> None:
+    """Also where all that is fitted is of one mode."""
+    a, b = bench.put("a.mcap"), bench.put("b.mcap")
+    effort = bench.folder / "effort.mcap"
+    stamps = START_NS + np.rint(bench.sent_at * 1e9).astype(np.int64)
+    states = START_NS + np.rint(bench.seen_at * 1e9).astype(np.int64)
+    sent = JointSeries("/joint_commands", JOINTS, stamps, stamps, None, None, bench.sent)
+    seen = JointSeries("/joint_states", JOINTS, states, states, bench.seen, None, None)
+    write_recording(effort, [sent, seen], {})
+    found = bench.read(a, held_out=(b, effort))
+    assert [t.path for t in found.held_out] == [b]
+    assert any(
+        str(effort) in n and "effort commands, the others give position" in n for n in found.notes
+    )
+    alone = bench.read(a, held_out=(effort,))
+    assert not alone.held_out
+    assert any("no held-out recording could be used" in n for n in alone.notes)
+
+
+def test_a_servo_that_nobody_commands_is_no_mismatch(bench: Bench) -> None:
+    """It holds its joint under gravity, by a setpoint that no recording has."""
+    files = []
+    for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
+        wanted = reference(seed, 4.0, 2)
+        wanted[:, 1] = 0.4
+        moved = swing(wanted)
+        settled = round(2.0 / STEP)
+        wanted, moved = wanted[settled:], moved[settled:]
+        sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+        noise = 1e-4 * np.random.default_rng(seed).standard_normal((len(seen), 2))
+        velocity = np.gradient(moved, STEP, axis=0)[seen]
+        stamps = [START_NS + np.rint(at * STEP * 1e9).astype(np.int64) for at in (sent, seen)]
+        path = bench.folder / f"{role}{seed}.mcap"
+        at, measured = stamps[1], moved[seen] + noise
+        left = JOINTS[:1]
+        commands = JointSeries(
+            "/joint_commands", left, stamps[0], stamps[0], wanted[sent][:, :1], None, None
+        )
+        states = JointSeries("/joint_states", JOINTS, at, at, measured, velocity, None)
+        write_recording(path, [commands, states], {"role": role})
+        files.append(path)
+    trials = bench.read(*files)
+    stretched = trials.fit[0].position[0, 1] - 0.4
+    assert stretched > 0.02, "gravity stretches the servo by nothing that would matter"
+    found = diagnose(bench.loaded.realization, trials, threads=1)
+    assert found.verdict == "no_mismatch"
+    assert list(found.errors) == ["left"]
+    assert any("'right' has a servo that no recording commands" in note for note in found.notes)
 
 
 def test_a_clipped_velocity_is_said_and_does_not_matter(bench: Bench) -> None:

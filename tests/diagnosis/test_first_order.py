@@ -166,8 +166,8 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
     noise = np.full(len(joints), NOISE)
     problem = Problem(simulator, np.arange(len(segments)), np.zeros(0, np.int64), noise, scales)
     if not servo:
-        problem.start_noise, problem.start_width = noise, START_WIDTH
-        problem.free = lambda h: free_starts(segments, joints, noise, START_WIDTH, 1, h, scales)
+        problem.start_noise = noise
+        problem.free = lambda h: free_starts(segments, joints, noise, 1, h, scales)
     problem.refine_at(EMPTY)
     return problem
 

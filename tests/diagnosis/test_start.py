@@ -18,7 +18,7 @@ JOINTS = ("wheel",)
 STIFFNESS, DAMPING_TIME, GAP = 6.0, 0.02, 0.05
 SHIFT = 0.1
 """rad by which the motor starts elsewhere than the model has it."""
-NOISE, WIDTH, SECONDS = 1e-4, 0.06, 4.0
+NOISE, SECONDS = 1e-4, 4.0
 EFFORT = 0.5
 SCALES = Scales({"one": np.ones(1), "compliance": np.ones(1), "position": np.ones(1),
                  "time": np.ones(1), "effort": np.full(1, EFFORT)})  # fmt: skip
@@ -80,7 +80,7 @@ def recorded(segment: Segment, hypothesis: Hypothesis, shift: float, seed: int =
 
 
 def starts(segment: Segment, hypothesis: Hypothesis) -> Starts:
-    return free_starts([segment], JOINTS, np.full(1, NOISE), WIDTH, 1, hypothesis, SCALES)
+    return free_starts([segment], JOINTS, np.full(1, NOISE), 1, hypothesis, SCALES)
 
 
 def left(segment: Segment, around: Starts, hypothesis: Hypothesis) -> float:
@@ -105,11 +105,23 @@ def test_a_motor_is_found_where_it_started(hypothesis: Hypothesis, share: float)
     assert left(segment, links, hypothesis) > 30.0, "links alone do not explain it"
 
 
+def test_every_start_is_known_as_well_as_its_own_samples_say() -> None:
+    """Recordings of one set may be of different rates."""
+    slow = resting()
+    fast = replace(
+        slow, time=slow.time / 10.0, position=slow.position[:, :1], command_time=slow.time / 10.0
+    )
+    together = free_starts([slow, fast], JOINTS, np.full(1, NOISE), 1, EMPTY, SCALES).free
+    for k, segment in enumerate((slow, fast)):
+        (alone,) = starts(segment, EMPTY).free.values()
+        assert together[k].solve == pytest.approx(alone.solve)
+
+
 def test_an_effect_under_every_hypothesis_frees_starts_as_one_of_it() -> None:
     segment = recorded(resting(), SOFT, 0.5 * EFFORT / STIFFNESS)
     fixed = effect_values([SOFT], 1, SCALES)
     noise = np.full(1, NOISE)
-    beside = free_starts([segment], JOINTS, noise, WIDTH, 1, EMPTY, SCALES, fixed)
+    beside = free_starts([segment], JOINTS, noise, 1, EMPTY, SCALES, fixed)
     named = starts(segment, SOFT)
     assert beside.motor_shifts[0] == pytest.approx(named.motor_shifts[0], rel=1e-9)
     assert beside.free[0].response == pytest.approx(named.free[0].response, rel=1e-9)

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import copy
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 from pytest_twin.formats.mcap import JointSeries, Recording, read_recording
 from pytest_twin.realization import load
-from pytest_twin.replay import Row, replay_rows
+from pytest_twin.replay import Row, replay, replay_rows
 from pytest_twin.trial import CommandMode, Trial, make_trial
 
 RECORDINGS = Path(
@@ -102,6 +104,71 @@ def test_a_made_arm_moves_alike(mode: CommandMode, jitter: float) -> None:
     assert moved > 0.1
     assert position < 1e-9
     assert velocity < 1e-8
+
+
+GRIPPER = """\
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
+<body><joint name="lift" axis="0 1 0" damping=".4"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1" contype="0" conaffinity="0"/>
+<body pos=".3 0 0"><joint name="wrist" axis="0 1 0" damping=".2"/>
+<geom type="capsule" fromto="0 0 0 .1 0 0" size=".02" mass=".5" contype="0" conaffinity="0"/>
+<body pos=".1 0 0"><joint name="finger" type="slide" axis="0 1 0" damping="3"/>
+<geom size=".01" mass=".05" contype="0" conaffinity="0"/></body>
+<body pos=".1 0 0"><joint name="mirror" type="slide" axis="0 -1 0" damping="3"/>
+<geom size=".01" mass=".05" contype="0" conaffinity="0"/></body></body></body>
+</worldbody><equality><joint joint1="mirror" joint2="finger"/></equality>
+<actuator><position joint="lift" kp="60" kv="2"/><position joint="wrist" kp="30" kv="1" gear="2"/>
+<position joint="finger" kp="200" kv="5"/></actuator></mujoco>
+"""
+
+
+GRIPPER_JOINTS, GRIPPER_START = ("lift", "wrist", "finger"), (0.1, 0.3, 0.02)
+
+
+def gripper_trial(time: np.ndarray, commanded: tuple[str, ...], sent: np.ndarray) -> Trial:
+    """Of which the first state and the commands say something."""
+    at = 1_700_000_000_000_000_000 + np.rint(time * 1e9).astype(np.int64)
+    start = np.tile(GRIPPER_START, (len(time), 1))
+    series = {
+        "state": JointSeries("/joint_states", GRIPPER_JOINTS, at, at, start, None, None),
+        "command": JointSeries("/joint_commands", commanded, at, at, sent, None, None),
+    }
+    return make_trial(Recording(Path("made.mcap"), series, {}, ()))
+
+
+def test_what_no_recording_says_anything_of_is_the_same_for_both(tmp_path: Path) -> None:
+    """A servo that nobody commands, and a finger that follows another."""
+    (tmp_path / "model.xml").write_text(GRIPPER)
+    realization = load(tmp_path / "model.xml")
+    time = 0.01 * np.arange(120)
+    sent = np.column_stack([0.1 + 0.4 * np.sin(9 * time), 0.02 + 0.01 * np.sin(5 * time)])
+    joints, commanded = GRIPPER_JOINTS, ("lift", "finger")
+    trial = gripper_trial(time, commanded, sent)
+    (segment,) = segments_of(realization, trial, 0, joints)
+    (rows,) = RowSimulator([segment], joints, threads=1).simulate(np.array([0]), {})
+    replayed = replay(realization, [trial], threads=1)[0]
+    assert np.ptp(replayed.position[:, 0]) > 0.1
+    assert np.abs(rows.position - replayed.position).max() < 1e-9
+    assert np.abs(replayed.position[:, 1] - 0.3).max() < 0.1, "the wrist is held"
+    # Told nothing of the rest of the model, a row moves otherwise.
+    bare = replace(segment, unrecorded=None)
+    (other,) = RowSimulator([bare], joints, threads=1).simulate(np.array([0]), {})
+    assert np.abs(other.position - replayed.position)[:, 1].max() > 0.1
+    assert np.abs(other.position - replayed.position)[:, 2].max() > 1e-4
+
+
+def test_a_joint_that_some_recordings_command_is_held_in_the_others(tmp_path: Path) -> None:
+    (tmp_path / "model.xml").write_text(GRIPPER)
+    realization = load(tmp_path / "model.xml")
+    time = 0.01 * np.arange(120)
+    sent = np.tile(GRIPPER_START, (len(time), 1))
+    joints = GRIPPER_JOINTS
+    trials = [gripper_trial(time, joints, sent), gripper_trial(time, ("lift",), sent[:, :1])]
+    segments = [segments_of(realization, t, i, joints)[0] for i, t in enumerate(trials)]
+    rows = RowSimulator(segments, joints, threads=1).simulate(np.arange(2), {})
+    for found, t in zip(rows, trials, strict=True):
+        replayed = replay(realization, [t], threads=1)[0]
+        assert np.abs(found.position - replayed.position).max() < 1e-9
 
 
 def test_the_real_arm_moves_alike() -> None:

@@ -240,9 +240,7 @@ class Linear:
             if free:
                 response = self.readings.at_stamps(i, state[i, :, :joints, :free])
                 response = response.reshape(-1, free)
-                out[i] = free_start(
-                    response, segment, self.problem.start_noise, self.problem.start_width
-                )
+                out[i] = free_start(response, segment, self.problem.start_noise)
         return out
 
     def _active(self, values: EffectValues) -> list[tuple[Effect, Values]]:

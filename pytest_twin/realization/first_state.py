@@ -1,0 +1,101 @@
+"""Where a model starts, and what its drives are told, of which no recording says anything."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.realization.inputs import joint_inputs
+
+_LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+
+
+def follow_joint_equalities(
+    model: mujoco.MjModel, data: mujoco.MjData, placed: Collection[int]
+) -> None:
+    """Move joints to where active joint equalities put them, followers of followers too.
+
+    Args:
+        model: whose equalities.
+        data: its ``qpos`` and ``qvel`` are changed.
+        placed: ids of joints that stay where they are.
+    """
+    still = set(placed)
+    pending = [
+        i
+        for i in range(model.neq)
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT
+        and data.eq_active[i]
+        and model.eq_obj2id[i] >= 0
+    ]
+    moved = True
+    while moved:
+        moved = False
+        for i in pending:
+            follower, leader = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+            if follower in still or leader not in still:
+                continue
+            q1, q2 = model.jnt_qposadr[[follower, leader]]
+            v1, v2 = model.jnt_dofadr[[follower, leader]]
+            away = data.qpos[q2] - model.qpos0[q2]
+            law = np.polynomial.Polynomial(model.eq_data[i, :5])
+            data.qpos[q1] = model.qpos0[q1] + law(away)
+            data.qvel[v1] = law.deriv()(away) * data.qvel[v2]
+            still.add(follower)
+            moved = True
+
+
+def holding_controls(
+    model: mujoco.MjModel, data: mujoco.MjData, commanded: Collection[str]
+) -> NDArray[np.float64]:
+    """(nu,) controls with which position servos hold joints that nobody commands where they are.
+
+    What such a servo was told is not known; that the joint rests on it is. Its setpoint lies off
+    the joint by what the load stretches the servo. Other controls are zero.
+
+    Args:
+        model: whose servos.
+        data: holds positions.
+        commanded: joints with commands of their own.
+    """
+    control = np.zeros(model.nu)
+    load = _load_at_rest(model, data)
+    for joint in range(model.njnt):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+        if not name or name in commanded:
+            continue
+        servos = [i for i in joint_inputs(model, name) if i.mode == "position"]
+        laws = [_law(model, servo.actuator) for servo in servos]
+        stiffness, constant = (sum(each) for each in zip((0.0, 0.0), *laws, strict=True))
+        position = float(data.qpos[model.jnt_qposadr[joint]])
+        if stiffness > 0.0:
+            position += (float(load[model.jnt_dofadr[joint]]) - constant) / stiffness
+        for servo in servos:
+            control[servo.control] = servo.scale * position
+    return control
+
+
+def _load_at_rest(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
+    """(nv,) efforts that drives give where the model rests as ``data`` has it, N*m or N."""
+    still = mujoco.MjData(model)
+    still.qpos[:] = data.qpos
+    mujoco.mj_fwdPosition(model, still)
+    mujoco.mj_fwdVelocity(model, still)
+    load: NDArray[np.float64] = still.qfrc_bias - still.qfrc_passive
+    # What MuJoCo lets drives compensate is no part of what a servo gives.
+    by_drives = model.jnt_actgravcomp[model.dof_jntid] != 0
+    return load - np.where(by_drives, still.qfrc_gravcomp, 0.0)
+
+
+def _law(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
+    """Stiffness, N*m/rad or N/m, and constant effort of a servo at its joint; zero where they do
+    not follow from its gains.
+    """
+    if int(model.actuator_gaintype[actuator]) not in _LINEAR_GAINS:
+        return 0.0, 0.0
+    gear = float(model.actuator_gear[model.actuator_outadr[actuator], 0])
+    constant, slope = (float(b) for b in model.actuator_biasprm[actuator, :2])
+    return -slope * gear**2, constant * gear
