@@ -34,8 +34,12 @@ from numpy.typing import NDArray
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.first_state import follow_joint_equalities, holding_controls
-from pytest_twin.realization.inputs import command_input, steady_activation
+from pytest_twin.realization.first_state import (
+    follow_joint_equalities,
+    holding_controls,
+    settle_actuators,
+)
+from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.trial import Trial
 from pytest_twin.twin import JointCalibration
@@ -233,7 +237,8 @@ class _Run:
         self._place_samples()
         self._set_first_state(data)
         self._place_commands(data)
-        self._settle_actuators(data)
+        data.ctrl[:] = self.values[0, : self.model.nu]
+        settle_actuators(self.model, data)
         self.initial = {name: getattr(data, name).copy() for name in _INITIAL}
         count = len(self.trial.time)
         self.qpos = np.full((count, self.model.nq), np.nan)
@@ -306,20 +311,6 @@ class _Run:
         late = np.flatnonzero((fraction > 0.0) & (np.arange(len(at)) > 0))
         self.split_step = inside[late].astype(np.int64)
         self.split_values = (1.0 - fraction[late])[:, None] * (values[late] - values[late - 1])
-
-    def _settle_actuators(self, data: mujoco.MjData) -> None:
-        model = self.model
-        data.ctrl[:] = self.values[0, : model.nu]
-        mujoco.mj_fwdPosition(model, data)
-        for actuator in range(model.nactuator):
-            steady = steady_activation(model, data, actuator)
-            if steady is not None:
-                data.act[steady[0]] = steady[1]
-            if model.actuator_historyadr[actuator] >= 0:
-                first = int(model.actuator_ctrladr[actuator])
-                held = data.ctrl[first : first + model.actuator_ctrlnum[actuator]]
-                samples = int(model.actuator_history[actuator, 0])
-                mujoco.mj_initCtrlHistory(model, data, actuator, None, np.tile(held, samples))
 
     def controls(self, begin: int, end: int, out: FloatArray) -> None:
         """Write the controls of steps ``begin`` to ``end`` into ``out`` (steps, controls)."""

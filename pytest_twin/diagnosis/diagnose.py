@@ -11,8 +11,8 @@ import numpy as np
 
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
+from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.patched.replay import without_delays
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
@@ -132,10 +132,11 @@ def diagnose(
     """
     since = time.perf_counter()
     notes = list(trials.notes)
-    if inherited is not None:
-        realization = without_delays(realization, inherited)
+    beside = stepped_beside(realization, inherited)
+    realization = without_delays(realization)
+    coldness = {} if inherited is None else inherited.coldness
     progress(0.02)
-    prepared, trials = pose(realization, trials, inherited, threads, notes)
+    prepared, trials = pose(realization, trials, beside, coldness, threads, notes)
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
@@ -153,7 +154,7 @@ def diagnose(
         found = search(prepared, trials, Selection(prepared.problem, say))
         problems, near = [prepared.problem], (prepared, trials)
         if found.astray:
-            near = pose(realization, trials, inherited, threads, [], window=WINDOW)
+            near = pose(realization, trials, beside, coldness, threads, [], window=WINDOW)
             problems.append(near[0].problem)
             found = _windowed(found, *near, say, notes)
         left = {}

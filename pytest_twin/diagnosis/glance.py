@@ -19,13 +19,9 @@ from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View, candid
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import MissingForce, Where, missing_force, motions, place_of
+from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.patched.replay import (
-    fixed_values,
-    replay_whole,
-    stepped_beside,
-    without_delays,
-)
+from pytest_twin.diagnosis.patched.replay import fixed_values, replay_whole
 from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare, shared_joints
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import smooth_state
@@ -171,11 +167,10 @@ def _worst_part(
 def _prepared(
     realization: Realization, fit: Sequence[Trial], aside: Sequence[Trial], patched: Patched | None
 ) -> Prepared:
-    if patched is None:
-        return prepare(realization, fit, aside)
-    bare = without_delays(realization, patched)
-    fixed = fixed_values(stepped_beside(patched), shared_joints(bare, [*fit, *aside]), 1)
-    return prepare(bare, fit, aside, coldness=patched.coldness, fixed=fixed)
+    beside = stepped_beside(realization, patched)
+    fixed = fixed_values(beside, shared_joints(realization, [*fit, *aside]), 1)
+    coldness = {} if patched is None else patched.coldness
+    return prepare(without_delays(realization), fit, aside, coldness=coldness, fixed=fixed)
 
 
 def _causes(force: MissingForce, size: FloatArray) -> list[int]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
-from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.patched.replay import fixed_values, stepped_beside
+from pytest_twin.diagnosis.patched.model import AppliedEffect
+from pytest_twin.diagnosis.patched.replay import fixed_values
 from pytest_twin.diagnosis.prepare import Prepared, prepare, shared_joints
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
@@ -18,6 +18,7 @@ from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.seek import sought
 from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
 from pytest_twin.effects.base import FloatArray
@@ -146,7 +147,8 @@ def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: 
 def pose(
     realization: Realization,
     trials: TrialSet,
-    inherited: Patched | None,
+    beside: Sequence[AppliedEffect],
+    coldness: Coldness,
     threads: int,
     notes: list[str],
     window: float | None = None,
@@ -156,7 +158,8 @@ def pose(
     Args:
         realization: the model as it came.
         trials: what was recorded.
-        inherited: effects beside the model, where an earlier diagnosis wrote it.
+        beside: effects beside the model.
+        coldness: as an earlier diagnosis had it, empty where the trials tell.
         threads: of the batches, 0 for all cores.
         notes: gets what was left out.
         window: s, as :func:`~pytest_twin.diagnosis.prepare.prepare` has it.
@@ -164,10 +167,8 @@ def pose(
     Raises:
         SimulationError: it diverges on all of them.
     """
-    coldness = {} if inherited is None else inherited.coldness
     while True:
         everything = (*trials.fit, *trials.held_out)
-        beside = () if inherited is None else stepped_beside(inherited)
         fixed = fixed_values(beside, shared_joints(realization, everything), 1)
         prepared = prepare(
             realization, trials.fit, trials.held_out,
@@ -182,7 +183,7 @@ def pose(
         }
         if not lost:
             for e in beside:
-                if e.joint not in (None, *problem.joints):
+                if not e.in_model and e.joint not in (None, *problem.joints):
                     notes.append(f"{e.effect} of joint {e.joint!r} is left out: no motion of it")
             idle = _idle(realization, problem)
             notes += [

@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
+from pytest_twin.diagnosis.unrecorded import Around, Motion
 from pytest_twin.effects.base import FloatArray
-from pytest_twin.effects.segment import Segment, Unrecorded
+from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.first_state import follow_joint_equalities, holding_controls
 from pytest_twin.realization.mjcf import compiled
 from pytest_twin.trial import Trial
 
 WINDOW = 0.5
 """s, of windows, where motions are not too wild for it."""
-_START_SAMPLES = 12
+_START_SAMPLES, _FEWEST_SAMPLES = 12, 8
 # Mean square, of its usual size, by which samples are off a smooth motion where a command jumps;
 # the median of the squares of a unit normal distribution.
 _ROUGH, _MEDIAN_SQUARE = 4.0, 0.455
@@ -68,67 +68,44 @@ def segments_of(
     command = encoders.model_command(command, trial.command_mode)
     ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
     first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])
-    around = _Around(model, joints, trial.command_joints, position[0])
+    stamps, command = trial.command_time[ascending], command[ascending]
+
+    def around(motion: Motion) -> Around:
+        return Around(model, joints, trial.command_mode, stamps, command, motion)
+
     common = {
         "trial": index,
         "model": model,
         "mode": trial.command_mode,
-        "command_time": trial.command_time[ascending],
-        "command": command[ascending],
+        "command_time": stamps,
+        "command": command,
         "coldness": coldness,
     }
     if window is None and trial.command_mode != "effort":
+        still = np.zeros_like(position)
+        (rest,) = around((time, position, still)).at([0.0], [(position[0], first)])
         return [
             Segment(start=0.0, time=time, position=position, velocity=velocity, effort=effort,
-                    initial_position=position[0], initial_velocity=first,
-                    unrecorded=around.at(position[0], first), **common)
+                    initial_position=position[0], initial_velocity=first, unrecorded=rest, **common)
         ]  # fmt: skip
-    out = []
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
     history = (time, smooth, speed)
-    for start, end in itertools.pairwise(edges_of(time, position - smooth, window or WINDOW)):
-        inside = (time >= start) & (time <= end)
-        if inside.sum() < 8:
-            continue
-        q, v = smooth_state(time, position, float(start), width)
+    edges = edges_of(time, position - smooth, window or WINDOW)
+    spans = [(start, (time >= start) & (time <= end)) for start, end in itertools.pairwise(edges)]
+    spans = [(start, inside) for start, inside in spans if inside.sum() >= _FEWEST_SAMPLES]
+    states = [smooth_state(time, position, float(start), width) for start, _ in spans]
+    rests = around(history).at([float(start) for start, _ in spans], states)
+    out = []
+    for (start, inside), (q, v), rest in zip(spans, states, rests, strict=True):
         out.append(
             Segment(start=float(start), time=time[inside], position=position[inside],
                     velocity=None if velocity is None else velocity[inside],
                     effort=None if effort is None else effort[inside],
-                    initial_position=q, initial_velocity=v, history=history,
-                    unrecorded=around.at(q, v), **common)
+                    initial_position=q, initial_velocity=v, history=history, unrecorded=rest,
+                    **common)
         )  # fmt: skip
     return out
-
-
-class _Around:
-    """What no recording says of a model, in one trial."""
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        joints: Sequence[str],
-        commanded: Sequence[str],
-        first: FloatArray,
-    ) -> None:
-        """The model's joints start at (joints,) ``first``, where its servos hold the others."""
-        self._model, self._data = model, mujoco.MjData(model)
-        self._ids = [model.joint(joint).id for joint in joints]
-        self._place(first, np.zeros(len(joints)))
-        self._control = holding_controls(model, self._data, commanded)
-
-    def at(self, position: FloatArray, velocity: FloatArray) -> Unrecorded:
-        """Where (joints,) recorded positions and velocities take the rest of the model."""
-        self._place(position, velocity)
-        return Unrecorded(self._data.qpos.copy(), self._data.qvel.copy(), self._control)
-
-    def _place(self, position: FloatArray, velocity: FloatArray) -> None:
-        model, data = self._model, self._data
-        mujoco.mj_resetData(model, data)
-        data.qpos[model.jnt_qposadr[self._ids]] = position
-        data.qvel[model.jnt_dofadr[self._ids]] = velocity
-        follow_joint_equalities(model, data, self._ids)
 
 
 def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:

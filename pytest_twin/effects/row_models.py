@@ -243,12 +243,12 @@ class RowModels:
 
     def _place_unrecorded(self, batch: Batch, rows: NDArray[np.int64]) -> None:
         """Start what no recording says anything of."""
-        places = {name: batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
-        for i, r in enumerate(rows):
-            rest = self.segments[r].unrecorded
-            if rest is not None:
-                places["qpos"][i], places["qvel"][i] = rest.qpos, rest.qvel
-                places["ctrl"][i] = rest.control
+        rest = [self.segments[r].unrecorded for r in rows]
+        known = [each.state for each in rest if each is not None]
+        if len(known) == len(rest):
+            for name in known[0]:
+                places = batch.bind(name)
+                places[:] = np.reshape([state[name] for state in known], places.shape)
 
     def _write_dofs(
         self,

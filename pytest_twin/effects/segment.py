@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -16,14 +17,16 @@ class Unrecorded:
     """What no recording says of a model where a segment starts.
 
     Attributes:
-        qpos, qvel: (nq,), (nv,) of the whole model: what follows a recorded joint is where that
-            takes it.
-        control: (nu,) of drives that nobody commands.
+        state: field of the simulator's data -> value: positions and velocities of the whole model,
+            controls of drives that nobody commands, what actuators remember.
     """
 
-    qpos: FloatArray
-    qvel: FloatArray
-    control: FloatArray
+    state: Mapping[str, FloatArray]
+
+    @property
+    def control(self) -> FloatArray:
+        """(nu,) of drives that nobody commands, 0 for the others."""
+        return self.state["ctrl"]
 
 
 @dataclass(frozen=True, slots=True)

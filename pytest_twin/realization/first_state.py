@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.realization.inputs import joint_inputs
+from pytest_twin.realization.inputs import joint_inputs, steady_activation
 
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 
@@ -46,6 +46,25 @@ def follow_joint_equalities(
             data.qvel[v1] = law.deriv()(away) * data.qvel[v2]
             still.add(follower)
             moved = True
+
+
+def settle_actuators(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Let filters, integrators and delays of actuators have settled on ``data.ctrl``.
+
+    Args:
+        model: whose actuators.
+        data: holds positions and controls; its activations and delay lines are changed.
+    """
+    mujoco.mj_fwdPosition(model, data)
+    for actuator in range(model.nactuator):
+        steady = steady_activation(model, data, actuator)
+        if steady is not None:
+            data.act[steady[0]] = steady[1]
+        if model.actuator_historyadr[actuator] >= 0:
+            first = int(model.actuator_ctrladr[actuator])
+            held = data.ctrl[first : first + model.actuator_ctrlnum[actuator]]
+            samples = int(model.actuator_history[actuator, 0])
+            mujoco.mj_initCtrlHistory(model, data, actuator, None, np.tile(held, samples))
 
 
 def holding_controls(

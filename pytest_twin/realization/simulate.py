@@ -13,7 +13,7 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SimulationError
-from pytest_twin.realization.inputs import steady_activation
+from pytest_twin.realization.first_state import settle_actuators
 from pytest_twin.realization.model import Realization
 from pytest_twin.trial import CommandMode
 
@@ -192,16 +192,7 @@ def hold(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:
         if command_kind(model, actuator) == "position":
             control[model.actuator_ctrladr[actuator]] = _setpoint(model, data, actuator)
     data.ctrl[:] = clipped(model, control)
-    for actuator in range(model.nactuator):
-        steady = steady_activation(model, data, actuator)
-        if steady is not None:
-            data.act[steady[0]] = steady[1]
-        if model.actuator_historyadr[actuator] >= 0:
-            # A delay starts as if the hold had been there all along.
-            first = int(model.actuator_ctrladr[actuator])
-            held = data.ctrl[first : first + int(model.actuator_ctrlnum[actuator])]
-            samples = int(model.actuator_history[actuator, 0])
-            mujoco.mj_initCtrlHistory(model, data, actuator, None, np.tile(held, samples))
+    settle_actuators(model, data)
     return np.array(data.ctrl)
 
 

@@ -11,6 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.replay import fixed_values
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
@@ -155,6 +157,59 @@ def test_what_no_recording_says_anything_of_is_the_same_for_both(tmp_path: Path)
     (other,) = RowSimulator([bare], joints, threads=1).simulate(np.array([0]), {})
     assert np.abs(other.position - replayed.position)[:, 1].max() > 0.1
     assert np.abs(other.position - replayed.position)[:, 2].max() > 1e-4
+
+
+REMEMBERING = {
+    "filter": (
+        "position",
+        '<position joint="shoulder" kp="60" kv="2" timeconst=".05"/>'
+        '<position joint="elbow" kp="30" kv="1" timeconst=".02"/>',
+    ),
+    "integrator": (
+        "velocity", '<intvelocity joint="shoulder" kp="60"/><intvelocity joint="elbow" kp="30"/>'
+    ),
+    "delay line": (
+        "position",
+        '<position joint="shoulder" kp="60" kv="2" delay=".02" nsample="12"/>'
+        '<position joint="elbow" kp="30" kv="1"/>',
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("drives", REMEMBERING)
+def test_actuators_that_remember_start_as_in_a_replay(tmp_path: Path, drives: str) -> None:
+    mode, text = REMEMBERING[drives]
+    (tmp_path / "model.xml").write_text(ARM.format(text))
+    realization = load(tmp_path / "model.xml")
+    time = 0.01 * np.arange(150)
+    at = 1_700_000_000_000_000_000 + np.rint(time * 1e9).astype(np.int64)
+    joints = ("shoulder", "elbow")
+    start = np.tile([0.3, -0.4], (len(time), 1))
+    wave = 0.2 * np.sin(6.0 * time)[:, None] * np.ones(2)
+    sent = {"position": None, "velocity": None, "effort": None}
+    sent[mode] = start + wave if mode == "position" else wave
+    series = {
+        "state": JointSeries("/joint_states", joints, at, at, start, None, None),
+        "command": JointSeries("/joint_commands", joints, at, at, **sent),
+    }
+    trial = make_trial(Recording(Path("made.mcap"), series, {}, ()))
+    (segment,) = segments_of(realization, trial, 0, joints)
+    model = dry_friction_as_rows(segment.model, joints)
+    replayed = replay_rows([Row(trial, model)], threads=1)[0].position
+    (found,) = RowSimulator([segment], joints, threads=1).simulate(np.array([0]), {})
+    assert np.ptp(replayed, axis=0).min() > 0.05
+    assert np.abs(found.position - replayed).max() < 1e-9
+    # A line of so many steps is too short for finer ones: it is stepped as an effect.
+    stepped = segments_of(without_delays(realization), trial, 0, joints)
+    fixed = fixed_values(stepped_beside(realization, None), joints, 1)
+    coarse, fine = (
+        RowSimulator(stepped, joints, threads=1, refine=refine, fixed=fixed)
+        .simulate(np.array([0]), {})[0]
+        .position
+        for refine in (1, 4)
+    )
+    assert np.abs(coarse - replayed).max() < 2e-4
+    assert np.abs(fine - replayed).max() < 2e-3
 
 
 def test_a_joint_that_some_recordings_command_is_held_in_the_others(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
 from pytest_twin.diagnosis.temperature import coldness_in
@@ -20,48 +21,10 @@ from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError, SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.mjcf import compiled
 from pytest_twin.replay import Replayed, replay
 from pytest_twin.trial import Trial
 
 Progress = Callable[[float], None]
-
-
-def stepped_beside(patched: Patched) -> tuple[AppliedEffect, ...]:
-    """Effects that the row simulator applies: those beside the model, and delays.
-
-    MuJoCo's delay lines start at a command of zero, a recording does not: delays are taken out of
-    the model that is stepped (:func:`without_delays`) and applied to the commands.
-    """
-    delays = tuple(e for e in patched.effects if e.in_model and e.effect == "command_delay")
-    return patched.beside + delays
-
-
-def without_delays(realization: Realization, patched: Patched) -> Realization:
-    """The realization with the delay lines of :func:`stepped_beside` taken out."""
-    delayed = {
-        e.joint: e.values["delay"]
-        for e in patched.effects
-        if e.in_model and e.effect == "command_delay"
-    }
-    if not delayed:
-        return realization
-    spec = realization.spec.copy()
-    for actuator in spec.actuators:
-        if actuator.target in delayed and actuator.delay > 0.0:
-            left = float(actuator.delay) - delayed[actuator.target]
-            # MJCF is written with six digits.
-            actuator.delay = left if left > 1e-5 * float(actuator.delay) else 0.0
-            if actuator.delay == 0.0:
-                actuator.nsample = 0
-    return Realization(
-        name=realization.name,
-        path=realization.path,
-        spec=spec,
-        model=compiled(spec)[0],
-        source=realization.source,
-        twin=realization.twin,
-    )
 
 
 def fixed_values(
@@ -112,7 +75,8 @@ def replay_patched(
             they depend on.
         SimulationError: a simulation diverged.
     """
-    stepped = without_delays(realization, patched)
+    stepped, beside = without_delays(realization), stepped_beside(realization, patched)
+    values = fixed_values(beside, patched.joints, 1)
     out = []
     for trial in trials:
         missing = [j for j in patched.joints if j not in trial.joints]
@@ -125,7 +89,7 @@ def replay_patched(
             )
         cold = coldness_in(patched.coldness, trial)
         segment = whole_segment(stepped, trial, patched.joints, cold)
-        predicted = _predict(segment, patched, threads)
+        predicted = _predict(segment, patched.joints, values, threads)
         if not np.isfinite(predicted.position).all():
             raise SimulationError("the simulation diverged", path=trial.path)
         out.append(_as_measured(predicted, segment, trial, realization, patched.joints))
@@ -172,14 +136,13 @@ def beside_in_words(patched: Patched) -> tuple[str, ...]:
     return (f"stepped beside the model: {text}",) if text else ()
 
 
-def _predict(segment: Segment, patched: Patched, threads: int) -> Predicted:
+def _predict(
+    segment: Segment, joints: Sequence[str], values: EffectValues, threads: int
+) -> Predicted:
     """As the diagnosis predicts: with the error of the model's own step taken out."""
-    values = fixed_values(stepped_beside(patched), patched.joints, 1)
     row = np.zeros(1, dtype=np.int64)
     coarse, fine = (
-        RowSimulator([segment], patched.joints, threads=threads, refine=refine).simulate(
-            row, values
-        )[0]
+        RowSimulator([segment], joints, threads=threads, refine=refine).simulate(row, values)[0]
         for refine in (1, REFINE)
     )
     if not np.isfinite(fine.position).all():

@@ -1,0 +1,51 @@
+"""A model's own delay lines, as an effect on its commands.
+
+MuJoCo's delay lines hold a number of steps, and begin at a command of zero: under a finer step they
+are too short, and a window that starts amid a motion has none of what was sent before. They are
+taken out of the model that is stepped, and commands come that much later.
+"""
+
+from __future__ import annotations
+
+import mujoco
+
+from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.realization import Realization
+from pytest_twin.realization.mjcf import compiled
+
+_OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+def stepped_beside(realization: Realization, patched: Patched | None) -> tuple[AppliedEffect, ...]:
+    """Effects that the row simulator applies: those beside the model, and its delay lines."""
+    model = realization.model
+    late: dict[str, float] = {}
+    for actuator in range(model.nactuator):
+        delay = float(model.actuator_delay[actuator])
+        if delay > 0.0 and int(model.actuator_trntype[actuator]) in _OF_JOINTS:
+            joint = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
+            late[joint] = max(delay, late.get(joint, 0.0))
+    lines = (
+        AppliedEffect("command_delay", joint, {"delay": delay}, in_model=True)
+        for joint, delay in late.items()
+    )
+    return (*(() if patched is None else patched.beside), *lines)
+
+
+def without_delays(realization: Realization) -> Realization:
+    """The realization with the delay lines of :func:`stepped_beside` taken out."""
+    model = realization.model
+    if not (model.actuator_delay > 0.0).any():
+        return realization
+    spec = realization.spec.copy()
+    for actuator in spec.actuators:
+        if int(actuator.trntype) in _OF_JOINTS:
+            actuator.delay, actuator.nsample = 0.0, 0
+    return Realization(
+        name=realization.name,
+        path=realization.path,
+        spec=spec,
+        model=compiled(spec)[0],
+        source=realization.source,
+        twin=realization.twin,
+    )
