@@ -9,7 +9,8 @@ How a trial becomes a simulation:
   starts at rest. Joints outside the recording start at the model's reference (or where a joint
   equality puts them), and their position servos hold them there: what gravity stretches a servo
   by is added to its setpoint. So do the servos of joints that were recorded but not commanded.
-- Filters and delays of actuators start settled on the first command.
+- Filters and delays of actuators start settled on the first command, servos that integrate
+  theirs carry the load where the robot starts.
 - An effort command on a joint without any actuator acts on the joint itself.
 - Between steps, positions follow the cubic through positions and velocities of both ends (error
   of the order of step^4, against step^2 of a straight line), velocities the straight line;
@@ -35,6 +36,7 @@ from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.first_state import (
+    balance_integrators,
     follow_joint_equalities,
     holding_controls,
     settle_actuators,
@@ -239,6 +241,7 @@ class _Run:
         self._place_commands(data)
         data.ctrl[:] = self.values[0, : self.model.nu]
         settle_actuators(self.model, data)
+        balance_integrators(self.model, data)
         self.initial = {name: getattr(data, name).copy() for name in _INITIAL}
         count = len(self.trial.time)
         self.qpos = np.full((count, self.model.nq), np.nan)

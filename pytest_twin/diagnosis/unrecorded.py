@@ -15,6 +15,7 @@ import numpy as np
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Unrecorded
 from pytest_twin.realization.first_state import (
+    balance_integrators,
     follow_joint_equalities,
     holding_controls,
     settle_actuators,
@@ -98,6 +99,7 @@ class Around:
         self._place(position[0], velocity[0])
         data.ctrl[:] = self._sent[0]
         settle_actuators(model, data)
+        balance_integrators(model, data)
         out, since = [], 0
         with quiet():
             for until in steps.tolist():

@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.realization.inputs import joint_inputs, steady_activation
+from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS, joint_inputs, steady_activation
 
+_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 
 
@@ -65,6 +66,34 @@ def settle_actuators(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             held = data.ctrl[first : first + model.actuator_ctrlnum[actuator]]
             samples = int(model.actuator_history[actuator, 0])
             mujoco.mj_initCtrlHistory(model, data, actuator, None, np.tile(held, samples))
+
+
+def balance_integrators(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Let servos that integrate their command carry the load where their joints are.
+
+    A recorded joint rests where it starts: its servo had been told to go on until it did. Joints
+    with several such servos stay as they are settled.
+
+    Args:
+        model: whose actuators, settled.
+        data: holds positions; activations of integrators are changed.
+    """
+    integrators = [
+        actuator
+        for actuator in range(model.nactuator)
+        if int(model.actuator_dyntype[actuator]) == _INTEGRATOR
+        and int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS
+        and float(model.actuator_biasprm[actuator, 1]) != 0.0
+    ]
+    driven = [int(model.actuator_trnid[actuator, 0]) for actuator in integrators]
+    load = _load_at_rest(model, data) if integrators else np.zeros(0)
+    for actuator, joint in zip(integrators, driven, strict=True):
+        gain = float(model.actuator_gainprm[actuator, 0])
+        gear = float(model.actuator_gear[model.actuator_outadr[actuator], 0])
+        if driven.count(joint) == 1 and gain != 0.0 and gear != 0.0:
+            carried = float(load[model.jnt_dofadr[joint]]) / gear
+            constant = float(model.actuator_biasprm[actuator, 0])
+            data.act[model.actuator_actadr[actuator]] += (carried - constant) / gain
 
 
 def holding_controls(

@@ -11,7 +11,7 @@ from pytest_twin.trial import CommandMode
 
 # As integers: an enum of MuJoCo that stands on the left of == knows no numpy integer.
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _SETPOINT_GAINS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
 _SETPOINTS: tuple[tuple[CommandMode, int], ...] = (
@@ -51,7 +51,7 @@ def joint_inputs(model: mujoco.MjModel, joint: str) -> list[CommandInput]:
     if joint_id < 0 or int(model.jnt_type[joint_id]) not in _SCALAR_JOINTS:
         return found
     for actuator in range(model.nactuator):
-        if int(model.actuator_trntype[actuator]) not in _JOINT_TRANSMISSIONS:
+        if int(model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS:
             continue
         if model.actuator_trnid[actuator, 0] == joint_id:
             found += _actuator_inputs(model, actuator)

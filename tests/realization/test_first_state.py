@@ -6,7 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.realization.first_state import follow_joint_equalities, holding_controls
+from pytest_twin.realization.first_state import (
+    balance_integrators,
+    follow_joint_equalities,
+    holding_controls,
+    settle_actuators,
+)
 
 ARM = """
 <mujoco>
@@ -58,6 +63,24 @@ def test_servos_that_nobody_commands_hold_their_joints(
     upper: str, shoulder: str, drives: str
 ) -> None:
     data = held(ARM.format(upper=upper, shoulder=shoulder, drives=drives))
+    assert data.qpos == pytest.approx(START, abs=1e-7)
+
+
+@pytest.mark.parametrize("gear", [1.0, -2.5])
+def test_a_servo_that_integrates_carries_its_load_where_it_starts(gear: float) -> None:
+    drives = (
+        f'<intvelocity joint="shoulder" kp="40" kv="2" gear="{gear}"/>'
+        '<position joint="lift" kp="300" kv="10"/>'
+    )
+    model = mujoco.MjModel.from_xml_string(ARM.format(upper="", shoulder="", drives=drives))
+    data = mujoco.MjData(model)
+    data.qpos[:] = START
+    data.ctrl[:] = holding_controls(model, data, ())
+    settle_actuators(model, data)
+    assert data.act[0] == pytest.approx(gear * START[0]), "where the joint is"
+    balance_integrators(model, data)
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
     assert data.qpos == pytest.approx(START, abs=1e-7)
 
 

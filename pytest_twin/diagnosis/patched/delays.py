@@ -7,13 +7,10 @@ taken out of the model that is stepped, and commands come that much later.
 
 from __future__ import annotations
 
-import mujoco
-
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.realization import Realization
+from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
 from pytest_twin.realization.mjcf import compiled
-
-_OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 def stepped_beside(realization: Realization, patched: Patched | None) -> tuple[AppliedEffect, ...]:
@@ -22,7 +19,7 @@ def stepped_beside(realization: Realization, patched: Patched | None) -> tuple[A
     late: dict[str, float] = {}
     for actuator in range(model.nactuator):
         delay = float(model.actuator_delay[actuator])
-        if delay > 0.0 and int(model.actuator_trntype[actuator]) in _OF_JOINTS:
+        if delay > 0.0 and int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
             joint = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
             late[joint] = max(delay, late.get(joint, 0.0))
     lines = (
@@ -39,7 +36,7 @@ def without_delays(realization: Realization) -> Realization:
         return realization
     spec = realization.spec.copy()
     for actuator in spec.actuators:
-        if int(actuator.trntype) in _OF_JOINTS:
+        if int(actuator.trntype) in JOINT_TRANSMISSIONS:
             actuator.delay, actuator.nsample = 0.0, 0
     return Realization(
         name=realization.name,
