@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.moving import set_in_motion
 from pytest_twin.diagnosis.noise import effort_noise, greatest_noise, quiet_noise, timing_noise
 from pytest_twin.diagnosis.problem import (
     REFINE,
@@ -90,14 +91,19 @@ def prepare(
     coldness = coldness or coldness_of(trials)
     segments: list[Segment] = []
     owner: list[int] = []
+    moving: dict[int, Segment] = {}
     for i, trial in enumerate(trials):
         cold = coldness_in(coldness, trial)
         made = segments_of(realization, trial, i, joints, window, cold)
+        if made[0].velocity is None and not made[0].amid:
+            (other,) = segments_of(realization, trial, i, joints, window, cold, moving=True)
+            moving[len(segments)] = other
         segments += made
         owner += [i] * len(made)
-    simulator = RowSimulator(segments, joints, threads=threads, fixed=fixed)
     is_fit = np.array(owner) < len(fit)
     noise = greatest_noise(segments, [s.position for s in segments], owner)
+    segments = set_in_motion(segments, moving, joints, noise, threads=threads, fixed=fixed)
+    simulator = RowSimulator(segments, joints, threads=threads, fixed=fixed)
     refined = RowSimulator(segments, joints, threads=threads, refine=REFINE, fixed=fixed)
     nominal = nominal_replay(simulator)
     effort_floor: FloatArray | None = None

@@ -185,6 +185,12 @@ def pose(
             for e in beside:
                 if not e.in_model and e.joint not in (None, *problem.joints):
                     notes.append(f"{e.effect} of joint {e.joint!r} is left out: no motion of it")
+            notes += [
+                f"{everything[trial].path.name} begins amid a motion and has no velocities: its "
+                "first are taken from its positions"
+                for trial, s in zip(prepared.segment_trial, problem.simulator.segments, strict=True)
+                if s.velocity is None and not s.amid and s.initial_velocity.any()
+            ]
             idle = _idle(realization, problem)
             notes += [
                 f"joint {joint!r} has a servo that no recording commands: it is taken to hold the "

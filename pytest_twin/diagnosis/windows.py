@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
+from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
 from pytest_twin.diagnosis.unrecorded import Around, Motion
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Segment
@@ -39,6 +39,8 @@ def segments_of(
     joints: Sequence[str],
     window: float | None = None,
     coldness: float = 1.0,
+    *,
+    moving: bool = False,
 ) -> list[Segment]:
     """A trial in the model's terms: one segment, or short windows.
 
@@ -49,6 +51,8 @@ def segments_of(
         joints: columns; all are in the trial.
         window: s; by default effort commands have :data:`WINDOW`, others none.
         coldness: of the trial, as its segments have it.
+        moving: whether a whole trial without velocities begins with what its first samples say, and
+            not at rest.
 
     Raises:
         SpecError: a controller or payload that the model lacks.
@@ -67,7 +71,6 @@ def segments_of(
             command[:, j] = trial.command[:, trial.command_joints.index(joint)]
     command = encoders.model_command(command, trial.command_mode)
     ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
-    first = np.zeros(len(joints)) if velocity is None else np.nan_to_num(velocity[0])
     stamps, command = trial.command_time[ascending], command[ascending]
 
     def around(motion: Motion) -> Around:
@@ -82,6 +85,12 @@ def segments_of(
         "coldness": coldness,
     }
     if window is None and trial.command_mode != "effort":
+        if velocity is not None:
+            first = np.nan_to_num(velocity[0])
+        elif moving:
+            first = smooth_state(time, position, 0.0, 2.0 * SMOOTH)[1]
+        else:
+            first = np.zeros(len(joints))
         still = np.zeros_like(position)
         (rest,) = around((time, position, still)).at([0.0], [(position[0], first)])
         return [

@@ -182,6 +182,34 @@ def test_a_servo_that_nobody_commands_is_no_mismatch(bench: Bench) -> None:
     assert any("'right' has a servo that no recording commands" in note for note in found.notes)
 
 
+def test_a_recording_that_begins_amid_a_motion_needs_no_velocities(bench: Bench) -> None:
+    files = []
+    for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
+        wanted = reference(seed, 3.0, 2)
+        moved = swing(wanted)
+        begun = round(1.0 / STEP)
+        wanted, moved = wanted[begun:], moved[begun:]
+        sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+        noise = 1e-4 * np.random.default_rng(seed).standard_normal((len(seen), 2))
+        path = bench.folder / f"{role}{seed}.mcap"
+        write(path, JOINTS, sent * STEP, wanted[sent], seen * STEP, moved[seen] + noise, role)
+        files.append(path)
+    trials = bench.read(*files)
+    found = diagnose(bench.loaded.realization, trials, threads=1)
+    assert found.verdict == "no_mismatch"
+    said = [n for n in found.notes if "begins amid a motion and has no velocities" in n]
+    assert len(said) == 3
+
+
+@pytest.mark.parametrize("hidden", [{}, {"delay": 0.05}, {"viscous": 0.3}, {"lag": 0.05}], ids=str)
+def test_a_recording_that_begins_at_rest_stays_there(
+    bench: Bench, hidden: dict[str, float]
+) -> None:
+    trials = bench.read(record(bench.folder / "a.mcap", 4, **hidden))
+    problem = prepare(bench.loaded.realization, trials.fit, trials.held_out, threads=1).problem
+    assert not any(s.initial_velocity.any() for s in problem.simulator.segments)
+
+
 def test_a_clipped_velocity_is_said_and_does_not_matter(bench: Bench) -> None:
     speed = np.clip(np.gradient(bench.seen, bench.seen_at, axis=0), -1.0, 1.0)
     found = bench.read(bench.put("a.mcap", velocity=speed))
