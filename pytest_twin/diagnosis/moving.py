@@ -41,8 +41,9 @@ def set_in_motion(
     tried = [_beginning(s) for i, other in moving.items() for s in (segments[i], other)]
     simulator = RowSimulator(tried, joints, threads=threads, fixed=fixed)
     found = simulator.simulate(np.arange(len(tried)), {})
+    alive = noise > 0.0  # an encoder that is stuck says nothing
     left = [
-        float(np.mean(((s.position - p.position) / noise) ** 2))
+        float(np.sum(((s.position - p.position)[:, alive] / noise[alive]) ** 2))
         for s, p in zip(tried, found, strict=True)
     ]
     for k, (i, other) in enumerate(moving.items()):

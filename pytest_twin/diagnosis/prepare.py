@@ -94,10 +94,11 @@ def prepare(
     moving: dict[int, Segment] = {}
     for i, trial in enumerate(trials):
         cold = coldness_in(coldness, trial)
-        made = segments_of(realization, trial, i, joints, window, cold)
+        made = segments_of(realization, trial, i, joints, window, cold, commanded=True)
         if made[0].velocity is None and not made[0].amid:
-            (other,) = segments_of(realization, trial, i, joints, window, cold, moving=True)
-            moving[len(segments)] = other
+            (moving[len(segments)],) = segments_of(
+                realization, trial, i, joints, window, cold, moving=True, commanded=True
+            )
         segments += made
         owner += [i] * len(made)
     is_fit = np.array(owner) < len(fit)

@@ -25,6 +25,7 @@ from pytest_twin.effects.base import FloatArray
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import joint_inputs
+from pytest_twin.trial import Trial
 
 # The floor, rad or m, of a joint whose encoder says nothing.
 _UNSEEN = 1e6
@@ -182,21 +183,8 @@ def pose(
             if not np.isfinite(p.position).all()
         }
         if not lost:
-            for e in beside:
-                if not e.in_model and e.joint not in (None, *problem.joints):
-                    notes.append(f"{e.effect} of joint {e.joint!r} is left out: no motion of it")
-            notes += [
-                f"{everything[trial].path.name} begins amid a motion and has no velocities: its "
-                "first are taken from its positions"
-                for trial, s in zip(prepared.segment_trial, problem.simulator.segments, strict=True)
-                if s.velocity is None and not s.amid and s.initial_velocity.any()
-            ]
             idle = _idle(realization, problem)
-            notes += [
-                f"joint {joint!r} has a servo that no recording commands: it is taken to hold the "
-                "joint where it starts, and nothing is held against it"
-                for joint in idle
-            ]
+            notes += _taken_for_granted(prepared, everything, beside, idle)
             for joint in {*trials.unseen, *idle}:
                 # So far off the floor nothing stands out of it, and no fit heeds it.
                 problem.floor[problem.joints.index(joint)] = _UNSEEN
@@ -214,6 +202,40 @@ def pose(
                 expected="a model that can be stepped through at least one recording",
             )
         trials = replace(trials, fit=fit, held_out=aside)
+
+
+def _taken_for_granted(
+    prepared: Prepared,
+    trials: Sequence[Trial],
+    beside: Sequence[AppliedEffect],
+    idle: Sequence[str],
+) -> list[str]:
+    """What no recording says and a diagnosis assumes, a line each."""
+    problem = prepared.problem
+    notes = [
+        f"{e.effect} of joint {e.joint!r} is left out: no motion of it"
+        for e in beside
+        if not e.in_model and e.joint not in (None, *problem.joints)
+    ]
+    owners = prepared.segment_trial
+    for i, trial in enumerate(trials):
+        first = problem.simulator.segments[owners.index(i)]
+        if first.start > 0.0 and first.command_time[0] > 0.0:
+            notes.append(
+                f"{trial.path.name}: its first {first.start:.3g} s are left out: nobody says what "
+                "the robot was told before the first command"
+            )
+        if first.velocity is None and not first.amid and first.initial_velocity.any():
+            notes.append(
+                f"{trial.path.name} begins amid a motion and has no velocities: its first are "
+                "taken from its positions"
+            )
+    notes += [
+        f"joint {joint!r} has a servo that no recording commands: it is taken to hold the joint "
+        "where it starts, and nothing is held against it"
+        for joint in idle
+    ]
+    return notes
 
 
 def _idle(realization: Realization, problem: Problem) -> list[str]:

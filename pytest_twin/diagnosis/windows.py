@@ -9,24 +9,28 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
-from pytest_twin.diagnosis.unrecorded import Around, Motion
+from pytest_twin.diagnosis.unrecorded import Around
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.mjcf import compiled
-from pytest_twin.trial import Trial
+from pytest_twin.trial import CommandMode, Trial
 
 WINDOW = 0.5
 """s, of windows, where motions are not too wild for it."""
 _START_SAMPLES, _FEWEST_SAMPLES = 12, 8
+# s by which a first command may be late and be held from the start.
+_LATE = 0.05
 # Mean square, of its usual size, by which samples are off a smooth motion where a command jumps;
 # the median of the squares of a unit normal distribution.
 _ROUGH, _MEDIAN_SQUARE = 4.0, 0.455
@@ -41,6 +45,7 @@ def segments_of(
     coldness: float = 1.0,
     *,
     moving: bool = False,
+    commanded: bool = False,
 ) -> list[Segment]:
     """A trial in the model's terms: one segment, or short windows.
 
@@ -53,68 +58,131 @@ def segments_of(
         coldness: of the trial, as its segments have it.
         moving: whether a whole trial without velocities begins with what its first samples say, and
             not at rest.
+        commanded: whether what lies well before the first command is left out: what the robot was
+            told until then is in no recording.
 
     Raises:
         SpecError: a controller or payload that the model lacks.
     """
+    recorded = _recorded(realization, trial, joints)
+    first = recorded.first_commanded if commanded else 0
+    more = {"trial": index, "coldness": coldness}
+    if window is None and trial.command_mode != "effort":
+        return [_whole(recorded, first, moving, more)]
+    return _windows(recorded, first, window or WINDOW, more)
+
+
+@dataclass(frozen=True, slots=True)
+class _Recorded:
+    """A trial in the model's terms: stamps ascend, s on its clock; commands are NaN where a joint
+    has none.
+    """
+
+    model: mujoco.MjModel
+    joints: tuple[str, ...]
+    mode: CommandMode
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray | None
+    effort: FloatArray | None
+    command_time: FloatArray
+    command: FloatArray
+
+    @property
+    def first_commanded(self) -> int:
+        """Number of the first sample under a command; 0 where none is well before it, or hardly any
+        are left.
+        """
+        first = int(np.searchsorted(self.time, self.command_time[0]))
+        late = self.command_time[0] > self.time[0] + _LATE
+        return first if late and len(self.time) - first >= _FEWEST_SAMPLES else 0
+
+    def around(self, position: FloatArray, velocity: FloatArray) -> Around:
+        """The rest of the model, along a motion."""
+        return Around(
+            self.model, self.joints, self.mode, self.command_time, self.command,
+            (self.time, position, velocity),
+        )  # fmt: skip
+
+    def segment(self, inside: NDArray[np.bool_], **more: Any) -> Segment:
+        """The samples ``inside``."""
+        return Segment(
+            model=self.model,
+            mode=self.mode,
+            time=self.time[inside],
+            position=self.position[inside],
+            velocity=None if self.velocity is None else self.velocity[inside],
+            effort=None if self.effort is None else self.effort[inside],
+            command_time=self.command_time,
+            command=self.command,
+            **more,
+        )
+
+
+def _recorded(realization: Realization, trial: Trial, joints: Sequence[str]) -> _Recorded:
     columns = [trial.joints.index(j) for j in joints]
     encoders = Encoders.of(calibration_of(realization), joints)
-    model = _model(realization, trial)
     keep = np.concatenate([[True], np.diff(trial.time) > 0])
-    time = trial.time[keep]
-    position = encoders.model_position(trial.position[keep][:, columns])
-    velocity = _columns(trial.velocity, keep, columns, encoders)
-    effort = _columns(trial.effort, keep, columns, encoders)
     command = np.full((len(trial.command_time), len(joints)), np.nan)
     for j, joint in enumerate(joints):
         if joint in trial.command_joints:
             command[:, j] = trial.command[:, trial.command_joints.index(joint)]
     command = encoders.model_command(command, trial.command_mode)
     ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
-    stamps, command = trial.command_time[ascending], command[ascending]
+    return _Recorded(
+        _model(realization, trial),
+        tuple(joints),
+        trial.command_mode,
+        trial.time[keep],
+        encoders.model_position(trial.position[keep][:, columns]),
+        _columns(trial.velocity, keep, columns, encoders),
+        _columns(trial.effort, keep, columns, encoders),
+        trial.command_time[ascending],
+        command[ascending],
+    )
 
-    def around(motion: Motion) -> Around:
-        return Around(model, joints, trial.command_mode, stamps, command, motion)
 
-    common = {
-        "trial": index,
-        "model": model,
-        "mode": trial.command_mode,
-        "command_time": stamps,
-        "command": command,
-        "coldness": coldness,
-    }
-    if window is None and trial.command_mode != "effort":
-        if velocity is not None:
-            first = np.nan_to_num(velocity[0])
-        elif moving:
-            first = smooth_state(time, position, 0.0, 2.0 * SMOOTH)[1]
-        else:
-            first = np.zeros(len(joints))
-        still = np.zeros_like(position)
-        (rest,) = around((time, position, still)).at([0.0], [(position[0], first)])
-        return [
-            Segment(start=0.0, time=time, position=position, velocity=velocity, effort=effort,
-                    initial_position=position[0], initial_velocity=first, unrecorded=rest, **common)
-        ]  # fmt: skip
+def _whole(recorded: _Recorded, first: int, moving: bool, more: Mapping[str, Any]) -> Segment:
+    """From the sample ``first`` to the last."""
+    time, position = recorded.time, recorded.position
+    start = float(time[first])
+    if recorded.velocity is not None:
+        velocity = np.nan_to_num(recorded.velocity[first])
+    elif moving:
+        velocity = smooth_state(time[first:], position[first:], start, 2.0 * SMOOTH)[1]
+    else:
+        velocity = np.zeros(len(recorded.joints))
+    around = recorded.around(position, np.zeros_like(position))
+    (rest,) = around.at([start], [(position[first], velocity)])
+    return recorded.segment(
+        np.arange(len(time)) >= first, start=start, initial_position=position[first],
+        initial_velocity=velocity, unrecorded=rest, **more,
+    )  # fmt: skip
+
+
+def _windows(
+    recorded: _Recorded, first: int, window: float, more: Mapping[str, Any]
+) -> list[Segment]:
+    """Windows of about ``window`` s, from the sample ``first`` on."""
+    time, position = recorded.time, recorded.position
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
-    history = (time, smooth, speed)
-    edges = edges_of(time, position - smooth, window or WINDOW)
-    spans = [(start, (time >= start) & (time <= end)) for start, end in itertools.pairwise(edges)]
+    edges = edges_of(time, position - smooth, window)
+    spans = [
+        (float(start), (time >= start) & (time <= end))
+        for start, end in itertools.pairwise(edges)
+        if start >= time[first]
+    ]
     spans = [(start, inside) for start, inside in spans if inside.sum() >= _FEWEST_SAMPLES]
-    states = [smooth_state(time, position, float(start), width) for start, _ in spans]
-    rests = around(history).at([float(start) for start, _ in spans], states)
-    out = []
-    for (start, inside), (q, v), rest in zip(spans, states, rests, strict=True):
-        out.append(
-            Segment(start=float(start), time=time[inside], position=position[inside],
-                    velocity=None if velocity is None else velocity[inside],
-                    effort=None if effort is None else effort[inside],
-                    initial_position=q, initial_velocity=v, history=history, unrecorded=rest,
-                    **common)
-        )  # fmt: skip
-    return out
+    states = [smooth_state(time, position, start, width) for start, _ in spans]
+    rests = recorded.around(smooth, speed).at([start for start, _ in spans], states)
+    return [
+        recorded.segment(
+            inside, start=start, initial_position=q, initial_velocity=v,
+            history=(time, smooth, speed), unrecorded=rest, **more,
+        )
+        for (start, inside), (q, v), rest in zip(spans, states, rests, strict=True)
+    ]  # fmt: skip
 
 
 def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:

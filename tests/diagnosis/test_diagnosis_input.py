@@ -13,6 +13,7 @@ from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 
@@ -182,14 +183,16 @@ def test_a_servo_that_nobody_commands_is_no_mismatch(bench: Bench) -> None:
     assert any("'right' has a servo that no recording commands" in note for note in found.notes)
 
 
-def test_a_recording_that_begins_amid_a_motion_needs_no_velocities(bench: Bench) -> None:
+@pytest.mark.parametrize("late", [0.0, 0.4], ids=["commanded", "commanded later"])
+def test_a_recording_may_begin_amid_a_motion(bench: Bench, late: float) -> None:
+    """Without velocities, and before a command says where to."""
     files = []
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
         wanted = reference(seed, 3.0, 2)
         moved = swing(wanted)
         begun = round(1.0 / STEP)
         wanted, moved = wanted[begun:], moved[begun:]
-        sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+        sent, seen = np.arange(round(late / STEP), len(wanted), 100), np.arange(0, len(wanted), 50)
         noise = 1e-4 * np.random.default_rng(seed).standard_normal((len(seen), 2))
         path = bench.folder / f"{role}{seed}.mcap"
         write(path, JOINTS, sent * STEP, wanted[sent], seen * STEP, moved[seen] + noise, role)
@@ -199,6 +202,25 @@ def test_a_recording_that_begins_amid_a_motion_needs_no_velocities(bench: Bench)
     assert found.verdict == "no_mismatch"
     said = [n for n in found.notes if "begins amid a motion and has no velocities" in n]
     assert len(said) == 3
+    unsaid = [n for n in found.notes if "its first 0.4 s are left out" in n]
+    assert len(unsaid) == (3 if late else 0)
+
+
+def test_windows_begin_with_the_first_command(bench: Bench) -> None:
+    trials = bench.read(bench.put("a.mcap", sent_at=bench.sent_at + 0.3))
+    (trial,) = trials.fit
+    joints = bench.loaded.realization.structure.joint_type
+    arguments = bench.loaded.realization, trial, 0, list(joints)
+    assert segments_of(*arguments, 0.5)[0].start == 0.0
+    windows = segments_of(*arguments, 0.5, commanded=True)
+    assert windows[0].start >= 0.3
+    assert all((w.time >= 0.3).all() for w in windows)
+    (whole,) = segments_of(*arguments, commanded=True)
+    assert whole.start == whole.time[0] == pytest.approx(0.3)
+    # A first command that is hardly late is held from the start.
+    trials = bench.read(bench.put("b.mcap", sent_at=bench.sent_at + 0.03))
+    (whole,) = segments_of(bench.loaded.realization, trials.fit[0], 0, list(joints), commanded=True)
+    assert whole.start == 0.0
 
 
 @pytest.mark.parametrize("hidden", [{}, {"delay": 0.05}, {"viscous": 0.3}, {"lag": 0.05}], ids=str)
