@@ -95,7 +95,7 @@ def prepare(
     for i, trial in enumerate(trials):
         cold = coldness_in(coldness, trial)
         made = segments_of(realization, trial, i, joints, window, cold, commanded=True)
-        if made[0].velocity is None and not made[0].amid:
+        if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
             (moving[len(segments)],) = segments_of(
                 realization, trial, i, joints, window, cold, moving=True, commanded=True
             )

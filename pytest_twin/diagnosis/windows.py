@@ -145,7 +145,7 @@ def _recorded(realization: Realization, trial: Trial, joints: Sequence[str]) -> 
 def _whole(recorded: _Recorded, first: int, moving: bool, more: Mapping[str, Any]) -> Segment:
     """From the sample ``first`` to the last."""
     time, position = recorded.time, recorded.position
-    start = float(time[first])
+    start = float(time[first]) if first else 0.0
     if recorded.velocity is not None:
         velocity = np.nan_to_num(recorded.velocity[first])
     elif moving:

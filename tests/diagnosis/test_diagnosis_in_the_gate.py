@@ -182,5 +182,13 @@ def test_a_twin_stands_on_the_patched_model_and_feels_its_effects(
     effects = root / "why" / "realization" / "effects.json"
     effects.write_text(effects.read_text().replace('"delay": 0.0', '"delay": 0.01'))
     text = run(root).stdout
+    assert "2 stale" in text, text
+    assert "2 passed" in text, "the MJCF holds the delay, this file only says so"
+    model = root / "why" / "realization" / "model.xml"
+    delayed, count = re.subn(r' delay="0\.0[^"]*"', ' delay="0.01"', model.read_text())
+    assert count == 1
+    model.write_text(delayed)
+    text = run(root).stdout
     assert "2 failed" in text, text
-    assert "ran because  mujoco/effects: sha256" in text
+    reasons = text[text.index("ran because") :]
+    assert " mujoco/effects: sha256" in reasons, text

@@ -79,8 +79,8 @@ def test_a_cable_under_a_velocity_servo_is_found_where_it_pulls(tmp_path: Path) 
     realization = load(tmp_path / "arm.xml")
     recordings = [read_recording(recorded(tmp_path, seed)) for seed in (1, 2)]
     fit, held_out = (make_trial(r, realization.structure) for r in recordings)
-    whole, trials = pose(realization, TrialSet((fit,), (held_out,), ()), None, 1, [])
-    cut, kept = pose(realization, trials, None, 1, [], window=0.5)
+    whole, trials = pose(realization, TrialSet((fit,), (held_out,), ()), (), {}, 1, [])
+    cut, kept = pose(realization, trials, (), {}, 1, [], window=0.5)
     found = unnamed(whole, trials)
     place = unexplained(found, cut, kept)["lift"].where
     low, high = (float(x) for x in place.summary.split(" rad:")[0].split()[1::2])
