@@ -36,10 +36,9 @@ from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.first_state import (
-    balance_integrators,
     follow_joint_equalities,
     holding_controls,
-    settle_actuators,
+    settle_under_load,
 )
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.quiet import quiet
@@ -240,8 +239,7 @@ class _Run:
         self._set_first_state(data)
         self._place_commands(data)
         data.ctrl[:] = self.values[0, : self.model.nu]
-        settle_actuators(self.model, data)
-        balance_integrators(self.model, data)
+        settle_under_load(self.model, data)
         self.initial = {name: getattr(data, name).copy() for name in _INITIAL}
         count = len(self.trial.time)
         self.qpos = np.full((count, self.model.nq), np.nan)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -38,7 +37,11 @@ def set_in_motion(
     out = list(segments)
     if not moving:
         return out
-    tried = [_beginning(s) for i, other in moving.items() for s in (segments[i], other)]
+    tried = [
+        s.part(s.time <= s.time[0] + _BEGINNING)
+        for i, other in moving.items()
+        for s in (segments[i], other)
+    ]
     simulator = RowSimulator(tried, joints, threads=threads, fixed=fixed)
     found = simulator.simulate(np.arange(len(tried)), {})
     alive = noise > 0.0  # an encoder that is stuck says nothing
@@ -50,8 +53,3 @@ def set_in_motion(
         if left[2 * k + 1] < _CLEARLY * left[2 * k]:
             out[i] = other
     return out
-
-
-def _beginning(segment: Segment) -> Segment:
-    first = segment.time <= segment.time[0] + _BEGINNING
-    return replace(segment, time=segment.time[first], position=segment.position[first], effort=None)

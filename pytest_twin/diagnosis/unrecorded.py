@@ -15,10 +15,9 @@ import numpy as np
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Unrecorded
 from pytest_twin.realization.first_state import (
-    balance_integrators,
     follow_joint_equalities,
     holding_controls,
-    settle_actuators,
+    settle_under_load,
 )
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.quiet import quiet
@@ -98,8 +97,7 @@ class Around:
         held = np.searchsorted(self._command_time, stamps, side="right") - 1
         self._place(position[0], velocity[0])
         data.ctrl[:] = self._sent[0]
-        settle_actuators(model, data)
-        balance_integrators(model, data)
+        settle_under_load(model, data)
         out, since = [], 0
         with quiet():
             for until in steps.tolist():

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -24,7 +22,7 @@ from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.mjcf import compiled
-from pytest_twin.trial import CommandMode, Trial
+from pytest_twin.trial import Trial
 
 WINDOW = 0.5
 """s, of windows, where motions are not too wild for it."""
@@ -64,122 +62,95 @@ def segments_of(
     Raises:
         SpecError: a controller or payload that the model lacks.
     """
-    recorded = _recorded(realization, trial, joints)
-    first = recorded.first_commanded if commanded else 0
-    more = {"trial": index, "coldness": coldness}
+    recorded = _recorded(realization, trial, index, joints, coldness)
+    first = _first_commanded(recorded) if commanded else 0
     if window is None and trial.command_mode != "effort":
-        return [_whole(recorded, first, moving, more)]
-    return _windows(recorded, first, window or WINDOW, more)
+        return [_whole(recorded, joints, first, moving)]
+    return _windows(recorded, joints, first, window or WINDOW)
 
 
-@dataclass(frozen=True, slots=True)
-class _Recorded:
-    """A trial in the model's terms: stamps ascend, s on its clock; commands are NaN where a joint
-    has none.
-    """
-
-    model: mujoco.MjModel
-    joints: tuple[str, ...]
-    mode: CommandMode
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray | None
-    effort: FloatArray | None
-    command_time: FloatArray
-    command: FloatArray
-
-    @property
-    def first_commanded(self) -> int:
-        """Number of the first sample under a command; 0 where none is well before it, or hardly any
-        are left.
-        """
-        first = int(np.searchsorted(self.time, self.command_time[0]))
-        late = self.command_time[0] > self.time[0] + _LATE
-        return first if late and len(self.time) - first >= _FEWEST_SAMPLES else 0
-
-    def around(self, position: FloatArray, velocity: FloatArray) -> Around:
-        """The rest of the model, along a motion."""
-        return Around(
-            self.model, self.joints, self.mode, self.command_time, self.command,
-            (self.time, position, velocity),
-        )  # fmt: skip
-
-    def segment(self, inside: NDArray[np.bool_], **more: Any) -> Segment:
-        """The samples ``inside``."""
-        return Segment(
-            model=self.model,
-            mode=self.mode,
-            time=self.time[inside],
-            position=self.position[inside],
-            velocity=None if self.velocity is None else self.velocity[inside],
-            effort=None if self.effort is None else self.effort[inside],
-            command_time=self.command_time,
-            command=self.command,
-            **more,
-        )
-
-
-def _recorded(realization: Realization, trial: Trial, joints: Sequence[str]) -> _Recorded:
+def _recorded(
+    realization: Realization, trial: Trial, index: int, joints: Sequence[str], coldness: float
+) -> Segment:
+    """All of a trial in the model's terms, from rest."""
     columns = [trial.joints.index(j) for j in joints]
     encoders = Encoders.of(calibration_of(realization), joints)
     keep = np.concatenate([[True], np.diff(trial.time) > 0])
+    position = encoders.model_position(trial.position[keep][:, columns])
     command = np.full((len(trial.command_time), len(joints)), np.nan)
     for j, joint in enumerate(joints):
         if joint in trial.command_joints:
             command[:, j] = trial.command[:, trial.command_joints.index(joint)]
-    command = encoders.model_command(command, trial.command_mode)
     ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
-    return _Recorded(
-        _model(realization, trial),
-        tuple(joints),
-        trial.command_mode,
-        trial.time[keep],
-        encoders.model_position(trial.position[keep][:, columns]),
-        _columns(trial.velocity, keep, columns, encoders),
-        _columns(trial.effort, keep, columns, encoders),
-        trial.command_time[ascending],
-        command[ascending],
+    return Segment(
+        trial=index,
+        model=_model(realization, trial),
+        mode=trial.command_mode,
+        start=0.0,
+        time=trial.time[keep],
+        position=position,
+        velocity=_columns(trial.velocity, keep, columns, encoders),
+        effort=_columns(trial.effort, keep, columns, encoders),
+        command_time=trial.command_time[ascending],
+        command=encoders.model_command(command, trial.command_mode)[ascending],
+        initial_position=position[0],
+        initial_velocity=np.zeros(len(joints)),
+        coldness=coldness,
     )
 
 
-def _whole(recorded: _Recorded, first: int, moving: bool, more: Mapping[str, Any]) -> Segment:
+def _first_commanded(recorded: Segment) -> int:
+    """Number of the first sample under a command; 0 where none is well before it, or hardly any are
+    left.
+    """
+    time, since = recorded.time, recorded.command_time[0]
+    first = int(np.searchsorted(time, since))
+    return first if since > time[0] + _LATE and len(time) - first >= _FEWEST_SAMPLES else 0
+
+
+def _around(
+    recorded: Segment, joints: Sequence[str], position: FloatArray, velocity: FloatArray
+) -> Around:
+    """The rest of the model, along a motion."""
+    motion = recorded.time, position, velocity
+    return Around(
+        recorded.model, joints, recorded.mode, recorded.command_time, recorded.command, motion
+    )
+
+
+def _whole(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -> Segment:
     """From the sample ``first`` to the last."""
     time, position = recorded.time, recorded.position
     start = float(time[first]) if first else 0.0
+    velocity = recorded.initial_velocity
     if recorded.velocity is not None:
         velocity = np.nan_to_num(recorded.velocity[first])
     elif moving:
         velocity = smooth_state(time[first:], position[first:], start, 2.0 * SMOOTH)[1]
-    else:
-        velocity = np.zeros(len(recorded.joints))
-    around = recorded.around(position, np.zeros_like(position))
+    around = _around(recorded, joints, position, np.zeros_like(position))
     (rest,) = around.at([start], [(position[first], velocity)])
-    return recorded.segment(
+    return recorded.part(
         np.arange(len(time)) >= first, start=start, initial_position=position[first],
-        initial_velocity=velocity, unrecorded=rest, **more,
+        initial_velocity=velocity, unrecorded=rest,
     )  # fmt: skip
 
 
-def _windows(
-    recorded: _Recorded, first: int, window: float, more: Mapping[str, Any]
-) -> list[Segment]:
+def _windows(recorded: Segment, joints: Sequence[str], first: int, window: float) -> list[Segment]:
     """Windows of about ``window`` s, from the sample ``first`` on."""
     time, position = recorded.time, recorded.position
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
-    edges = edges_of(time, position - smooth, window)
+    edges = edges_of(time[first:], (position - smooth)[first:], window)
     spans = [
-        (float(start), (time >= start) & (time <= end))
-        for start, end in itertools.pairwise(edges)
-        if start >= time[first]
+        (float(start), (time >= start) & (time <= end)) for start, end in itertools.pairwise(edges)
     ]
     spans = [(start, inside) for start, inside in spans if inside.sum() >= _FEWEST_SAMPLES]
     states = [smooth_state(time, position, start, width) for start, _ in spans]
-    rests = recorded.around(smooth, speed).at([start for start, _ in spans], states)
+    rests = _around(recorded, joints, smooth, speed).at([start for start, _ in spans], states)
     return [
-        recorded.segment(
+        recorded.part(
             inside, start=start, initial_position=q, initial_velocity=v,
-            history=(time, smooth, speed), unrecorded=rest, **more,
+            history=(time, smooth, speed), unrecorded=rest,
         )
         for (start, inside), (q, v), rest in zip(spans, states, rests, strict=True)
     ]  # fmt: skip
@@ -191,12 +162,12 @@ def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:
     A velocity is not known where a command jumps: there, they begin a little before or after.
 
     Args:
-        time: (n,) s, from 0 on.
+        time: (n,) s.
         off: (n, joints) samples less a smooth motion.
         window: s, about.
     """
-    count = max(1, round(time[-1] / window))
-    edges = np.linspace(0.0, time[-1], count + 1)
+    count = max(1, round((time[-1] - time[0]) / window))
+    edges = np.linspace(time[0], time[-1], count + 1)
     usual = np.maximum(np.median(off**2, axis=0), 1e-30) / _MEDIAN_SQUARE
     rough = (off**2 / usual).max(axis=1)
     level = np.convolve(rough, np.ones(_START_SAMPLES) / _START_SAMPLES, mode="same")

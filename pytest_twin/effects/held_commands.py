@@ -17,13 +17,15 @@ class HeldCommands:
     Args:
         segments: whose commands; all of the same joints.
         timestep: s, of the steps that are asked for most.
+        idle: (segments, joints) what holds where a joint is not commanded.
     """
 
-    def __init__(self, segments: Sequence[Segment], timestep: float) -> None:
+    def __init__(self, segments: Sequence[Segment], timestep: float, idle: FloatArray) -> None:
         self.segments = segments
         self.timestep = timestep
+        self.idle = idle
         self._prompt: dict[int, FloatArray] = {}
-        self._areas: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._areas: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def means(
         self,
@@ -60,21 +62,24 @@ class HeldCommands:
             return self._prompt[segment][:, :steps]
         s = self.segments[segment]
         at = s.start - delay + timestep * np.arange(steps + 1)
-        far, area = self._area(segment)
-        last = np.clip(np.searchsorted(far, at, side="right") - 1, 0, len(s.command) - 1)
+        far, area, command = self._area(segment)
+        last = np.clip(np.searchsorted(far, at, side="right") - 1, 0, len(command) - 1)
         # Before the first stamp the first command holds.
-        summed = area[:, last] + s.command[last].T * (at - far[last])
+        summed = area[:, last] + command[last].T * (at - far[last])
         mean: FloatArray = np.diff(summed, axis=1) / timestep
         if prompt:
             self._prompt[segment] = mean
         return mean
 
-    def _area(self, segment: int) -> tuple[FloatArray, FloatArray]:
-        """(stamps + 1,) s and (joints, stamps + 1) integral of the held command up to there."""
+    def _area(self, segment: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(stamps + 1,) s, (joints, stamps + 1) integral of the held command up to there, and
+        (stamps, joints) that command.
+        """
         if segment not in self._areas:
             s = self.segments[segment]
             far = np.append(s.command_time, s.command_time[-1] + 1e6)
-            area = np.zeros((s.command.shape[1], len(far)))
-            np.cumsum((np.diff(far)[:, None] * s.command).T, axis=1, out=area[:, 1:])
-            self._areas[segment] = far, area
+            command = np.where(np.isnan(s.command), self.idle[segment], s.command)
+            area = np.zeros((command.shape[1], len(far)))
+            np.cumsum((np.diff(far)[:, None] * command).T, axis=1, out=area[:, 1:])
+            self._areas[segment] = far, area, command
         return self._areas[segment]

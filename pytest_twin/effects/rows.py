@@ -79,8 +79,8 @@ class RowSimulator:
         self.fixed: EffectValues = fixed or {}
         self.stepped = 0
         """Rows times steps so far: what the engine alone would have had to step."""
-        self._held = HeldCommands(self.segments, self.timestep)
-        self._idle = np.array([self._holding(s) for s in self.segments])
+        idle = np.array([self._holding(s) for s in self.segments])
+        self._held = HeldCommands(self.segments, self.timestep, idle)
 
     def _holding(self, segment: Segment) -> FloatArray:
         """(joints,) commands by which position servos hold what nobody commands; 0 elsewhere."""
@@ -174,7 +174,7 @@ class RowSimulator:
         """
         joints = self._columns(rows, joints)
         delay = self._late(rows, effects, joints.shape[1])
-        return self._commands(rows, delay, steps, joints, self.timestep)
+        return self._held.means(rows, delay, steps, joints, self.timestep)
 
     def taken(
         self,
@@ -213,7 +213,7 @@ class RowSimulator:
             known[:, i] = np.moveaxis(segment.before(segment.start + before), 1, 2)
         motion = np.ascontiguousarray(np.moveaxis(known[:, of[:, None], joints], -1, 1))
         late = self._late(rows, effects, joints.shape[1]) + LEAD
-        command = np.moveaxis(self._commands(rows, late, steps, joints, world.timestep), 1, 0)
+        command = np.moveaxis(self._held.means(rows, late, steps, joints, world.timestep), 1, 0)
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):
                 for k in range(steps):
@@ -222,19 +222,6 @@ class RowSimulator:
         if far:
             follow(world, far, self._paths(which)[:, of[:, None], joints])
         roll_in(world, hooks_between_steps(effects), motion[0], motion[1], command)
-
-    def _commands(
-        self,
-        rows: NDArray[np.int64],
-        delay: FloatArray,
-        steps: int,
-        joints: NDArray[np.int64],
-        timestep: float,
-    ) -> FloatArray:
-        """Means of held commands; where a segment has none, what its servo holds by."""
-        mean = self._held.means(rows, delay, steps, joints, timestep)
-        idle = self._idle[rows[:, None], joints]
-        return np.where(np.isnan(mean), idle[:, None], mean) if idle.any() else np.nan_to_num(mean)
 
     def _columns(
         self, rows: NDArray[np.int64], joints: NDArray[np.int64] | None

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.trial import CommandMode
@@ -74,6 +76,17 @@ class Segment:
     def amid(self) -> bool:
         """Whether it starts amid a motion."""
         return self.history is not None
+
+    def part(self, inside: NDArray[np.bool_], **changes: Any) -> Segment:
+        """The samples ``inside``, and what ``changes`` beside them."""
+        return replace(
+            self,
+            time=self.time[inside],
+            position=self.position[inside],
+            velocity=None if self.velocity is None else self.velocity[inside],
+            effort=None if self.effort is None else self.effort[inside],
+            **changes,
+        )
 
     def before(self, time: FloatArray) -> FloatArray:
         """Positions and velocities at (n,) s on the trial's clock, (2, n, joints); only

@@ -8,10 +8,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS, joint_inputs, steady_activation
+from pytest_twin.realization.inputs import (
+    JOINT_TRANSMISSIONS,
+    LINEAR_GAINS,
+    joint_inputs,
+    steady_activation,
+)
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-_LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 
 
 def follow_joint_equalities(
@@ -68,16 +72,14 @@ def settle_actuators(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             mujoco.mj_initCtrlHistory(model, data, actuator, None, np.tile(held, samples))
 
 
-def balance_integrators(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Let servos that integrate their command carry the load where their joints are.
+def settle_under_load(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """As :func:`settle_actuators`, and servos that integrate their command carry the load where
+    their joints are.
 
     A recorded joint rests where it starts: its servo had been told to go on until it did. Joints
     with several such servos stay as they are settled.
-
-    Args:
-        model: whose actuators, settled.
-        data: holds positions; activations of integrators are changed.
     """
+    settle_actuators(model, data)
     integrators = [
         actuator
         for actuator in range(model.nactuator)
@@ -142,7 +144,7 @@ def _law(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
     """Stiffness, N*m/rad or N/m, and constant effort of a servo at its joint; zero where they do
     not follow from its gains.
     """
-    if int(model.actuator_gaintype[actuator]) not in _LINEAR_GAINS:
+    if int(model.actuator_gaintype[actuator]) not in LINEAR_GAINS:
         return 0.0, 0.0
     gear = float(model.actuator_gear[model.actuator_outadr[actuator], 0])
     constant, slope = (float(b) for b in model.actuator_biasprm[actuator, :2])

@@ -12,7 +12,7 @@ from pytest_twin.trial import CommandMode
 # As integers: an enum of MuJoCo that stands on the left of == knows no numpy integer.
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _SETPOINT_GAINS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
 _SETPOINTS: tuple[tuple[CommandMode, int], ...] = (
     ("position", int(mujoco.mjtCtrlInput.mjINPUT_POS)),
@@ -130,7 +130,7 @@ def _actuator_inputs(model: mujoco.MjModel, actuator: int) -> list[CommandInput]
             CommandInput(item, control + at, 1.0 / gear if item == "effort" else gear, actuator)
             for at, item in enumerate(present)
         ]
-    if gain_type not in _LINEAR_GAINS:
+    if gain_type not in LINEAR_GAINS:
         return []
     gain = float(model.actuator_gainprm[actuator, 0])
     if gain == 0.0:

@@ -217,6 +217,9 @@ def test_windows_begin_with_the_first_command(bench: Bench) -> None:
     assert all((w.time >= 0.3).all() for w in windows)
     (whole,) = segments_of(*arguments, commanded=True)
     assert whole.start == whole.time[0] == pytest.approx(0.3)
+    # Also where what is left is no whole window.
+    (rest,) = segments_of(*arguments, 2.0, commanded=True)
+    assert rest.start == rest.time[0] == pytest.approx(0.3)
     # A first command that is hardly late is held from the start.
     trials = bench.read(bench.put("b.mcap", sent_at=bench.sent_at + 0.03))
     (whole,) = segments_of(bench.loaded.realization, trials.fit[0], 0, list(joints), commanded=True)

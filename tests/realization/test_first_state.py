@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from pytest_twin.realization.first_state import (
-    balance_integrators,
     follow_joint_equalities,
     holding_controls,
     settle_actuators,
+    settle_under_load,
 )
 
 ARM = """
@@ -78,7 +78,7 @@ def test_a_servo_that_integrates_carries_its_load_where_it_starts(gear: float) -
     data.ctrl[:] = holding_controls(model, data, ())
     settle_actuators(model, data)
     assert data.act[0] == pytest.approx(gear * START[0]), "where the joint is"
-    balance_integrators(model, data)
+    settle_under_load(model, data)
     for _ in range(2000):
         mujoco.mj_step(model, data)
     assert data.qpos == pytest.approx(START, abs=1e-7)
