@@ -95,8 +95,7 @@ def prepare(
     for i, trial in enumerate(trials):
         cold = coldness_in(coldness, trial)
         made = segments_of(realization, trial, i, joints, window, cold, commanded=True)
-        whole = [s for s in made if s.mode == "position" and not s.amid]
-        if whole and trial.velocity is None:
+        if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
             (moving[len(segments)],) = segments_of(
                 realization, trial, i, joints, window, cold, moving=True, commanded=True
             )

@@ -217,10 +217,9 @@ def _taken_for_granted(
         for e in beside
         if not e.in_model and e.joint not in (None, *problem.joints)
     ]
-    owned = zip(prepared.segment_trial, problem.simulator.segments, strict=True)
-    # Of each trial's segments the first; one may be too short for any.
-    for i, first in sorted(dict(reversed(list(owned))).items()):
-        trial = trials[i]
+    owners = prepared.segment_trial
+    for i, trial in enumerate(trials):
+        first = problem.simulator.segments[owners.index(i)]
         if first.start > 0.0 and first.command_time[0] > 0.0:
             notes.append(
                 f"{trial.path.name}: its first {first.start:.3g} s are left out: nobody says what "

@@ -136,15 +136,16 @@ def _whole(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -
 
 
 def _windows(recorded: Segment, joints: Sequence[str], first: int, window: float) -> list[Segment]:
-    """Windows of about ``window`` s, from the sample ``first`` on."""
+    """Windows of about ``window`` s, from the sample ``first`` on; at least one."""
     time, position = recorded.time, recorded.position
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
-    edges = edges_of(time[first:], (position - smooth)[first:], window)
-    spans = [
+    edges = edges_of(time[first:], (position - smooth)[first:], max(window, width))
+    every = [
         (float(start), (time >= start) & (time <= end)) for start, end in itertools.pairwise(edges)
     ]
-    spans = [(start, inside) for start, inside in spans if inside.sum() >= _FEWEST_SAMPLES]
+    spans = [(start, inside) for start, inside in every if inside.sum() >= _FEWEST_SAMPLES]
+    spans = spans or [(float(time[first]), np.arange(len(time)) >= first)]
     states = [smooth_state(time, position, start, width) for start, _ in spans]
     rests = _around(recorded, joints, smooth, speed).at([start for start, _ in spans], states)
     return [

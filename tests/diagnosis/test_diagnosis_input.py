@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -224,6 +225,27 @@ def test_windows_begin_with_the_first_command(bench: Bench) -> None:
     trials = bench.read(bench.put("b.mcap", sent_at=bench.sent_at + 0.03))
     (whole,) = segments_of(bench.loaded.realization, trials.fit[0], 0, list(joints), commanded=True)
     assert whole.start == 0.0
+
+
+@pytest.mark.parametrize("every", [1, 15, 30])
+def test_windows_hold_samples_enough_at_any_rate(bench: Bench, every: int) -> None:
+    (trial,) = bench.read(bench.put("a.mcap")).fit
+    assert np.median(np.diff(trial.time)) == pytest.approx(0.005)
+    slow = replace(trial, time=trial.time[::every], position=trial.position[::every])
+    joints = bench.loaded.realization.structure.joint_type
+    windows = segments_of(bench.loaded.realization, slow, 0, list(joints), 0.25)
+    assert all(len(w.time) >= 8 for w in windows)
+    # Every sample is in one, or at an edge in two.
+    assert set(np.concatenate([w.time for w in windows])) == set(slow.time)
+
+
+def test_a_trial_with_gaps_has_a_window_in_any_case(bench: Bench) -> None:
+    (trial,) = bench.read(bench.put("a.mcap")).fit
+    kept = np.flatnonzero(np.arange(len(trial.time)) % 80 < 3)
+    torn = replace(trial, time=trial.time[kept], position=trial.position[kept])
+    joints = bench.loaded.realization.structure.joint_type
+    (window,) = segments_of(bench.loaded.realization, torn, 0, list(joints), 0.25)
+    np.testing.assert_array_equal(window.time, torn.time)
 
 
 @pytest.mark.parametrize("hidden", [{}, {"delay": 0.05}, {"viscous": 0.3}, {"lag": 0.05}], ids=str)
