@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import io
-import itertools
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.report.diagnosis_view import JointView
+from pytest_twin.report.diagnosis_view import JointView, Regime
+from pytest_twin.report.panels import Line, thin
 from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, STYLE, finish
 from pytest_twin.report.text import number, printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
 _WIDTH, _HEIGHT = 9.6, 9.0
-_POINTS = 700
+_STRETCHES = 700
 _BINS = 24
 _MOST_REGIMES = 9
+# Of the width: where panels begin and end, the gap between two, and a character of a regime's name.
+# A layout that measures all text takes as long as the drawing.
+_LEFT, _MIDDLE, _RIGHT, _GAP = 0.098, 0.42, 0.985, 0.022
+_CHARACTER = 0.0058
 
 
 def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
@@ -37,26 +43,31 @@ def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
 
     with matplotlib.rc_context(STYLE), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+        figure = Figure(figsize=(_WIDTH, _HEIGHT))
         (FigureCanvasSVG if image == "svg" else FigureCanvasAgg)(figure)
-        rows = figure.subfigures(3, 1, squeeze=False, height_ratios=[2.7, 1.35, 1.7])
-        course, drivers, slices = rows[:, 0]
-        overlay, left = course.subplots(2, 1, sharex=True, height_ratios=[1.4, 1.1])
+        overlay = _panel(figure, 0.77, 0.972)
+        left = _panel(figure, 0.588, 0.742, sharex=overlay)
         _overlay(overlay, view)
         _left_over_time(left, view)
-        course.align_ylabels()
+        for axes in (overlay, left):
+            axes.yaxis.set_label_coords(-0.067, 0.5)
         effort = "N" if view.unit == "m" else "N*m"
-        panels = drivers.subplots(1, 3, sharey=True)
-        for axes, label, values in zip(
-            panels,
-            (f"velocity [{view.unit}/s]", f"position [{view.unit}]", f"load [{effort}]"),
-            (view.velocity, view.position, view.load),
-            strict=True,
-        ):
-            _against(axes, view, values, label, first=axes is panels[0])
-        spectrum, regimes = slices.subplots(1, 2)
-        _spectrum(spectrum, view)
-        _regimes(regimes, view)
+        drivers = (
+            (f"velocity [{view.unit}/s]", view.velocity),
+            (f"position [{view.unit}]", view.position),
+            (f"load [{effort}]", view.load),
+        )
+        edges = np.linspace(_LEFT, _RIGHT + _GAP, len(drivers) + 1)
+        first: Axes | None = None
+        for start, end, (label, values) in zip(edges, edges[1:] - _GAP, drivers, strict=False):
+            axes = _panel(figure, 0.35, 0.5, start, end, sharey=first)
+            _against(axes, view, values, label, first=first is None)
+            first = first or axes
+        _spectrum(_panel(figure, 0.055, 0.285, _LEFT, _MIDDLE), view)
+        shown = sorted(view.regimes, key=lambda r: -r.before)[:_MOST_REGIMES]
+        names = max((len(_regime_name(r)) for r in shown), default=0)
+        start = _MIDDLE + _GAP + _CHARACTER * names
+        _regimes(_panel(figure, 0.055, 0.285, start), view, shown)
         buffer = io.BytesIO()
         if image == "png":
             figure.savefig(buffer, format="png", dpi=110, facecolor="white")
@@ -70,20 +81,36 @@ def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
     return finish(buffer.getvalue().decode("utf-8")).encode("utf-8")
 
 
+def _panel(
+    figure: Figure,
+    bottom: float,
+    top: float,
+    left: float = _LEFT,
+    right: float = _RIGHT,
+    sharex: Axes | None = None,
+    sharey: Axes | None = None,
+) -> Axes:
+    """Axes from edge to edge, all in parts of the figure."""
+    return figure.add_axes((left, bottom, right - left, top - bottom), sharex=sharex, sharey=sharey)
+
+
 def _overlay(axes: Axes, view: JointView) -> None:
     axes.set_title(printable(f"{view.joint} in {view.recording}")[:90], color=INK)
     axes.set_ylabel(f"position [{view.unit}]")
     if view.command is not None and view.command_time is not None:
         inside = view.command_time <= view.time[-1]
-        t, c = _thin(view.command_time[inside], view.command[inside])
+        t, c = _thinned(view.command_time[inside], view.command[inside])
         axes.plot(t, c, color=DIM, linewidth=0.8, linestyle=(0, (4, 3)), label="command",
                   drawstyle="steps-post")  # fmt: skip
-    t, m = _thin(view.time, view.measured)
-    axes.plot(t, m, color=GOLDEN, linewidth=3.4, alpha=0.35, label="measured")
-    t, b = _thin(view.time, view.before)
-    axes.plot(t, b, color=FAIL, linewidth=1.0, label="model before")
-    t, a = _thin(view.time, view.after)
-    axes.plot(t, a, color=NOW, linewidth=1.1, label="model after")
+    axes.plot(
+        *_thinned(view.time, view.measured),
+        color=GOLDEN,
+        linewidth=3.4,
+        alpha=0.35,
+        label="measured",
+    )
+    axes.plot(*_thinned(view.time, view.before), color=FAIL, linewidth=1.0, label="model before")
+    axes.plot(*_thinned(view.time, view.after), color=NOW, linewidth=1.1, label="model after")
     low, high = float(view.measured.min()), float(view.measured.max())
     room = 0.35 * max(high - low, 1e-6)
     axes.set_ylim(low - room, high + room)
@@ -98,8 +125,7 @@ def _left_over_time(axes: Axes, view: JointView) -> None:
         axes.axvspan(start, end, color=BAND, alpha=0.35, linewidth=0)
     _floor_band(axes, view)
     for values, colour, width in ((view.before, FAIL, 0.9), (view.after, NOW, 1.0)):
-        t, r = _thin(view.time, view.measured - values)
-        axes.plot(t, r, color=colour, linewidth=width)
+        axes.plot(*_thinned(view.time, view.measured - values), color=colour, linewidth=width)
     reach = 1.15 * float(np.nanmax(np.abs(view.measured - view.before)))
     reach = max(reach, 3.0 * view.floor)
     axes.set_ylim(-reach, reach)
@@ -170,9 +196,8 @@ def _spectrum(axes: Axes, view: JointView) -> None:
     axes.legend(loc="upper right")
 
 
-def _regimes(axes: Axes, view: JointView) -> None:
+def _regimes(axes: Axes, view: JointView, shown: Sequence[Regime]) -> None:
     """Root mean square before and after, slice by slice."""
-    shown = sorted(view.regimes, key=lambda r: -r.before)[:_MOST_REGIMES]
     rows = np.arange(len(shown))
     scale = max(view.floor, 1e-300)
     for row, r in zip(rows, shown, strict=True):
@@ -183,11 +208,16 @@ def _regimes(axes: Axes, view: JointView) -> None:
     _logarithmic(axes, "x")
     values = [x for r in shown for x in (r.before, r.after)] + [scale]
     axes.set_xlim(0.6 * min(values), 1.6 * max(values))
-    axes.set_yticks(rows, [printable(r.name)[:46] for r in shown], color=INK, fontsize=7.5)
+    axes.set_yticks(rows, [_regime_name(r) for r in shown], color=INK, fontsize=7.5)
     axes.set_ylim(len(shown) - 0.5, -0.6)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel(f"root mean square [{view.unit}]; dashed: the floor, {number(view.floor)}")
+    said = f"root mean square [{view.unit}]; dashed: the floor, {number(view.floor)}"
+    axes.set_xlabel(said, loc="right")
+
+
+def _regime_name(regime: Regime) -> str:
+    return printable(regime.name)[:46]
 
 
 def _logarithmic(axes: Axes, *which: str) -> None:
@@ -213,15 +243,6 @@ def _by_octaves(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray, F
     )
 
 
-def _thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Fewer points: the least and the greatest of each of many short stretches."""
-    if len(x) <= 2 * _POINTS:
-        return x, y
-    edges = np.linspace(0, len(x), _POINTS + 1).astype(int)
-    chosen: set[int] = {0, len(x) - 1}
-    for a, b in itertools.pairwise(edges):
-        part = y[a:b]
-        if np.isfinite(part).any():
-            chosen |= {a + int(np.nanargmin(part)), a + int(np.nanargmax(part))}
-    index = np.array(sorted(chosen))
-    return x[index], y[index]
+def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    line = thin(Line(x, y), _STRETCHES)
+    return line.x, line.y

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -159,17 +158,20 @@ def frequency_panels(
     return panels[:MAX_PANELS], max(0, len(panels) - MAX_PANELS)
 
 
-def thin(line: Line) -> Line:
-    """At most two points for each of ``BUCKETS`` stretches: its lowest and its highest."""
-    if line.x.size <= 2 * BUCKETS:
+def thin(line: Line, stretches: int = BUCKETS) -> Line:
+    """At most two points for each of many stretches: its lowest and its highest."""
+    if line.x.size <= 2 * stretches:
         return line
-    edges = np.linspace(0, line.x.size, BUCKETS + 1).astype(int)
-    picked: list[int] = [0]
-    for start, end in itertools.pairwise(edges.tolist()):
-        piece = np.nan_to_num(line.y[start:end])
-        picked += [start + int(piece.argmin()), start + int(piece.argmax())]
-    picked.append(line.x.size - 1)
-    index = np.unique(picked)
+    last = line.x.size - 1
+    width = -(-line.x.size // stretches)
+    count = -(-line.x.size // width)
+    # Beyond the end the last sample again; what is not finite is neither lowest nor highest.
+    pieces = np.pad(line.y, (0, count * width - line.y.size), mode="edge").reshape(count, width)
+    finite = np.isfinite(pieces)
+    lowest = np.where(finite, pieces, np.inf).argmin(axis=1)
+    highest = np.where(finite, pieces, -np.inf).argmax(axis=1)
+    picked = np.minimum(width * np.arange(count) + np.stack([lowest, highest]), last)
+    index = np.unique(np.append(picked, [0, last]))
     return Line(line.x[index], line.y[index])
 
 
