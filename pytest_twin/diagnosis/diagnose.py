@@ -209,7 +209,8 @@ def _left_out_joints(
             continue
         lacking = [t.path.name for t in trials if joint not in t.joints]
         if lacking and len(lacking) < len(trials):
-            notes.append(f"joint {joint!r} is left out: {', '.join(lacking)} lack it")
+            lack = "lacks" if len(lacking) == 1 else "lack"
+            notes.append(f"joint {joint!r} is left out: {', '.join(lacking)} {lack} it")
         elif lacking:
-            notes.append(f"joint {joint!r} is in no recording; it rests where the model has it")
+            notes.append(f"joint {joint!r} is in no recording: it starts where the model has it")
     return notes
