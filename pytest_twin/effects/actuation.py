@@ -11,30 +11,48 @@ from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values, Worl
 
 
 class ActuatorLag(Effect):
-    """The drive's effort follows what its law asks for with a first-order lag."""
+    """The drive answers with a first-order lag: its effort does, or, behind a smoothed command, the
+    setpoint that its law sees.
+    """
 
     id = "actuator_lag"
     family = "actuation"
-    law = "time_constant d(delivered)/dt = drive - delivered"
-    source = "current loop as a first-order lag; Siciliano et al., Robotics (2009), sec. 8.3"
-    parameters = (Parameter("time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.03, 0.08)),)
+    law = (
+        "time_constant d(delivered)/dt = drive - delivered; with of_setpoint 1, of a servo: "
+        "time_constant d(setpoint)/dt = command - setpoint"
+    )
+    source = (
+        "current loop as a first-order lag; Siciliano et al., Robotics (2009), sec. 8.3; of the "
+        "setpoint: MuJoCo's filtered activation (timeconst)"
+    )
+    parameters = (
+        Parameter("time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.03, 0.08)),
+        Parameter("of_setpoint", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
+    )
     remembers = True
     confused_with: ClassVar = {
         "command_delay": "steps: a lag rises at once, a delay leaves a dead time",
         "armature": "two payloads: a lag does not depend on what is carried",
     }
 
+    def command(self, world: World, values: Values) -> None:
+        # What an effort drive is sent is what it gives: its lag is that of the effort.
+        lag = values["time_constant"] * values["of_setpoint"] * (world.servo != "effort")
+        world.setpoint = self._follow(world, "setpoint", world.setpoint, lag)
+
     def drive(self, world: World, values: Values) -> None:
-        lag = values["time_constant"]
-        held = world.state.get(self.id)
-        if held is None:
-            held = world.delivered.copy()
-        # Exact for an input that is held over the step, and what it delivers is the mean over it; a
-        # zero time constant passes it through.
+        lag = values["time_constant"] * (1.0 - values["of_setpoint"])
+        world.delivered = self._follow(world, "effort", world.delivered, lag)
+
+    def _follow(self, world: World, what: str, asked: FloatArray, lag: FloatArray) -> FloatArray:
+        """(rows, joints) mean over the step of what follows ``asked`` with a lag, s."""
+        followed = world.state.setdefault(self.id, {})
+        # Exact for an input that is held over the step; a zero time constant passes it through.
         steps = world.timestep / np.maximum(lag, 1e-9)
-        behind = held - world.delivered
-        world.state[self.id] = world.delivered + np.exp(-steps) * behind
-        world.delivered = world.delivered - np.expm1(-steps) / steps * behind
+        behind = followed.get(what, asked) - asked
+        followed[what] = asked + np.exp(-steps) * behind
+        mean: FloatArray = asked - np.expm1(-steps) / steps * behind
+        return mean
 
 
 class RateLimit(Effect):
@@ -172,22 +190,36 @@ class TorqueSpeedLimit(Effect):
 
 
 class DeadZone(Effect):
-    """A servo that ignores small errors; an effort drive that ignores small commands."""
+    """A servo that ignores small errors, or gives no small efforts; an effort drive that ignores
+    small commands.
+    """
 
     id = "dead_zone"
     family = "actuation"
-    law = "error -> sign(error) max(|error| - width, 0); an effort drive: the same of its command"
+    law = (
+        "error -> sign(error) max(|error| - width, 0); an effort drive: the same of its command; "
+        "with of_effort 1, of a servo: the same of its effort, beyond gain width"
+    )
     source = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities"
-    parameters = (Parameter("width", "command", 0.0, 0.0, 1.0, (0.01, 0.03, 0.1), "command"),)
+    parameters = (
+        Parameter("width", "command", 0.0, 0.0, 1.0, (0.01, 0.03, 0.1), "command"),
+        Parameter("of_effort", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
+    )
     confused_with: ClassVar = {
         "coulomb_friction": "release at rest: friction holds, a dead zone lets go",
         "backlash": "hold the link by hand: only backlash lets it move freely",
     }
 
     def servo(self, world: World, values: Values) -> None:
-        width = values["width"]
+        width = values["width"] * (1.0 - values["of_effort"])
         error = world.setpoint - np.where(world.servo == "position", world.motor_position, 0.0)
         world.setpoint = world.setpoint - np.clip(error, -width, width)
+
+    def drive(self, world: World, values: Values) -> None:
+        # What an effort drive gives is its command: one dead zone for both.
+        width = values["width"] * values["of_effort"] * (world.servo != "effort")
+        none = world.gain * width
+        world.delivered = world.delivered - np.clip(world.delivered, -none, none)
 
 
 class Cogging(Effect):

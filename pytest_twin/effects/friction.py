@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.motor import motor_effort
 
 _SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
 
@@ -125,20 +126,30 @@ class StribeckFriction(_DryFriction):
 
 
 class LoadDependentFriction(Effect):
-    """A level that grows with the effort that the gear transmits."""
+    """A level that grows with the effort that the gear transmits: with what the load puts on it, or
+    with what the motor does.
+    """
 
     id = "load_dependent_friction"
     family = "friction"
-    law = "level = coefficient |load|, load: gravity, Coriolis and centrifugal effort"
+    law = (
+        "level = coefficient |load|, load: gravity, Coriolis and centrifugal effort; with of_drive "
+        "1: level = coefficient |delivered|"
+    )
     source = "Duclos et al., arXiv:2410.08650 (extended friction of servo actuators)"
-    parameters = (Parameter("coefficient", "effort_per_load", 0.0, 0.0, 2.0, (0.1,)),)
+    parameters = (
+        Parameter("coefficient", "effort_per_load", 0.0, 0.0, 2.0, (0.1,)),
+        Parameter("of_drive", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
+    )
+    reads_drive = True
     confused_with: ClassVar = {
         "coulomb_friction": "two loads at the same speed",
         "torque_constant": "both directions: friction changes its sign",
     }
 
     def friction(self, world: World, values: Values) -> None:
-        world.friction_level = world.friction_level + values["coefficient"] * np.abs(world.load)
+        load = np.where(values["of_drive"] > 0.0, motor_effort(world), world.load)
+        world.friction_level = world.friction_level + values["coefficient"] * np.abs(load)
 
 
 class PreslidingHysteresis(_DryFriction):
@@ -207,17 +218,18 @@ class ThermalFriction(_DryFriction):
 
 
 class PositionDependentFriction(_DryFriction):
-    """A level that varies over the turn: a bent shaft, an eccentric gear."""
+    """A level that varies over the turn, once or several times: a bent shaft, an eccentric gear."""
 
     id = "position_dependent_friction"
     family = "friction"
     level = "mean"
-    law = "level = mean + sine sin(q) + cosine cos(q), not below zero"
+    law = "level = mean + sine sin(harmonic q) + cosine cos(harmonic q), not below zero"
     source = _SURVEY + ", sec. 2.2"
     parameters = (
         Parameter("mean", "effort", 0.0, -3.0, 5.0, (0.1,), "effort"),
         Parameter("sine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
         Parameter("cosine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
+        Parameter("harmonic", "one", None, 1.0, 8.0, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), choice=True),
     )
     confused_with: ClassVar = {
         "coulomb_friction": "the same speed at poses far apart",
@@ -226,12 +238,9 @@ class PositionDependentFriction(_DryFriction):
     }
 
     def friction(self, world: World, values: Values) -> None:
-        world.friction_level = (
-            world.friction_level
-            + values["mean"]
-            + values["sine"] * np.sin(world.position)
-            + values["cosine"] * np.cos(world.position)
-        )
+        turn = values["harmonic"] * world.position
+        wave = values["sine"] * np.sin(turn) + values["cosine"] * np.cos(turn)
+        world.friction_level = world.friction_level + values["mean"] + wave
 
 
 class QuadraticDrag(Effect):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, Parameter, Values, World
+from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values, World
 
 # Setpoints that differ by less are the same: a two-thousandth of an encoder's count.
 _SAME_COMMAND = 1e-6
@@ -125,12 +126,21 @@ class MotorLoadFriction(Effect):
         "coulomb_friction": "two loads at the same speed",
         "stribeck_friction": "two loads at the same speeds",
     }
-
+    has_in_it = frozenset({"load_dependent_friction"})
     reads_drive = True
 
     def friction(self, world: World, values: Values) -> None:
         reach = np.maximum(values["stribeck_velocity"], 1e-9)
         fall = np.exp(-np.abs(world.motor_velocity) / reach)
         share = values["coefficient"] + values["stiction_excess"] * fall
-        motor = world.delivered - world.state.get(_TAKEN, 0.0)
-        world.friction_level = world.friction_level + share * np.abs(motor)
+        world.friction_level = world.friction_level + share * np.abs(motor_effort(world))
+
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        plain = {"coefficient": values["coefficient"], "of_drive": 1.0}
+        return {"load_dependent_friction": plain}
+
+
+def motor_effort(world: World) -> FloatArray:
+    """(rows, joints) of what is delivered that the motor gives, N*m or N."""
+    effort: FloatArray = world.delivered - world.state.get(_TAKEN, 0.0)
+    return effort

@@ -71,11 +71,12 @@ class EncoderEccentricity(Effect):
 
     id = "encoder_eccentricity"
     family = "sensing"
-    law = "measured = q + sine sin(q) + cosine (cos(q) - 1)"
+    law = "measured = q + sine sin(q) + cosine (cos(q) - zeroed), zeroed 0 or 1: set to 0 at q = 0"
     source = "Hagiwara et al., IEEE Trans. Instrum. Meas. 41 (1992): eccentricity of encoders"
     parameters = (
         Parameter("sine", "position", 0.0, -0.2, 0.2, (0.02,)),
         Parameter("cosine", "position", 0.0, -0.2, 0.2, (0.02,)),
+        Parameter("zeroed", "one", None, 0.0, 1.0, (1.0, 0.0), choice=True),
     )
     confused_with: ClassVar = {
         "encoder_scale": "a whole turn: an eccentricity closes, a scale error does not",
@@ -85,8 +86,8 @@ class EncoderEccentricity(Effect):
     def sense(
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
-        sine, cosine = values["sine"][:, None], values["cosine"][:, None]
-        measured = position + sine * np.sin(position) + cosine * (np.cos(position) - 1.0)
+        sine, cosine, zeroed = (values[n][:, None] for n in ("sine", "cosine", "zeroed"))
+        measured = position + sine * np.sin(position) + cosine * (np.cos(position) - zeroed)
         rate = 1.0 + sine * np.cos(position) - cosine * np.sin(position)
         return measured, velocity * rate
 

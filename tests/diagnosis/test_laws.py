@@ -25,9 +25,12 @@ Variant = Mapping[Term, Sequence[float]]
 
 DRAG: Variant = {Term("viscous_friction", SHOULDER): [0.3]}
 LATE: Variant = {Term("sensor_delay", ROBOT): [0.02], Term("command_delay", ELBOW): [0.02]}
-LAG: Variant = {Term("actuator_lag", ELBOW): [0.03]}
+LAG: Variant = {Term("actuator_lag", ELBOW): [0.03, 0.0]}
 SOFT: Variant = {Term("joint_elasticity", SHOULDER): [0.1, 0.01]}
-COUPLED: Variant = {Term("joint_coupling", ELBOW): [0.1], Term("actuator_lag", SHOULDER): [0.02]}
+COUPLED: Variant = {
+    Term("joint_coupling", ELBOW): [0.1],
+    Term("actuator_lag", SHOULDER): [0.02, 0.0],
+}
 
 
 @pytest.fixture(scope="module")

@@ -70,11 +70,15 @@ def of_one_term(problem: Problem, fitted: Fitted, left: float, without: float) -
 
 
 def with_sizes(problem: Problem, terms: Sequence[Term], sizes: Sequence[float]) -> Hypothesis:
-    """Laws of one parameter at the first joint, SI units."""
+    """Laws of one free parameter at the first joint, SI units; choices as they are first tried."""
     found = EMPTY
     for term, size in zip(terms, sizes, strict=True):
-        (parameter,) = term.parameters
-        found = found.with_term(term, np.array([size / problem.scales.value(parameter, 0)]))
+        (parameter,) = (p for p in term.parameters if not p.choice)
+        theta = [
+            p.starts[0] if p.choice else size / problem.scales.value(parameter, 0)
+            for p in term.parameters
+        ]
+        found = found.with_term(term, np.array(theta))
     return found
 
 

@@ -32,7 +32,7 @@ def hunting(tmp_path_factory: pytest.TempPathFactory) -> Problem:
 
 def lagging(seconds: float, problem: Problem) -> Hypothesis:
     scale = problem.scales.value(LAGS.parameters[0], 0)
-    return EMPTY.with_term(LAGS, np.array([seconds / scale]))
+    return EMPTY.with_term(LAGS, np.array([seconds / scale, 0.0]))
 
 
 def test_a_valley_is_left_that_a_fit_by_slopes_stays_in(hunting: Problem) -> None:
@@ -57,7 +57,7 @@ def test_of_several_ends_the_one_stands_whose_neighbours_leave_least(hunting: Pr
 
 def test_values_are_taken_of_terms_that_both_have() -> None:
     friction = Term("coulomb_friction", 0)
-    one = Hypothesis((LAGS, friction), np.array([1.0, 2.0]))
+    one = Hypothesis((Term("viscous_friction", 0), friction), np.array([1.0, 2.0]))
     other = Hypothesis((friction, Term("armature", 0)), np.array([5.0, 6.0]))
     assert np.array_equal(one.with_values_of(other).theta, [1.0, 5.0])
     assert one.with_values_of(other).terms == one.terms

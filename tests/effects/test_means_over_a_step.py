@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 STEP, STEPS, FINER = 0.01, 60, 200
 LAWS = {
-    "actuator_lag": {"time_constant": 0.02},
+    "actuator_lag": {"time_constant": 0.02, "of_setpoint": 0.0},
     "rate_limit": {"inverse_rate": 1.0 / 3.0},
     "presliding_hysteresis": {"coulomb": 0.4, "presliding_distance": 0.02},
 }

@@ -48,15 +48,17 @@ def swing(
 
 def reference(
     command: FloatArray, *, damping: float = 0.0, back_emf: float = 0.0, inverse_knee: float = 0.0,
-    off_from: float = np.inf, start: float = 0.0,
+    off_from: float = np.inf, start: float = 0.0, smoothed: float = 1e-9, unheard: float = 0.0,
 ) -> FloatArray:  # fmt: skip
     """The same, semi-implicit at a twentieth of the step; no part of the package."""
-    fine, q, v, out = 20, start, 0.0, []
+    fine, q, v, out, heard = 20, start, 0.0, [], command[0]
     for k, wanted in enumerate(command):
         out.append(q)
         for i in range(fine):
             on = (k + i / fine) * STEP < off_from
-            drive = (KP * (wanted - q) - back_emf * v) * on
+            heard += (wanted - heard) * -np.expm1(-STEP / fine / smoothed)
+            drive = (KP * (heard - q) - back_emf * v) * on
+            drive = np.sign(drive) * max(abs(drive) - unheard, 0.0)
             torque = drive / (1.0 + abs(drive) * inverse_knee)
             v += STEP / fine * (torque - WEIGHT * np.sin(q) - damping * v) / INERTIA
             q += STEP / fine * v
@@ -85,6 +87,40 @@ def test_a_command_that_moves_again_wakes_the_drive() -> None:
     found = swing(command, values, damping=0.2).position[:, 0]
     assert abs(found[990]) < 0.1 < found[-1]
     assert found[-1] == pytest.approx(reference(command, damping=0.2)[-1], abs=0.01)
+
+
+def test_a_smoothed_setpoint_follows_its_command() -> None:
+    command = ramp(2.0, 1.0, 0.6)
+    values = {"actuator_lag": {"time_constant": 0.08, "of_setpoint": 1.0}}
+    found = swing(command, values, damping=0.1).position[:, 0]
+    assert np.abs(found - reference(command, damping=0.1, smoothed=0.08)).max() < 2e-3
+    # Not what a lag of the effort makes of it: that one swings.
+    lagging = {"actuator_lag": {"time_constant": 0.08, "of_setpoint": 0.0}}
+    assert np.abs(found - swing(command, lagging, damping=0.1).position[:, 0]).max() > 0.05
+
+
+def test_small_efforts_are_not_given() -> None:
+    """Beyond gain times width: of a servo with back-EMF another law than that of its error."""
+    command = ramp(2.0, 1.0, 0.6)
+    values = {"dead_zone": {"width": 0.1, "of_effort": 1.0}}
+    found = swing(command, values, damping=0.1).position[:, 0]
+    expected = reference(command, damping=0.1, unheard=0.1 * KP)
+    assert np.abs(found - expected).max() < 2e-3
+    assert np.abs(found - reference(command, damping=0.1)).max() > 0.05
+    # Without damping in the servo the error and the effort are the same.
+    of_error = {"dead_zone": {"width": 0.1, "of_effort": 0.0}}
+    assert np.allclose(found, swing(command, of_error, damping=0.1).position[:, 0], atol=1e-9)
+
+
+def test_friction_by_the_motor_that_does_not_fall_is_friction_by_its_load() -> None:
+    command = ramp(2.0, 1.0, 0.6)
+    even = {"coefficient": 0.3, "stiction_excess": 0.0, "stribeck_velocity": 0.2}
+    plain = {"coefficient": 0.3, "of_drive": 1.0}
+    found = swing(command, {"motor_load_friction": even}, damping=0.1).position
+    other = swing(command, {"load_dependent_friction": plain}, damping=0.1).position
+    assert np.allclose(found, other, atol=1e-12)
+    by_load = swing(command, {"load_dependent_friction": {**plain, "of_drive": 0.0}}, damping=0.1)
+    assert np.abs(by_load.position - found).max() > 0.01
 
 
 @pytest.mark.parametrize("inverse_knee", [0.5, 2.0])

@@ -22,7 +22,7 @@ MODEL = (
     '<actuator><motor joint="j"/></actuator></mujoco>'
 )
 LAWS = {
-    "a lag": ("actuator_lag", {"time_constant": 0.03}),
+    "a lag": ("actuator_lag", {"time_constant": 0.03, "of_setpoint": 0.0}),
     "an elastic gear": ("joint_elasticity", {"compliance": 1 / 40.0, "damping_time": 0.01}),
     "bristles": ("presliding_hysteresis", {"coulomb": 0.3, "presliding_distance": 0.05}),
     # The joint goes 0.1 rad a second: what bends them is from before the lead.

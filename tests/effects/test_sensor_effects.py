@@ -50,6 +50,18 @@ def test_a_servo_regulates_its_own_reading(in_loop: float) -> None:
     assert reading[0].position[-1, 0] == pytest.approx(q + BIAS, abs=1e-5)
 
 
+@pytest.mark.parametrize("zeroed", [0.0, 1.0])
+def test_an_eccentric_wheel_may_have_been_set_to_zero(zeroed: float) -> None:
+    drive = f'<position joint="j" kp="{KP}" kv="{KV}"/>'
+    held = segment("position", drive, STEP * np.arange(5), np.zeros(5), 0.0)
+    wheel = {"sine": 0.03, "cosine": 0.02, "zeroed": zeroed}
+    values = {"encoder_eccentricity": {n: np.full((1, 1), v) for n, v in wheel.items()}}
+    # It starts from what was read, 0: where the joint is, is the inverse of the reading.
+    reading = RowSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
+    assert reading[0].position[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert bool(np.abs(reading[0].position[1:]).max() > 1e-6) is (zeroed == 0.0)
+
+
 def test_a_window_of_late_readings_starts_before_its_stamp() -> None:
     """Its first reading is of a moment ago; commands reach the motion that much later."""
     delay, start = 0.05, 0.4

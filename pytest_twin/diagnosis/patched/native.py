@@ -232,6 +232,18 @@ def _delay(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"actuator '{name}' delay", {}
 
 
+def _lag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    name = w.actuator_name(joint)
+    if name is None or values["of_setpoint"] == 0.0:
+        return None
+    actuator = next(a for a in w.spec.actuators if a.name == name)
+    if actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE:
+        return None
+    actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+    actuator.dynprm[0] = values["time_constant"]
+    return f"actuator '{name}' filtered activation", {}
+
+
 def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     if not w.fixed_masses:
         return None
@@ -292,6 +304,7 @@ _NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] 
     "torque_constant": _torque_constant,
     "torque_saturation": _saturation,
     "command_delay": _delay,
+    "actuator_lag": _lag,
     "inertial_parameters": _inertial,
     "payload": _payload,
     "base_tilt": _tilt,
