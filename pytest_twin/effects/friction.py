@@ -11,7 +11,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.base import (
+    Effect,
+    FloatArray,
+    ModelFields,
+    Parameter,
+    Values,
+    World,
+)
 from pytest_twin.effects.motor import motor_effort
 
 _SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
@@ -190,31 +197,54 @@ class PreslidingHysteresis(_DryFriction):
         world.push_motor(-level * (bound - off * np.expm1(-share) / share) / distance)
 
 
-class ThermalFriction(_DryFriction):
-    """Friction that falls as the gear warms up in use, and in a warmer room."""
+class ThermalFriction(Effect):
+    """Dry and viscous friction that falls as the gear warms up in use, and in a warmer room."""
 
     id = "thermal_friction"
     family = "friction"
-    level = "excess"
     law = (
-        "level = dry friction + excess coldness exp(-t / warm_up_time), coldness 1 in the coldest "
-        "trials (metadata temperature), 0 in the warmest, 1 where no temperatures are told"
+        "cold = coldness exp(-t / warm_up_time), coldness 1 in the coldest trials (metadata "
+        "temperature), 0 in the warmest, 1 where no temperatures are told; level = dry friction + "
+        "excess cold; effort = -viscous_excess cold v"
     )
     source = "Bittencourt, Axelsson, J. Dyn. Syst. Meas. Control 136 (2014)"
     parameters = (
         Parameter("excess", "effort", 0.0, -5.0, 5.0, (0.2,), "effort"),
+        Parameter("viscous_excess", "damping", 0.0, -5.0, 50.0, (0.2,), "damping"),
         Parameter("warm_up_time", "time", None, 0.5, 1000.0, (2.0, 5.0, 12.0, 40.0)),
     )
     asks_temperature = True
     confused_with: ClassVar = {
         "coulomb_friction": "the same motion cold and warm",
+        "viscous_friction": "the same motion cold and warm",
         "external_force": "the same motion twice, with a pause",
     }
+    has_in_it = frozenset({"coulomb_friction", "viscous_friction"})
 
     def friction(self, world: World, values: Values) -> None:
+        world.friction_level = world.friction_level + values["excess"] * self._cold(world, values)
+
+    def force(self, world: World, values: Values) -> None:
+        world.drag_motor(values["viscous_excess"] * self._cold(world, values))
+
+    @staticmethod
+    def _cold(world: World, values: Values) -> FloatArray:
         warm = np.maximum(values["warm_up_time"], 1e-6)
-        cold = world.coldness[:, None] * np.exp(-world.time[:, None] / warm)
-        world.friction_level = world.friction_level + values["excess"] * cold
+        cold: FloatArray = world.coldness[:, None] * np.exp(-world.time[:, None] / warm)
+        return cold
+
+    def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        return {
+            "coulomb_friction": {"coulomb": values["excess"]},
+            "viscous_friction": {"coefficient": values["viscous_excess"]},
+        }
+
+    def holds(self, effect: str) -> Mapping[str, str]:
+        held = {
+            "coulomb_friction": {"coulomb": "excess"},
+            "viscous_friction": {"coefficient": "viscous_excess"},
+        }
+        return held.get(effect, {})
 
 
 class PositionDependentFriction(_DryFriction):

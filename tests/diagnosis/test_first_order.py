@@ -119,8 +119,8 @@ HELD_BY: Mapping[str, frozenset[str]] = {
     # To first order a command that comes late and one that is smoothed are the same.
     "command_delay": frozenset({"actuator_lag"}),
     "actuator_lag": frozenset({"command_delay"}),
-    # Its damping error, under a servo.
-    "viscous_friction": frozenset({"controller_gain"}),
+    # Its damping error, under a servo; without warming up.
+    "viscous_friction": frozenset({"controller_gain", "thermal_friction"}),
     # A bias holds the servo off by a constant effort: a preload.
     "encoder_bias": frozenset({"joint_spring"}),
     # Without excess, offset, waves, warming up.

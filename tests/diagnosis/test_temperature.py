@@ -22,25 +22,28 @@ from pytest_twin.twin import EFFECTS_FILE
 EXCESS = 0.1
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def diagnosed(folder: Path, hidden: str, excess: float) -> Path:
     """A diagnosis of trials in the cold, where the left joint rubs, and in the warmth."""
-    folder = tmp_path_factory.mktemp("cold")
     (folder / "model.xml").write_text(mjcf())
     files = [
         record(
-            folder / f"{role}_{name}{seed}.mcap", seed, role=role, dry=level, joint=0,
-            told={"temperature": name},
+            folder / f"{role}_{name}{seed}.mcap", seed, role=role, told={"temperature": name},
+            **{hidden: level, "joint": 0},
         )
         for seed, (role, name, level) in enumerate(
             (role, name, level)
             for role in ("fit", "fit", "held_out")
-            for name, level in (("cold", EXCESS), ("warm", 0.0))
+            for name, level in (("cold", excess), ("warm", 0.0))
         )
     ]  # fmt: skip
     words = ["diagnose", str(folder / "model.xml"), *map(str, files)]
     assert cli.main([*words, "--out", str(folder / "out")]) == 0
     return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return diagnosed(tmp_path_factory.mktemp("cold"), "dry", EXCESS)
 
 
 def said(folder: Path) -> dict[str, Any]:
@@ -61,6 +64,14 @@ def test_friction_of_the_cold_trials_is_named_with_their_temperature(folder: Pat
     assert finding["confidence"] > 0.9
     assert finding["where"]["summary"].startswith("temperature cold: ")
     assert all("cold" in name for name in finding["where"]["windows"])
+
+
+def test_grease_that_is_stiff_in_the_cold_is_named(tmp_path: Path) -> None:
+    (finding,) = said(diagnosed(tmp_path, "viscous", 0.2))["findings"]
+    assert (finding["effect"], finding["joint"]) == ("thermal_friction", "left")
+    low, high = finding["parameters"]["viscous_excess"]["ci95"]
+    assert low <= 0.2 <= high
+    assert finding["parameters"]["viscous_excess"]["value"] == pytest.approx(0.2, rel=0.03)
 
 
 def test_the_folder_is_replayed_at_the_temperature_of_the_recording(folder: Path) -> None:
