@@ -7,7 +7,7 @@ structures and nothing is held against other recordings: that is a diagnosis.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -242,7 +242,10 @@ def _suspect(
         return None
     fitted, evidence = _weighed(problem, found, nominal, effective)
     best = int(np.argmax(evidence))
+    named = found[best][0]
     share = np.exp(np.clip(evidence - evidence.max(), -700.0, 0.0))
+    # A law that is the named one without what more it has is no other name for it.
+    share[[t.joint == named.joint and named.effect in _plainer(t) for t, _ in found]] = 0.0
     share /= share.sum()
     after = whole.problem.residuals([fitted[best].hypothesis], whole.problem.fit)[0]
     removed = 1.0 - _squared(after, whole.problem) / _squared(before, whole.problem)
@@ -250,13 +253,18 @@ def _suspect(
         return None
     rivals = [i for i in np.argsort(-share) if i != best and share[i] >= 1.0 - _MOST_SURE]
     return Suspect(
-        term=found[best][0],
-        joint=_joint(problem, found[best][0]),
+        term=named,
+        joint=_joint(problem, named),
         values=_values(problem, fitted[best].hypothesis),
         share=min(float(share[best]), _MOST_SURE),
         removed=float(removed),
         rivals=tuple((found[i][0].effect, _joint(problem, found[i][0])) for i in rivals),
     )
+
+
+def _plainer(term: Term) -> Collection[str]:
+    """Laws with fewer parameters that a term's comes to."""
+    return term.law.special_cases({p.name: p.starts[0] for p in term.parameters}).keys()
 
 
 def _weighed(
