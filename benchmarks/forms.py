@@ -1,0 +1,297 @@
+"""Laws as another author would write them: which name do they get?
+
+    python benchmarks/forms.py --out DIR [FORM ...]
+
+An arm of three joints is stepped by MuJoCo at a tenth of the model's step, its drives computed
+here. Every form changes the drive, the joint or the reading of one joint in a way that textbooks
+and simulators have for an effect of the catalogue, or in one that the catalogue has no law for.
+Three recordings each (the last held out) are diagnosed by ``pytest-twin diagnose``; a line says
+what was hidden, what was named, and the held-out error before and after. Status 1 where a form of
+the catalogue does not get its name, and that alone, or another gets any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.formats.mcap import JointSeries, write_recording
+
+FloatArray = NDArray[np.float64]
+
+JOINTS = ("yaw", "lift", "elbow")
+KP, KV = np.array([60.0, 80.0, 25.0]), np.array([3.0, 3.0, 0.8])
+STEP, FINER, SECONDS, SETTLED = 0.002, 10, 6.0, 1.0
+COMMANDS, STATES, NOISE = 100, 200, 1e-4
+"""Messages a second, and rad."""
+HERE = 1
+"""The joint that something is hidden at: the lift."""
+START_NS = 1_700_000_000_000_000_000
+
+_SERVOS = "".join(
+    f'<position joint="{j}" kp="{p}" kv="{v}"/>' for j, p, v in zip(JOINTS, KP, KV, strict=True)
+)
+MODEL = f"""\
+<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator="implicitfast"/>
+<default><geom type="capsule" size=".02" contype="0" conaffinity="0"/></default><worldbody>
+<body><joint name="yaw" axis="0 0 1" damping=".6" armature=".03"/>
+<geom fromto="0 0 0 .3 0 .05" mass="1.2"/>
+<body pos=".3 0 .05"><joint name="lift" axis="0 1 0" damping=".3" armature=".02"/>
+<geom fromto="0 0 0 .25 0 0" mass=".7"/>
+<body pos=".25 0 0"><joint name="elbow" axis="0 1 0" damping=".1" armature=".01"/>
+<geom fromto="0 0 0 .15 0 0" mass=".3"/>
+</body></body></body></worldbody><actuator>{_SERVOS}</actuator></mujoco>
+"""
+
+
+class Form:
+    """One way to write a law. Efforts are N*m; ``t`` is s since the recording began.
+
+    Attributes:
+        named: effect of the catalogue whose form it is, None where it is in nobody's.
+    """
+
+    named: ClassVar[str | None] = None
+    temperature: str | None = None
+
+    def __init__(self, trial: int) -> None:
+        self.trial = trial
+
+    def setpoint(self, command: float, step: float) -> float:
+        """What the servo's law sees of a command."""
+        return command
+
+    def delivered(self, effort: FloatArray) -> float:
+        """What the drive gives, of what all drives' laws ask for."""
+        return float(effort[HERE])
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        """Effort beside the drive's."""
+        return 0.0
+
+    def read(self, q: FloatArray) -> FloatArray:
+        """What encoders say."""
+        return q
+
+
+def _dry(level: float, v: float) -> float:
+    return -level * float(np.tanh(v / 0.01))
+
+
+class Smoothed(Form):
+    """The command goes through a low-pass before the servo, as MuJoCo's ``timeconst`` has it."""
+
+    named, _seen = "actuator_lag", None
+
+    def setpoint(self, command: float, step: float) -> float:
+        seen = command if self._seen is None else self._seen
+        self._seen = seen - (command - seen) * float(np.expm1(-step / 0.03))
+        return self._seen
+
+
+class SmallEfforts(Form):
+    """A drive that gives nothing of what lies below 1 N*m, and of the rest what lies above."""
+
+    named = "dead_zone"
+
+    def delivered(self, effort: FloatArray) -> float:
+        asked = float(effort[HERE])
+        return float(np.sign(asked)) * max(abs(asked) - 1.0, 0.0)
+
+
+class FrictionByDrive(Form):
+    """Dry friction of a worm: a share of what the motor puts in."""
+
+    named = "load_dependent_friction"
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        return _dry(0.15 * abs(delivered), v)
+
+
+class FourWaves(Form):
+    """Dry friction with four crests a turn."""
+
+    named = "position_dependent_friction"
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        return _dry(0.4 * (1.0 + 0.8 * np.sin(4.0 * q + 0.4)), v)
+
+
+class WarmsUp(Form):
+    """Dry friction that fades in three seconds."""
+
+    named = "thermal_friction"
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        return _dry(0.8 * float(np.exp(-max(t, 0.0) / 3.0)), v)
+
+
+class Grease(Form):
+    """Viscous friction that a warm room takes away."""
+
+    named = "thermal_friction"
+    _rooms = (("10 C", 0.9), ("40 C", 0.0), ("25 C", 0.45))
+
+    def __init__(self, trial: int) -> None:
+        super().__init__(trial)
+        self.temperature, self._coefficient = self._rooms[trial]
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        return -self._coefficient * v
+
+
+class WheelOffItsAxis(Form):
+    """An eccentric code wheel with a phase, never set to zero."""
+
+    named = "encoder_eccentricity"
+
+    def read(self, q: FloatArray) -> FloatArray:
+        out = q.copy()
+        out[HERE] += 0.02 * np.sin(q[HERE] + 0.7)
+        return out
+
+
+class OtherDrive(Form):
+    """The drive of the joint behind pulls at this one."""
+
+    def delivered(self, effort: FloatArray) -> float:
+        return float(effort[HERE] + 0.3 * effort[HERE + 1])
+
+
+class OtherReading(Form):
+    """The encoder of the joint behind turns along with this one."""
+
+    def read(self, q: FloatArray) -> FloatArray:
+        out = q.copy()
+        out[HERE + 1] += 0.02 * q[HERE]
+        return out
+
+
+class Pulses(Form):
+    """Something pushes every two seconds."""
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        return 2.0 * (t % 2.0 > 1.6)
+
+
+class Shaker(Form):
+    """Something pushes to and fro."""
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        return float(np.sin(2.0 * np.pi * 0.7 * t))
+
+
+FORMS: tuple[type[Form], ...] = (
+    Smoothed, SmallEfforts, FrictionByDrive, FourWaves, WarmsUp, Grease, WheelOffItsAxis,
+    OtherDrive, OtherReading, Pulses, Shaker,
+)  # fmt: skip
+
+
+def command_at(t: float, trial: int) -> FloatArray:
+    """(joints,) rad: three sines each, from rest."""
+    random = np.random.default_rng(trial + 1)
+    frequency, phase = random.uniform(0.3, 1.6, (3, 3)), random.uniform(0.0, 2.0 * np.pi, (3, 3))
+    since = max(t, 0.0)
+    wave = 0.3 * np.sin(2.0 * np.pi * frequency * since + phase).sum(axis=0)
+    out: FloatArray = wave * min(2.0 * since, 1.0)
+    return out
+
+
+def record(file: Path, form: Form) -> None:
+    """Step the arm and write what a logger would."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
+    step = model.opt.timestep = STEP / FINER
+    data = mujoco.MjData(model)
+    sent_at, sent, seen_at, seen = [], [], [], []
+    per_command, per_state = (round(1.0 / rate / step) for rate in (COMMANDS, STATES))
+    command = command_at(-SETTLED, form.trial)
+    for k in range(-round(SETTLED / step), round(SECONDS / step)):
+        t = k * step
+        if k % per_command == 0:
+            command = command_at(t, form.trial)
+            if k >= 0:
+                sent_at.append(t)
+                sent.append(command)
+        if k >= 0 and k % per_state == 0:
+            seen_at.append(t)
+            seen.append(form.read(data.qpos.copy()))
+        target = command.copy()
+        target[HERE] = form.setpoint(command[HERE], step)
+        effort = KP * (target - data.qpos) - KV * data.qvel
+        q, v = float(data.qpos[HERE]), float(data.qvel[HERE])
+        effort[HERE] = form.delivered(effort)
+        effort[HERE] += form.push(t, q, v, float(effort[HERE]))
+        data.qfrc_applied[:] = effort
+        mujoco.mj_step(model, data)
+    noise = NOISE * np.random.default_rng([form.trial, 7]).standard_normal((len(seen), 3))
+    told = {"role": "held_out" if form.trial == 2 else "fit"}
+    if form.temperature is not None:
+        told["temperature"] = form.temperature
+    commands, states = (
+        START_NS + np.rint(np.array(at) * 1e9).astype(np.int64) for at in (sent_at, seen_at)
+    )
+    write_recording(
+        file,
+        [
+            JointSeries("/joint_commands", JOINTS, commands, commands, np.array(sent), None, None),
+            JointSeries(
+                "/joint_states", JOINTS, states, states, np.array(seen) + noise, None, None
+            ),
+        ],
+        told,
+    )
+
+
+def diagnosed(folder: Path, form: type[Form]) -> tuple[bool, str]:
+    """Record, diagnose as a user would; whether the answer is right, and a line for a reader."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "model.xml").write_text(MODEL)
+    files = [folder / f"{i}.mcap" for i in range(3)]
+    for i, file in enumerate(files):
+        record(file, form(i))
+    words = ["pytest_twin.cli", "diagnose", folder / "model.xml", *files, "--out", folder / "why"]
+    done = subprocess.run(
+        [sys.executable, "-m", *map(str, words)], capture_output=True, text=True, check=False
+    )
+    if done.returncode not in (0, 1):
+        return False, f"{form.__name__}: {done.stderr.strip()}"
+    said = json.loads((folder / "why" / "diagnosis.json").read_text())
+    names = [(f["effect"], f["joint"]) for f in said["findings"]]
+    wanted = [] if form.named is None else [(form.named, JOINTS[HERE])]
+    error = said["held_out"][JOINTS[HERE + (form is OtherReading)]]
+    named = ", ".join(f"{e} at {j}" for e, j in names) or "nothing"
+    return names == wanted, (
+        f"{form.__name__}: {form.named or 'in no catalogue'}; {said['verdict']}, named {named}; "
+        f"{1e3 * error['rms_before']:.2f} -> {1e3 * error['rms_after']:.2f} mrad "
+        f"(floor {1e3 * error['floor']:.2f})"
+    )
+
+
+def main() -> int:
+    """Run; see the module's docstring."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("forms", metavar="FORM", nargs="*", help="all by default")
+    parser.add_argument("--out", type=Path, required=True, help="folder of cases and diagnoses")
+    args = parser.parse_args()
+    known = {f.__name__: f for f in FORMS}
+    if unknown := set(args.forms) - set(known):
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; known: {', '.join(known)}")
+    right = True
+    for name in args.forms or known:
+        good, line = diagnosed(args.out / name, known[name])
+        right &= good
+        print("right" if good else "WRONG", line, flush=True)
+    return 0 if right else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
