@@ -57,9 +57,11 @@ class Form:
 
     Attributes:
         named: effect of the catalogue whose form it is, None where it is in nobody's.
+        shows: the joint whose reading it changes most.
     """
 
     named: ClassVar[str | None] = None
+    shows: ClassVar[int] = HERE
     temperature: str | None = None
 
     def __init__(self, trial: int) -> None:
@@ -169,9 +171,11 @@ class OtherDrive(Form):
 class OtherReading(Form):
     """The encoder of the joint behind turns along with this one."""
 
+    shows = HERE + 1
+
     def read(self, q: FloatArray) -> FloatArray:
         out = q.copy()
-        out[HERE + 1] += 0.02 * q[HERE]
+        out[self.shows] += 0.02 * q[HERE]
         return out
 
 
@@ -267,7 +271,7 @@ def diagnosed(folder: Path, form: type[Form]) -> tuple[bool, str]:
     said = json.loads((folder / "why" / "diagnosis.json").read_text())
     names = [(f["effect"], f["joint"]) for f in said["findings"]]
     wanted = [] if form.named is None else [(form.named, JOINTS[HERE])]
-    error = said["held_out"][JOINTS[HERE + (form is OtherReading)]]
+    error = said["held_out"][JOINTS[form.shows]]
     named = ", ".join(f"{e} at {j}" for e, j in names) or "nothing"
     return names == wanted, (
         f"{form.__name__}: {form.named or 'in no catalogue'}; {said['verdict']}, named {named}; "

@@ -46,6 +46,8 @@ class ActuatorLag(Effect):
 
     def _follow(self, world: World, what: str, asked: FloatArray, lag: FloatArray) -> FloatArray:
         """(rows, joints) mean over the step of what follows ``asked`` with a lag, s."""
+        if not lag.any():
+            return asked
         followed = world.state.setdefault(self.id, {})
         # Exact for an input that is held over the step; a zero time constant passes it through.
         steps = world.timestep / np.maximum(lag, 1e-9)

@@ -197,11 +197,12 @@ class PreslidingHysteresis(_DryFriction):
         world.push_motor(-level * (bound - off * np.expm1(-share) / share) / distance)
 
 
-class ThermalFriction(Effect):
+class ThermalFriction(_DryFriction):
     """Dry and viscous friction that falls as the gear warms up in use, and in a warmer room."""
 
     id = "thermal_friction"
     family = "friction"
+    level = "excess"
     law = (
         "cold = coldness exp(-t / warm_up_time), coldness 1 in the coldest trials (metadata "
         "temperature), 0 in the warmest, 1 where no temperatures are told; level = dry friction + "
@@ -219,7 +220,7 @@ class ThermalFriction(Effect):
         "viscous_friction": "the same motion cold and warm",
         "external_force": "the same motion twice, with a pause",
     }
-    has_in_it = frozenset({"coulomb_friction", "viscous_friction"})
+    has_in_it = _DryFriction.has_in_it | {"viscous_friction"}
 
     def friction(self, world: World, values: Values) -> None:
         world.friction_level = world.friction_level + values["excess"] * self._cold(world, values)
@@ -234,17 +235,13 @@ class ThermalFriction(Effect):
         return cold
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        return {
-            "coulomb_friction": {"coulomb": values["excess"]},
-            "viscous_friction": {"coefficient": values["viscous_excess"]},
-        }
+        viscous = {"viscous_friction": {"coefficient": values["viscous_excess"]}}
+        return {**super().special_cases(values), **viscous}
 
     def holds(self, effect: str) -> Mapping[str, str]:
-        held = {
-            "coulomb_friction": {"coulomb": "excess"},
-            "viscous_friction": {"coefficient": "viscous_excess"},
-        }
-        return held.get(effect, {})
+        if effect == "viscous_friction":
+            return {"coefficient": "viscous_excess"}
+        return super().holds(effect)
 
 
 class PositionDependentFriction(_DryFriction):

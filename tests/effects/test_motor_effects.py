@@ -100,7 +100,7 @@ def test_a_smoothed_setpoint_follows_its_command() -> None:
 
 
 def test_small_efforts_are_not_given() -> None:
-    """Beyond gain times width: of a servo with back-EMF another law than that of its error."""
+    """Beyond gain times width: of a servo with damping another law than that of its error."""
     command = ramp(2.0, 1.0, 0.6)
     values = {"dead_zone": {"width": 0.1, "of_effort": 1.0}}
     found = swing(command, values, damping=0.1).position[:, 0]

@@ -224,7 +224,7 @@ def _delay(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name = w.actuator_name(joint)
     if name is None:
         return None
-    actuator = next(a for a in w.spec.actuators if a.name == name)
+    actuator = w.spec.actuator(name)
     total = float(actuator.delay) + values["delay"]
     actuator.delay = total
     actuator.nsample = math.ceil(total / float(w.model.opt.timestep)) + _SPARE_SAMPLES
@@ -236,7 +236,7 @@ def _lag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name = w.actuator_name(joint)
     if name is None or values["of_setpoint"] == 0.0:
         return None
-    actuator = next(a for a in w.spec.actuators if a.name == name)
+    actuator = w.spec.actuator(name)
     if actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE:
         return None
     actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
