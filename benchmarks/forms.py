@@ -57,15 +57,20 @@ class Form:
 
     Attributes:
         named: effect of the catalogue whose form it is, None where it is in nobody's.
+        joint: where it is; None where it is the whole robot's.
         shows: the joint whose reading it changes most.
     """
 
     named: ClassVar[str | None] = None
+    joint: ClassVar[str | None] = JOINTS[HERE]
     shows: ClassVar[int] = HERE
     temperature: str | None = None
 
     def __init__(self, trial: int) -> None:
         self.trial = trial
+
+    def links(self, model: mujoco.MjModel) -> None:
+        """What the links are."""
 
     def setpoint(self, command: float, step: float) -> float:
         """What the servo's law sees of a command."""
@@ -161,6 +166,73 @@ class WheelOffItsAxis(Form):
         return out
 
 
+class HeavyLink(Form):
+    """A link of more mass and the inertia of its drawing: ``body_mass`` times 1.4."""
+
+    named = "inertial_parameters"
+
+    def links(self, model: mujoco.MjModel) -> None:
+        model.body_mass[model.jnt_bodyid[HERE]] *= 1.4
+
+
+class WideLink(Form):
+    """A link of the mass of its drawing, and more inertia: ``body_inertia`` times 4."""
+
+    named = "inertial_parameters"
+
+    def links(self, model: mujoco.MjModel) -> None:
+        model.body_inertia[model.jnt_bodyid[HERE]] *= 4.0
+
+
+class MovedCentre(Form):
+    """A link whose centre of mass is elsewhere."""
+
+    named = "inertial_parameters"
+
+    def links(self, model: mujoco.MjModel) -> None:
+        model.body_ipos[model.jnt_bodyid[HERE]] += (0.03, 0.0, 0.02)
+
+
+class OtherLink(Form):
+    """A link of other mass, inertia and centre."""
+
+    named = "inertial_parameters"
+
+    def links(self, model: mujoco.MjModel) -> None:
+        body = model.jnt_bodyid[HERE]
+        model.body_mass[body] *= 1.25
+        model.body_inertia[body] *= 2.0
+        model.body_ipos[body] += (0.02, 0.0, -0.02)
+
+
+class LoadAside(Form):
+    """A load that hangs beside the last link: a ball of 200 g, 12 cm out, 6 cm down, 4 cm aside."""
+
+    named, joint, shows = "payload", None, 2
+
+    def links(self, model: mujoco.MjModel) -> None:
+        body = model.jnt_bodyid[-1]
+        total = model.body_mass[body] + 0.2
+        moments, center = whole(model, body)
+        point = np.array([0.12, 0.04, -0.06])
+        both = (model.body_mass[body] * center + 0.2 * point) / total
+        for mass, at in ((model.body_mass[body], center), (0.2, point)):
+            arm = at - both
+            moments += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        size, axes = np.linalg.eigh(moments)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = total, both, size
+        mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+
+
+def whole(model: mujoco.MjModel, body: int) -> tuple[FloatArray, FloatArray]:
+    """(3, 3) moments of inertia about the centre of mass, and that, frame of the body."""
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    axes = turn.reshape(3, 3)
+    return axes * model.body_inertia[body] @ axes.T, model.body_ipos[body].copy()
+
+
 class OtherDrive(Form):
     """The drive of the joint behind pulls at this one."""
 
@@ -195,6 +267,7 @@ class Shaker(Form):
 
 FORMS: tuple[type[Form], ...] = (
     Smoothed, SmallEfforts, FrictionByDrive, FourWaves, WarmsUp, Grease, WheelOffItsAxis,
+    HeavyLink, WideLink, MovedCentre, OtherLink, LoadAside,
     OtherDrive, OtherReading, Pulses, Shaker,
 )  # fmt: skip
 
@@ -215,6 +288,8 @@ def record(file: Path, form: Form) -> None:
     model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
     step = model.opt.timestep = STEP / FINER
     data = mujoco.MjData(model)
+    form.links(model)
+    mujoco.mj_setConst(model, data)
     sent_at, sent, seen_at, seen = [], [], [], []
     per_command, per_state = (round(1.0 / rate / step) for rate in (COMMANDS, STATES))
     command = command_at(-SETTLED, form.trial)
@@ -270,7 +345,7 @@ def diagnosed(folder: Path, form: type[Form]) -> tuple[bool, str]:
         return False, f"{form.__name__}: {done.stderr.strip()}"
     said = json.loads((folder / "why" / "diagnosis.json").read_text())
     names = [(f["effect"], f["joint"]) for f in said["findings"]]
-    wanted = [] if form.named is None else [(form.named, JOINTS[HERE])]
+    wanted = [] if form.named is None else [(form.named, form.joint)]
     error = said["held_out"][JOINTS[form.shows]]
     named = ", ".join(f"{e} at {j}" for e, j in names) or "nothing"
     return names == wanted, (

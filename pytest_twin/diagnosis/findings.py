@@ -250,7 +250,10 @@ def _estimates(
     kind = joint_type(problem, term.joint)
     servo = str(problem.simulator.layout.servo[max(term.joint, 0)])
     found = {}
+    has = term.law.has(hypothesis.theta[place])
     for i, p in enumerate(term.parameters, start=place.start):
+        if not has[i - place.start]:
+            continue
         scale = problem.scales.value(p, term.joint)
         found[p.reported_name] = estimate(
             p, float(hypothesis.theta[i]), float(width.half_width[i]), scale, p.unit(kind, servo)

@@ -151,13 +151,15 @@ def _fill_jacobians(
 def nudged(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
     """A hypothesis with each parameter moved by its finite difference, inside its bounds.
 
-    A choice stays, as if moved infinitely far to no effect: its slope is zero.
+    A choice stays, and what it leaves out, as if moved infinitely far to no effect: the slope is
+    zero.
     """
     _, upper = h.bounds
     parameters = [p for t in h.terms for p in t.parameters]
+    movable = h.movable
     rows, steps = [], []
     for k, p in enumerate(parameters):
-        if p.choice:
+        if not movable[k]:
             rows.append(h)
             steps.append(np.inf)
             continue

@@ -30,10 +30,15 @@ class Term:
         """Of its law."""
         return self.law.parameters
 
-    @property
-    def free(self) -> int:
-        """How many of them a fit moves."""
-        return sum(not p.choice for p in self.parameters)
+    def movable(self, theta: FloatArray) -> NDArray[np.bool_]:
+        """(parameters,) which of them a fit moves: no choices, and what the law has under these."""
+        choices = np.array([p.choice for p in self.parameters])
+        return np.asarray(self.law.has(theta) & ~choices)
+
+    def switches(self, theta: FloatArray) -> tuple[int, ...]:
+        """Which of them switch the effect on, in the form that its choices have."""
+        has = self.law.has(theta)
+        return tuple(i for i, p in enumerate(self.parameters) if p.neutral is not None and has[i])
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +142,13 @@ class Hypothesis:
     @property
     def free(self) -> int:
         """How many parameters a fit moves."""
-        return sum(t.free for t in self.terms)
+        return int(self.movable.sum())
 
     @property
     def movable(self) -> NDArray[np.bool_]:
         """(parameters,) which of them a fit moves."""
-        return np.array([not p.choice for t in self.terms for p in t.parameters], dtype=bool)
+        parts = [t.movable(self.theta[self.slice_of(t)]) for t in self.terms]
+        return np.concatenate([np.empty(0, dtype=bool), *parts])
 
     @property
     def sizes(self) -> FloatArray:
@@ -194,7 +200,7 @@ def effect_values(rows: Sequence[Hypothesis], joints: int, scales: Scales) -> Ef
                 array = np.full((len(rows), joints), p.neutral)
             else:
                 array = np.empty((len(rows), joints))
-                array[:] = [p.starts[0] * scales.value(p, j) for j in range(joints)]
+                array[:] = [p.absent * scales.value(p, j) for j in range(joints)]
             values[effect][p.name] = array
     for i, h in enumerate(rows):
         at = 0

@@ -89,8 +89,8 @@ def spread(problem: Problem, fitted: Fitted) -> Spread:
     for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
         if p.step > SMOOTH_STEP:
             shift[i] = max(shift[i], p.step)
-        if p.choice:
-            half[i] = shift[i] = 0.0
+    still = ~fitted.hypothesis.movable
+    half[still] = shift[still] = 0.0
     return Spread(
         half + shift,
         correlation,

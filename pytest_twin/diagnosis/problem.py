@@ -333,7 +333,8 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
             "command": np.maximum(np.nan_to_num(command), 1e-4),
             "mass": ones * max(subtree, 0.05),
             "clearance": 0.01 * ones,
-            "length": ones * float(simulator.layout.link_length[-1]),
+            "length": ones * simulator.layout.tool_length,
+            "gyration": simulator.layout.gyration,
         }
     )
 

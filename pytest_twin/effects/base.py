@@ -82,7 +82,9 @@ REFERENCES: Mapping[str, str] = {
     "command": "the rms command (a position servo's tracking error)",
     "mass": "the last link's mass",
     "clearance": "1 cm",
-    "length": "the way from the last joint to its link's centre of mass",
+    "length": "the way from the last joint to its link's centre of mass, a twentieth of the "
+    "arm's length at least",
+    "gyration": "the link's radius of gyration about the joint",
 }
 """Scale of a joint that bounds and starts are multiples of -> what it is."""
 
@@ -108,6 +110,8 @@ class Parameter:
         choice: whether it is one of its starts, never between: no fit moves it.
         reach: how far a fit tries it beside its slope, in multiples of ``reference``: where an edge
             belongs in time, the slope says no further than the drive takes to answer.
+        under: name of a choice and its values in which the law has this parameter; in others it is
+            neutral. None where the law always has it.
     """
 
     name: str
@@ -121,6 +125,16 @@ class Parameter:
     step: float = SMOOTH_STEP
     choice: bool = False
     reach: float | None = None
+    under: tuple[str, tuple[float, ...]] | None = None
+
+    @property
+    def absent(self) -> float:
+        """What stands for it where the law is not there, or its form lacks it; in multiples of
+        ``reference``.
+        """
+        if self.neutral is not None:
+            return self.neutral
+        return self.starts[0] if self.under is None else 0.0
 
     @property
     def reported_name(self) -> str:
@@ -290,6 +304,13 @@ class Effect:
         """Whether any of these hooks does anything."""
         return any(getattr(type(self), h) is not getattr(Effect, h) for h in hooks)
 
+    def has(self, parameters: FloatArray) -> NDArray[np.bool_]:
+        """(parameters,) which of them the law has in the form that these values choose."""
+        chosen = dict(zip((p.name for p in self.parameters), parameters, strict=True))
+        return np.array(
+            [p.under is None or chosen[p.under[0]] in p.under[1] for p in self.parameters]
+        )
+
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         """Laws with fewer parameters that this one comes to: effect id -> its parameters, SI."""
         return {}
@@ -387,9 +408,13 @@ class ModelFields:
         stiffness: passive spring about the model's own rest, N*m/rad or N/m.
         gravity: (rows, 3) m/s^2, world frame.
         added_mass: (rows, joints) kg, on the link that the joint moves.
-        added_distance: where, m from the joint along the link's own direction (from the joint to
-            the link's centre of mass).
-        inertia_scale: (rows, joints) factor on mass and inertia of that link.
+        added_at: (rows, joints, 3) where, m from the joint: along the link's own direction (from
+            the joint to the link's centre of mass), the way that the joint turns it there, and
+            across both.
+        mass_scale, inertia_scale: (rows, joints) factors on that link's mass, and on its inertia
+            about its centre of mass.
+        center_radial, center_tangential: (rows, joints) m by which that centre is moved away from
+            the joint's axis, and the way that the joint turns it.
         contact_offset: (rows,) or (1,) m, of the surfaces that the robot meets.
         contact_stiffness, contact_damping: the same, relative errors.
         contact_friction: the same, added to the sliding friction coefficient.
@@ -403,8 +428,11 @@ class ModelFields:
     stiffness: FloatArray
     gravity: FloatArray
     added_mass: FloatArray
-    added_distance: FloatArray
+    added_at: FloatArray
+    mass_scale: FloatArray
     inertia_scale: FloatArray
+    center_radial: FloatArray
+    center_tangential: FloatArray
     contact_offset: FloatArray = field(default_factory=lambda: np.zeros(1))
     contact_stiffness: FloatArray = field(default_factory=lambda: np.zeros(1))
     contact_damping: FloatArray = field(default_factory=lambda: np.zeros(1))
@@ -423,9 +451,23 @@ class ModelFields:
             stiffness=np.zeros(none),
             gravity=gravity,
             added_mass=np.zeros(none),
-            added_distance=np.zeros(none),
+            added_at=np.zeros((*none, 3)),
+            mass_scale=np.ones(none),
             inertia_scale=np.ones(none),
+            center_radial=np.zeros(none),
+            center_tangential=np.zeros(none),
         )
+
+    @property
+    def center_moves(self) -> NDArray[np.bool_]:
+        """(rows, joints) whose links have their centre of mass elsewhere."""
+        return np.asarray((self.center_radial != 0.0) | (self.center_tangential != 0.0))
+
+    @property
+    def changes_links(self) -> bool:
+        """Whether some link's mass, centre or inertia is another one."""
+        scaled = (self.mass_scale != 1.0) | (self.inertia_scale != 1.0)
+        return bool((scaled | self.center_moves | (self.added_mass != 0.0)).any())
 
     def split_force(self, apart: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
         """Constant forces on links and on motors, each motor being its link unless ``apart``."""

@@ -73,9 +73,13 @@ def _range(parameter: Parameter) -> str:
         return _listed([f"{start:g}" for start in parameter.starts])
     of = REFERENCES[parameter.reference]
     scale = f" times {of}" if of else ""
+    where = ""
+    if parameter.under is not None:
+        choice, values = parameter.under
+        where = f", in {choice} {_listed([f'{value:g}' for value in values])}"
     if parameter.reciprocal_of is not None:
-        return f"at least {parameter.reported(parameter.upper):.3g}{scale}"
-    return f"{parameter.lower:g} to {parameter.upper:g}{scale}"
+        return f"at least {parameter.reported(parameter.upper):.3g}{scale}{where}"
+    return f"{parameter.lower:g} to {parameter.upper:g}{scale}{where}"
 
 
 def _listed(words: Iterable[str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NoReturn, get_args
 
 from pytest_twin.effects.base import MODES, PATHS, REFERENCES, Effect, Parameter, Quantity, Scope
@@ -30,13 +30,13 @@ def checked(effect: object, name: str) -> Effect:
     for mode in effect.modes:
         _one_of(name, "modes", mode, MODES)
     for parameter in effect.parameters:
-        _check_parameter(name, parameter)
+        _check_parameter(name, parameter, effect.parameters)
     if all(p.neutral is None for p in effect.parameters):
         _refuse(name, "parameters", None, "one with a neutral value, at which the effect is absent")
     return effect
 
 
-def _check_parameter(name: str, parameter: Parameter) -> None:
+def _check_parameter(name: str, parameter: Parameter, parameters: Sequence[Parameter]) -> None:
     here = f"parameters.{parameter.name}"
     _one_of(name, f"{here}.quantity", parameter.quantity, get_args(Quantity))
     _one_of(name, f"{here}.reference", parameter.reference, REFERENCES)
@@ -45,15 +45,20 @@ def _check_parameter(name: str, parameter: Parameter) -> None:
         _refuse(name, f"{here}.lower", lower, f"below upper, {upper:g}")
     if not parameter.starts:
         _refuse(name, f"{here}.starts", None, "at least one")
+    if parameter.under is not None:
+        choices = {p.name: p.starts for p in parameters if p.choice}
+        _one_of(name, f"{here}.under", parameter.under[0], choices)
+        for value in parameter.under[1]:
+            _one_of(name, f"{here}.under", value, choices[parameter.under[0]])
     known = () if parameter.neutral is None else (parameter.neutral,)
     for value in (*known, *parameter.starts):
         if not lower <= value <= upper:
             _refuse(name, here, value, f"neutral value and starts within {lower:g} and {upper:g}")
 
 
-def _one_of(name: str, field: str, value: object, choices: Collection[str]) -> None:
+def _one_of(name: str, field: str, value: object, choices: Collection[object]) -> None:
     if value not in choices:
-        _refuse(name, field, value, ", ".join(choices))
+        _refuse(name, field, value, ", ".join(map(str, choices)))
 
 
 def _refuse(name: str, field: str, value: object, expected: str) -> NoReturn:

@@ -6,10 +6,14 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization.inputs import command_input
+
+_ON_AXIS = 1e-4
+"""m from a joint's axis within which a centre of mass has no direction from it."""
 
 
 class Layout:
@@ -27,7 +31,12 @@ class Layout:
         bare: (joints,) whether effort is commanded and no actuator gives it.
         directions: (joints, 3) unit vectors from each joint to its link's centre of mass, frame of
             the link.
-        link_length: (joints,) m, of those.
+        link_length: (joints,) m, from each joint to its link's centre of mass.
+        radial, tangential: (joints, 3) unit vectors away from each joint's axis to that centre, and
+            the way that the joint turns it, frame of the link.
+        gyration: (joints,) m, the link's radius of gyration about the joint.
+        tool_length: m, of what the last link carries: as long as that link, at least a twentieth of
+            the way from the first joint through all others.
     """
 
     def __init__(
@@ -44,6 +53,12 @@ class Layout:
         self.driven = np.flatnonzero(self.actuator >= 0)
         self.bare = (self.servo == "effort") & (self.actuator < 0)
         self.directions = self._link_directions(model)
+        self.radial, self.tangential = self._around_axes(model)
+        mass = np.maximum(model.body_mass[self.body_index], 1e-6)
+        own = model.body_inertia[self.body_index].mean(axis=1) / mass
+        ways = np.linalg.norm(model.body_pos[self.body_index[1:]], axis=1)
+        self.tool_length = max(float(self.link_length[-1]), 0.05 * float(ways.sum()))
+        self.gyration = np.sqrt(self.link_length**2 + own)
 
     def _find_drives(self, model: mujoco.MjModel, segments: Sequence[Segment]) -> None:
         count = len(self.joints)
@@ -69,3 +84,26 @@ class Layout:
         length = np.linalg.norm(offset, axis=1, keepdims=True)
         self.link_length = np.maximum(length[:, 0], 1e-3)
         return np.where(length > 1e-6, offset / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
+
+    def in_link(self, place: FloatArray, joint: NDArray[np.int64]) -> FloatArray:
+        """(n, 3) m in the frames of links, of places along their own direction, the way that their
+        joints turn them there, and across both.
+        """
+        along, turning = self.directions[joint], self.tangential[joint]
+        basis = np.stack([along, turning, np.cross(along, turning)], axis=1)
+        found: FloatArray = np.einsum("nk,nki->ni", place, basis)
+        return found
+
+    def _around_axes(self, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
+        """Radial and tangential; of a centre on the axis, from the frame's axis that is furthest
+        from it.
+        """
+        axis = model.jnt_axis[self.joint_ids]
+        aside = np.eye(3)[np.argmin(np.abs(axis), axis=1)]
+        offset = self.link_length[:, None] * self.directions
+        for way in (offset, aside):
+            way -= np.einsum("ji,ji->j", way, axis)[:, None] * axis
+        on_axis = np.linalg.norm(offset, axis=1, keepdims=True) < _ON_AXIS
+        radial = np.where(on_axis, aside, offset)
+        radial /= np.linalg.norm(radial, axis=1, keepdims=True)
+        return radial, np.cross(axis, radial)

@@ -14,12 +14,24 @@ class Payload(Effect):
 
     id = "payload"
     family = "rigid_body"
-    law = "mass at distance along the last link's own direction, frame of that link"
+    law = (
+        "mass on the last link, a point at distance along the link's own direction (from its joint "
+        "to its centre of mass); "
+        "form 1: and sideways, the way that the joint turns it there; "
+        "form 2: and across both"
+    )
     source = "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), ch. 12"
     scope = "robot"
     parameters = (
         Parameter("mass", "mass", 0.0, -0.9, 20.0, (0.2,), "mass"),
         Parameter("distance", "length", None, -2.0, 4.0, (0.5, 1.0, 2.0), "length"),
+        Parameter(
+            "sideways", "length", None, -4.0, 4.0, (-0.5, 0.5), "length", under=("form", (1.0, 2.0))
+        ),
+        Parameter(
+            "across", "length", None, -4.0, 4.0, (-0.5, 0.5), "length", under=("form", (2.0,))
+        ),
+        Parameter("form", "one", None, 0.0, 2.0, (0.0, 1.0, 2.0), choice=True),
     )
     confused_with: ClassVar = {
         "inertial_parameters": "take the payload off",
@@ -29,28 +41,50 @@ class Payload(Effect):
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
         """First moment and distance: weight follows the one, inertia their product."""
-        mass, distance = parameters
-        return np.array([mass * distance, distance])
+        mass, distance, *others, form = parameters
+        # Beside the link's own direction a load has a moment at no distance.
+        return parameters if form else np.array([mass * distance, distance, *others, form])
 
     def from_coordinates(self, coordinates: FloatArray) -> FloatArray:
         """Mass and distance; a mass at no distance has no moment."""
-        moment, distance = coordinates
-        return np.array([moment / distance if distance else 0.0, distance])
+        moment, distance, *others, form = coordinates
+        mass = moment / distance if distance else 0.0
+        return coordinates if form else np.array([mass, distance, *others, form])
 
     def fields(self, fields: ModelFields, values: Values) -> None:
         # A robot's parameter stands in every joint's column; the mass sits on the last link.
         fields.added_mass[:, -1] += values["mass"][:, -1]
-        fields.added_distance[:, -1] = values["distance"][:, -1]
+        at = [values[name][:, -1] for name in ("distance", "sideways", "across")]
+        fields.added_at[:, -1] = np.stack(at, axis=1)
 
 
 class InertialParameters(Effect):
-    """The link that the joint moves is heavier or lighter than its drawing."""
+    """The link that the joint moves is not as its drawing has it.
+
+    Every form leaves a link that can exist: positive mass, and moments of inertia about the centre
+    of mass that stay in proportion.
+    """
 
     id = "inertial_parameters"
     family = "rigid_body"
-    law = "mass and inertia of the link times 1 + relative_error (positive: consistent inertia)"
+    law = (
+        "form 0: mass and inertia of the link times 1 + relative_error; "
+        "form 1: mass alone times 1 + mass_error; "
+        "form 2: inertia about the centre of mass alone times 1 + inertia_error; "
+        "form 3: both, and the centre moved away from the axis (radial) and the way that the joint "
+        "turns it (tangential)"
+    )
     source = "Wensing, Kim, Slotine, IEEE RA-L 3 (2018): physical consistency"
-    parameters = (Parameter("relative_error", "one", 0.0, -0.9, 4.0, (0.1,)),)
+    parameters = (
+        Parameter("relative_error", "one", 0.0, -0.9, 4.0, (0.1,), under=("form", (0.0,))),
+        Parameter("mass_error", "one", 0.0, -0.9, 4.0, (0.1,), under=("form", (1.0, 3.0))),
+        Parameter("inertia_error", "one", 0.0, -0.9, 9.0, (0.1,), under=("form", (2.0, 3.0))),
+        Parameter("radial", "length", 0.0, -2.0, 2.0, (0.1,), "gyration", under=("form", (3.0,))),
+        Parameter(
+            "tangential", "length", 0.0, -2.0, 2.0, (0.1,), "gyration", under=("form", (3.0,))
+        ),
+        Parameter("form", "one", None, 0.0, 3.0, (0.0, 1.0, 2.0, 3.0), choice=True),
+    )
     confused_with: ClassVar = {
         "payload": "take the payload off",
         "torque_constant": "the same motion with a known mass added",
@@ -58,7 +92,11 @@ class InertialParameters(Effect):
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
-        fields.inertia_scale *= 1.0 + values["relative_error"]
+        whole = 1.0 + values["relative_error"]
+        fields.mass_scale *= whole * (1.0 + values["mass_error"])
+        fields.inertia_scale *= whole * (1.0 + values["inertia_error"])
+        fields.center_radial += values["radial"]
+        fields.center_tangential += values["tangential"]
 
 
 class Armature(Effect):

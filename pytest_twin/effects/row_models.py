@@ -221,7 +221,7 @@ class RowModels:
         friction = self._write_dofs(batched, rows, effects, fields, world, apart)
         if (fields.gravity != gravity).any() or batched.several:
             batched.batch.expand("opt.gravity")[:] = fields.gravity
-        if fields.added_mass.any() or (fields.inertia_scale != 1.0).any():
+        if fields.changes_links:
             self._write_inertia(batched, fields)
         own = batched.several
         if own or apart.any() or changed.intersection(_LAW):
@@ -316,18 +316,23 @@ class RowModels:
         return bool((self.layout.gear[self.layout.driven] < 0.0).any())
 
     def _write_inertia(self, batched: _Batched, fields: ModelFields) -> None:
-        """Write scaled links and masses that links carry."""
+        """Write links of other mass, inertia or centre, and masses that they carry."""
         mass, ipos, inertia, iquat = (batched.expand(name) for name in _INERTIAL)
         bodies = self.layout.body_index
-        mass[:, bodies] *= fields.inertia_scale
+        mass[:, bodies] *= fields.mass_scale
         inertia[:, bodies] *= fields.inertia_scale[:, :, None]
+        if fields.center_moves.any():
+            ipos[:, bodies] += (
+                fields.center_radial[:, :, None] * self.layout.radial
+                + fields.center_tangential[:, :, None] * self.layout.tangential
+            )
         row, joint = np.nonzero(fields.added_mass)
         if not len(row):
             return
         here = (row, bodies[joint])
         (position,) = batched.of_each("jnt_pos")
         at = position[row, self.layout.joint_ids[joint]]
-        at = at + fields.added_distance[row, joint, None] * self.layout.directions[joint]
+        at = at + self.layout.in_link(fields.added_at[row, joint], joint)
         mass[here], ipos[here], inertia[here], iquat[here] = with_point_mass(
             mass[here], ipos[here], inertia[here], iquat[here], fields.added_mass[row, joint], at
         )

@@ -103,8 +103,11 @@ def test_a_law_that_is_given_up_is_a_change(problem: Problem) -> None:
     assert without[1, :, :, ELBOW] == pytest.approx(without[0, :, :, ELBOW], abs=1e-9 * size)
 
 
-LOAD: Variant = {Term("payload", ROBOT): [0.3, 1.0]}
-HEAVY: Variant = {Term("inertial_parameters", SHOULDER): [0.4]}
+LOAD: Variant = {Term("payload", ROBOT): [0.3, 1.0, 0.0, 0.0, 0.0]}
+ASIDE: Variant = {Term("payload", ROBOT): [0.2, 0.5, 0.7, -0.4, 2.0]}
+HEAVY: Variant = {Term("inertial_parameters", SHOULDER): [0.4, 0.0, 0.0, 0.0, 0.0, 0.0]}
+WIDE: Variant = {Term("inertial_parameters", SHOULDER): [0.0, 0.0, 0.5, 0.0, 0.0, 2.0]}
+MOVED: Variant = {Term("inertial_parameters", SHOULDER): [0.0, 0.1, 0.2, 0.3, -0.2, 3.0]}
 TILTED: Variant = {Term("base_tilt", ROBOT): [0.1, -0.2]}
 SPINNING: Variant = {Term("armature", SHOULDER): [0.1]}
 
@@ -113,7 +116,8 @@ def test_efforts_of_bodies_are_those_of_their_parts(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     variants: list[Variant] = [
-        {}, LOAD, {**LOAD, **HEAVY}, {Term("payload", ROBOT): [-0.05, 0.4]}, {**TILTED, **LOAD}
+        {}, LOAD, {**LOAD, **HEAVY}, ASIDE, {**ASIDE, **WIDE}, {**TILTED, **LOAD},
+        {**MOVED, **LOAD},
     ]  # fmt: skip
     motion, simulator = along(problem, EMPTY, problem.fit), problem.simulator
     whole = [rigid_terms(simulator, motion, values(problem, [v]))[0].effort for v in variants]
@@ -127,16 +131,20 @@ def test_efforts_of_bodies_are_those_of_their_parts(
 
     monkeypatch.setattr(RowSimulator, "written", counted)
     size = np.abs(whole[0]).max()
-    for found, true in zip(efforts.of(values(problem, variants[:4]), 4), whole, strict=False):
+    for found, true in zip(efforts.of(values(problem, variants[:5]), 5), whole, strict=False):
         assert found == pytest.approx(true, abs=1e-9 * size)
-    # One link, and a mass at three places; a second time nothing is asked.
-    assert asked == [4]
-    efforts.of(values(problem, variants[:4]), 4)
-    assert asked == [4]
-    # Gravity from elsewhere is no part of these.
-    (tilted,) = efforts.of(values(problem, [variants[4]]), 1)
-    assert tilted == pytest.approx(whole[4], abs=1e-9 * size)
-    assert np.abs(tilted - whole[1]).max() > 1e-2 * size
+    # Mass and inertia of one link, and a mass at ten places; a second time nothing is asked.
+    assert asked == [12]
+    efforts.of(values(problem, variants[:5]), 5)
+    assert asked == [12]
+    # Gravity from elsewhere, or another centre of mass, is no part of these.
+    others = efforts.of(values(problem, variants[5:]), 2)
+    for found, true in zip(others, whole[5:], strict=True):
+        assert found == pytest.approx(true, abs=1e-9 * size)
+        assert np.abs(found - whole[1]).max() > 1e-2 * size
+    moved = efforts.of(values(problem, [LOAD, variants[6]]), 2)
+    assert moved[0] == pytest.approx(whole[1], abs=1e-9 * size)
+    assert moved[1] == pytest.approx(whole[6], abs=1e-9 * size)
 
 
 @pytest.mark.parametrize("other", [SPINNING, SOFT], ids=["armature", "elasticity"])
@@ -151,7 +159,7 @@ def test_what_moves_with_a_motor_counts_once_beside_other_bodies(
             h = h.with_term(term, np.array(theta))
         return seen.differences([h])[0]
 
-    small: Variant = {Term("payload", ROBOT): [0.01, 1.0]}
+    small: Variant = {Term("payload", ROBOT): [0.01, 1.0, 0.0, 0.0, 0.0]}
     alone = read(other)
     most = float(np.abs(alone).max())
     assert 0.0 < np.abs(read(small)).max() < 0.2 * most

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from test_first_order import carried, link
 from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import find_model, load_model
@@ -42,9 +43,19 @@ EFFECTS = [
     ("actuator_lag", 0, {"time_constant": 0.03, "of_setpoint": 1.0}, True),
     ("actuator_lag", 1, {"time_constant": 0.003, "of_setpoint": 1.0}, True),
     ("actuator_lag", 1, {"time_constant": 0.03, "of_setpoint": 0.0}, False),
-    ("inertial_parameters", 0, {"relative_error": 0.4}, True),
-    ("payload", -1, {"mass": 0.2, "distance": 0.15}, True),
-    ("payload", -1, {"mass": -0.2, "distance": 0.1}, True),
+    ("inertial_parameters", 0, link(0, relative_error=0.4), True),
+    ("inertial_parameters", 1, link(1, mass_error=0.5), True),
+    ("inertial_parameters", 1, link(2, inertia_error=3.0), True),
+    (
+        "inertial_parameters",
+        1,
+        link(3, mass_error=0.2, inertia_error=-0.3, radial=0.03, tangential=-0.04),
+        True,
+    ),
+    ("payload", -1, carried(0.2, 0.15), True),
+    ("payload", -1, carried(-0.2, 0.1), True),
+    ("payload", -1, carried(0.2, 0.1, 0.12), True),
+    ("payload", -1, carried(0.2, 0.1, 0.12, 0.05), True),
     ("base_tilt", -1, {"roll": 0.05, "pitch": -0.1}, True),
     ("rate_limit", 0, {"inverse_rate": 1.0}, False),
     ("torque_rolloff", 1, {"inverse_knee": 0.8, "back_emf": 0.05}, False),

@@ -171,7 +171,9 @@ def test_a_law_of_position_that_leaves_more_of_position_is_no_name(
 def test_a_special_case_is_not_out_of_shape(effect: str, shape: float, is_out: bool) -> None:
     """What is in the loop or not, and teeth that are rigid; a tool four reaches away is odd."""
     term = Term(effect, 0)
-    assert EMPTY.with_term(term, np.array([0.01, shape])).out_of_shape(term) is is_out
+    theta = np.zeros(len(term.parameters))
+    theta[:2] = 0.01, shape
+    assert EMPTY.with_term(term, theta).out_of_shape(term) is is_out
 
 
 def test_a_push_may_begin_and_end_with_the_trial() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_first_order import ELBOW, SHOULDER, problem_of
+from test_first_order import ELBOW, SHOULDER, carried, problem_of
 
 from pytest_twin.diagnosis.fit import fit, propose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
@@ -20,17 +20,21 @@ PAYLOAD = Term("payload", -1)
 @given(st.floats(-0.9, 20.0), st.floats(0.05, 4.0))
 def test_coordinates_of_a_payload_and_back(mass: float, distance: float) -> None:
     law = catalogue()["payload"]
-    there = law.coordinates(np.array([mass, distance]))
-    assert there == pytest.approx([mass * distance, distance])
-    assert law.from_coordinates(there) == pytest.approx([mass, distance])
+    along = np.array([mass, distance, 0.0, 0.0, 0.0])
+    there = law.coordinates(along)
+    assert there[:2] == pytest.approx([mass * distance, distance])
+    assert law.from_coordinates(there) == pytest.approx(along)
+    # A load aside has a moment where its distance is none.
+    aside = np.array([mass, 0.0, distance, 0.0, 1.0])
+    assert law.from_coordinates(law.coordinates(aside)) == pytest.approx(aside)
 
 
 def test_a_payload_is_found_from_along_its_valley(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mass and distance of the same moment: what first order takes for it, inertia far off."""
-    problem = problem_of("position", {PAYLOAD: {"mass": 0.6, "distance": 0.25}})
+    problem = problem_of("position", {PAYLOAD: carried(0.6, 0.25)})
     scales = [problem.scales.value(p, 0) for p in PAYLOAD.parameters]
-    truth = np.array([0.6, 0.25]) / scales
-    start = truth * [0.5, 2.0]
+    truth = np.array(list(carried(0.6, 0.25).values())) / scales
+    start = truth * [0.5, 2.0, 1.0, 1.0, 1.0]
     weights = 1.0 / problem.signal_floor
 
     def cost() -> float:

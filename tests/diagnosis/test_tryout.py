@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from test_behind_gears import fitted, silent, with_true
-from test_first_order import ELBOW, SHOULDER, problem_of
+from test_first_order import ELBOW, SHOULDER, carried, problem_of
 
 from pytest_twin.diagnosis.first_order.deepen import deepened
 from pytest_twin.diagnosis.first_order.polish import Polished, polish
@@ -118,7 +118,7 @@ def test_what_was_fitted_by_simulation_is_kept_where_it_strays_along_the_motion(
 
 def test_a_single_term_that_is_fitted_already_gets_its_company() -> None:
     """A heavy payload and a spring: grown from the payload as it is with its law exact."""
-    hidden = {MASS: {"mass": 1.5, "distance": 0.2}, SPRING: {"stiffness": 6.0, "preload": 0.0}}
+    hidden = {MASS: carried(1.5, 0.2), SPRING: {"stiffness": 6.0, "preload": 0.0}}
     problem = problem_of("position", hidden)
     look = look_ahead(problem, Contest(problem).nominal)
     assert look.linear is not None

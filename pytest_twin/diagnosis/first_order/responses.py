@@ -56,13 +56,18 @@ class Response:
 
 
 def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
-    """Starting sizes of a term, and which of its parameters switch it on."""
-    switches = tuple(i for i, p in enumerate(term.parameters) if p.neutral is not None)
-    sizes = [
-        p.starts if p.neutral is None or len(switches) == 1 else p.starts[:1]
-        for p in term.parameters
-    ]
-    return [(np.array(s), switches) for s in itertools.product(*sizes)]
+    """Starting sizes of a term in all its forms, and which of its parameters switch it on there."""
+    parameters, out = term.parameters, []
+    for form in itertools.product(*(p.starts if p.choice else (0.0,) for p in parameters)):
+        has, switches = term.law.has(np.array(form)), term.switches(np.array(form))
+        sizes: list[tuple[float, ...]] = []
+        for i, (p, chosen) in enumerate(zip(parameters, form, strict=True)):
+            if p.choice or not has[i]:
+                sizes.append((chosen,))
+            else:
+                sizes.append(p.starts if p.neutral is None or len(switches) == 1 else p.starts[:1])
+        out += [(np.array(s), switches) for s in itertools.product(*sizes)]
+    return out
 
 
 def simulated(
@@ -274,8 +279,7 @@ class Linear:
     ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[Column]]]:
         """Columns of one effect at all its joints: every joint has it at once."""
         sizes = grid(terms[0])
-        switches = sizes[0][1]
-        rows = [_alone(full, switches, s) for full, _ in sizes for s in switches]
+        rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
         values = self._values(effect, rows, terms)
         everything = {**self._wide(len(rows)), effect.id: values}
         active = self._active(everything)
@@ -290,10 +294,10 @@ class Linear:
         out = []
         for term in terms:
             j = term.joint
-            for k, (full, _) in enumerate(sizes):
+            row = 0
+            for full, switches in sizes:
                 columns = []
-                for n in range(len(switches)):
-                    row = k * len(switches) + n
+                for _ in switches:
                     column = self._sensed(effect, values, row, j)
                     if added is not None:
                         column.force, column.drive = (_only(x[row], j) for x in added)
@@ -301,6 +305,7 @@ class Linear:
                         extra = masses[j][row]
                         column.force = extra if column.force is None else column.force + extra
                     columns.append(column)
+                    row += 1
                 out.append((term, full, switches, columns))
         return out
 

@@ -18,6 +18,11 @@ from pytest_twin.realization.quiet import quiet
 _EVERY = 0.02
 """s between samples: rigid-body terms vary no faster than the motion."""
 _NUDGE = 1e-4
+_PLACES = np.array(
+    [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [1, 1, 0],
+     [0, 1, 1], [1, 0, 1]], dtype=float,
+)  # fmt: skip
+"""m, at which a mass tells its ten moments apart."""
 _MAX_ROWS = 4096
 
 
@@ -128,7 +133,7 @@ def slopes(
 def changes_bodies(effect: Effect, values: Values, joints: int) -> bool:
     """Whether an effect changes masses or gravity."""
     changed, tilted = _fields([(effect, values)], len(next(iter(values.values()))), joints)
-    return bool(tilted or changed.added_mass.any() or (changed.inertia_scale != 1.0).any())
+    return tilted or changed.changes_links
 
 
 def _fields(
@@ -140,6 +145,12 @@ def _fields(
     for effect, values in effects:
         effect.fields(fields, values)
     return fields, bool((fields.gravity != down).any())
+
+
+def _moments(at: FloatArray) -> list[FloatArray]:
+    """Of 1 kg at (n, 3) m: (n,) mass, first and second moments."""
+    x, y, z = at.T
+    return [np.ones(len(at)), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x]
 
 
 class Efforts:
@@ -166,17 +177,21 @@ class Efforts:
         fields, tilted = _fields(effects, copies, joints)
         # Two joints of one body would change it twice.
         bodies = self._simulator.layout.body_index
+        anew = np.asarray(fields.center_moves.any(axis=1))
         if tilted or len(set(bodies)) < len(bodies):
-            heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
-            found = rigid_terms(self._simulator, self._along, heavy, copies)
-            return [f.effort for f in found]
-        load, distance = fields.added_mass[:, -1], fields.added_distance[:, -1]
-        sizes = {("scale", j): fields.inertia_scale[:, j] - 1.0 for j in range(joints)}
-        sizes |= {("load", k): load * distance**k for k in range(3)}
-        sizes = {part: x for part, x in sizes.items() if x.any()}
+            anew[:] = True
+        whole = iter(self._worked_out_anew(effects, np.flatnonzero(anew), joints))
+        load, at = fields.added_mass[:, -1], fields.added_at[:, -1]
+        sizes = {("mass", j): fields.mass_scale[:, j] - 1.0 for j in range(joints)}
+        sizes |= {("inertia", j): fields.inertia_scale[:, j] - 1.0 for j in range(joints)}
+        sizes |= {("load", k): load * moment for k, moment in enumerate(_moments(at))}
+        sizes = {part: x for part, x in sizes.items() if x[~anew].any()}
         self._work_out(sizes)
         out = []
         for k in range(copies):
+            if anew[k]:
+                out.append(next(whole))
+                continue
             total = self._bare.copy()
             for part, x in sizes.items():
                 if x[k]:
@@ -184,31 +199,52 @@ class Efforts:
             out.append(total)
         return out
 
+    def _worked_out_anew(
+        self, effects: Sequence[tuple[Effect, Values]], copies: NDArray[np.int64], joints: int
+    ) -> list[FloatArray]:
+        """Efforts of some of the variants, from their own models."""
+        if not len(copies):
+            return []
+        heavy = [
+            (e, {n: x[copies] for n, x in v.items()}) for e, v in effects
+            if changes_bodies(e, v, joints)
+        ]  # fmt: skip
+        found = rigid_terms(self._simulator, self._along, heavy, len(copies))
+        return [f.effort for f in found]
+
     def _work_out(self, wanted: Iterable[tuple[str, int]]) -> None:
-        """Parts that are not known yet: a link twice as heavy, and 1 kg at three places."""
-        missing = {(name, k if name == "scale" else 0) for name, k in wanted} - self._parts.keys()
+        """Parts that are not known yet: a link of twice the mass, or of twice the inertia, and the
+        moments of 1 kg, from as many places.
+        """
+        missing = {(name, 0 if name == "load" else k) for name, k in wanted} - self._parts.keys()
         if not missing:
             return
-        scaled = sorted(k for name, k in missing if name == "scale")
-        places = [0.0, 1.0, -1.0] if ("load", 0) in missing else []
+        scaled = sorted(part for part in missing if part[0] != "load")
+        places = _PLACES if ("load", 0) in missing else np.zeros((0, 3))
         joints = self._bare.shape[2]
         copies = len(scaled) + len(places)
-        heavier, mass, distance = np.zeros((3, copies, joints))
-        heavier[np.arange(len(scaled)), scaled] = 1.0
+        heavier, wider, mass = np.zeros((3, copies, joints))
+        for row, (name, j) in enumerate(scaled):
+            (heavier if name == "mass" else wider)[row, j] = 1.0
         mass[len(scaled) :] = 1.0
-        distance[len(scaled) :] = np.reshape(places, (-1, 1))
+        link, payload = catalogue()["inertial_parameters"], catalogue()["payload"]
+        neutral = {p.name: np.zeros_like(mass) for p in (*link.parameters, *payload.parameters)}
+        at = {}
+        for name, column in zip(("distance", "sideways", "across"), places.T, strict=True):
+            at[name] = np.zeros_like(mass)
+            at[name][len(scaled) :] = column[:, None]
         effects: list[tuple[Effect, Values]] = [
-            (catalogue()["inertial_parameters"], {"relative_error": heavier}),
-            (catalogue()["payload"], {"mass": mass, "distance": distance}),
+            (link, {**neutral, "mass_error": heavier, "inertia_error": wider}),
+            (payload, {**neutral, **at, "mass": mass}),
         ]
         found = rigid_terms(self._simulator, self._along, effects, copies)
         more = [f.effort - self._bare for f in found]
-        self._parts |= {("scale", j): x for j, x in zip(scaled, more, strict=False)}
-        if places:
-            here, ahead, behind = more[len(scaled) :]
-            self._parts["load", 0] = here
-            self._parts["load", 1] = (ahead - behind) / 2.0
-            self._parts["load", 2] = (ahead + behind) / 2.0 - here
+        self._parts |= dict(zip(scaled, more, strict=False))
+        if len(places):
+            of_moments = np.linalg.solve(np.stack(_moments(places), axis=1), np.eye(len(places)))
+            loads = np.stack(more[len(scaled) :])
+            parts = np.tensordot(of_moments, loads, axes=1)
+            self._parts |= {("load", k): part for k, part in enumerate(parts)}
 
 
 def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatArray:

@@ -110,7 +110,7 @@ class Structure:
     @property
     def parameters(self) -> int:
         """How many numbers a fit of it moves."""
-        return sum(t.free for t in self.starts)
+        return sum(int(t.movable(start).sum()) for t, start in self.starts.items())
 
 
 def price(effective: FloatArray) -> float:
@@ -342,8 +342,8 @@ class Lens:
         cost = price(effective)
         best: dict[Term, tuple[float, int]] = {}
         for i in map(int, sound):
-            term = answers.responses[i].term
-            gain = -0.5 * float(misfit[i] @ effective) - cost * term.free
+            term, start = answers.responses[i].term, answers.responses[i].start
+            gain = -0.5 * float(misfit[i] @ effective) - cost * int(term.movable(start).sum())
             if term not in best or gain > best[term][0]:
                 best[term] = gain, i
         ranked = sorted(best.values(), key=lambda x: -x[0])[:count]

@@ -60,7 +60,7 @@ def _responses(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Respons
                          strict=True):  # fmt: skip
         term = h.terms[-1]
         start = h.theta[h.slice_of(term)].copy()
-        switch = next(i for i, p in enumerate(term.parameters) if p.neutral is not None)
+        switch = term.switches(start)[0]
         if start[switch] and np.isfinite(change).all() and change.any():
             out.append(Response(term, start, (switch,), change[..., None].astype(np.float32)))
     return out

@@ -247,10 +247,21 @@ def _lag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
 def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     if not w.fixed_masses:
         return None
-    body, factor = w.body_name(joint), 1.0 + values["relative_error"]
-    mass, tensor = _compiled_inertia(w.model, int(w.simulator.layout.body_index[joint]))
-    w.fit("body", body, {"mass": mass * factor, "inertia": _six(tensor * factor)})
-    return f"body '{body}' mass and inertia", {}
+    layout, body = w.simulator.layout, w.body_name(joint)
+    index = int(layout.body_index[joint])
+    fields = ModelFields.neutral(np.zeros((1, 3)), 1)
+    link = catalogue()["inertial_parameters"]
+    stated = {p.name: values.get(p.name, 0.0) for p in link.parameters}
+    link.fields(fields, {k: np.full((1, 1), v) for k, v in stated.items()})
+    mass, tensor = _compiled_inertia(w.model, index)
+    (heavier,), (wider,) = fields.mass_scale[0], fields.inertia_scale[0]
+    changed: dict[str, Any] = {"mass": mass * heavier, "inertia": _six(tensor * wider)}
+    if fields.center_moves.any():
+        moved = fields.center_radial[0, 0] * layout.radial[joint]
+        moved = moved + fields.center_tangential[0, 0] * layout.tangential[joint]
+        changed["com"] = (w.model.body_ipos[index] + moved).tolist()
+    w.fit("body", body, changed)
+    return f"body '{body}' mass, inertia and centre", {}
 
 
 def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
@@ -258,7 +269,8 @@ def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     last = len(w.problem.joints) - 1
     body = w.body_name(last)
     model, at = w.model, int(w.simulator.layout.joint_ids[last])
-    center = model.jnt_pos[at] + values["distance"] * w.simulator.layout.directions[last]
+    place = np.array([[values.get(k, 0.0) for k in ("distance", "sideways", "across")]])
+    center = model.jnt_pos[at] + w.simulator.layout.in_link(place, np.array([last]))[0]
     index = int(w.simulator.layout.body_index[last])
     if not w.fixed_masses or float(model.body_mass[index]) + values["mass"] <= 1e-6:
         return None

@@ -160,16 +160,14 @@ def _worth_fitting(found: Sequence[Exchange]) -> list[int]:
     return out
 
 
-def by_chance(
-    found: Sequence[Exchange],
-) -> dict[Place, float]:
+def by_chance(own: Hypothesis, found: Sequence[Exchange]) -> dict[Place, float]:
     """Evidence by which each may be ahead and be no better: where it has more parameters than what
     it stands for, for what is left is never white, and more of them follow anything a little.
 
     Negative where it may be behind and be as good: what stands there only has it in it.
     """
     lost = {x.gone: max(-x.evidence, 0.0) for x in found if x.new is None}
-    return {(x.gone, x.new): _by_chance(x, lost.get(x.gone, 0.0)) for x in found}
+    return {(x.gone, x.new): _by_chance(own, x, lost.get(x.gone, 0.0)) for x in found}
 
 
 def as_simulated(
@@ -192,15 +190,14 @@ def as_simulated(
     return evidence | {(x.gone, x.new): e for x, e in simulated}
 
 
-def _by_chance(exchange: Exchange, lost: float) -> float:
-    new = exchange.new
-    if new is None:
+def _by_chance(own: Hypothesis, exchange: Exchange, lost: float) -> float:
+    if exchange.new is None:
         return 0.0
     if exchange.has_it:
         return _MORE_TO_IT * lost
     if exchange.comes_to:
         return -_AS_MUCH * lost
-    more = new.free > sum(t.free for t in exchange.gone)
+    more = exchange.hypothesis.free > own.free
     return min(AS_GOOD * lost, _CHANCE) if more else 0.0
 
 

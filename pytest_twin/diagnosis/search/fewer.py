@@ -71,9 +71,14 @@ def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[str, f
 
 
 def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with one of its laws as the special case that it comes to."""
+    """The hypothesis with one of its laws as the special case that it comes to, or in a form that
+    has fewer parameters; a last link with what it carries beside it.
+    """
     scales, out = problem.scales, []
     for term in hypothesis.terms:
+        out += _forms_with_fewer(hypothesis, term)
+        if term == Term("inertial_parameters", len(problem.joints) - 1):
+            out += _as_payload(problem, hypothesis, term)
         values = _values(problem, hypothesis, term)
         for effect, special in term.law.special_cases(values).items():
             new = Term(effect, term.joint)
@@ -84,3 +89,47 @@ def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
             if new not in hypothesis.terms:
                 out.append(hypothesis.without(term).with_term(new, np.array(start)))
     return out
+
+
+def _forms_with_fewer(hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
+    """The hypothesis with a term in each form that has fewer parameters; what both have stays."""
+    place = hypothesis.slice_of(term)
+    own = hypothesis.theta[place]
+    movable, found = term.movable(own), dict[bytes, Hypothesis]()
+    for start, _ in grid(term):
+        other = term.movable(start)
+        if other.sum() < movable.sum():
+            theta = hypothesis.theta.copy()
+            theta[place] = np.where(movable & other, own, start)
+            found[theta.tobytes()] = hypothesis.with_theta(theta)
+    return list(found.values())
+
+
+def _as_payload(problem: Problem, hypothesis: Hypothesis, link: Term) -> list[Hypothesis]:
+    """The hypothesis with a last link of another mass and centre as it is and a load on it, of the
+    same mass and first moment.
+    """
+    load = Term("payload", -1)
+    layout, values = problem.simulator.layout, _values(problem, hypothesis, link)
+    mass = float(problem.simulator.segments[0].model.body_mass[layout.body_index[-1]])
+    added = values["mass_error"] * mass
+    if load in hypothesis.terms or not added:
+        return []
+    moved = values["radial"] * layout.radial[-1] + values["tangential"] * layout.tangential[-1]
+    center = layout.link_length[-1] * layout.directions[-1]
+    at = center + (mass + added) / added * moved
+    along, turning = layout.directions[-1], layout.tangential[-1]
+    place = {
+        "mass": added,
+        "distance": at @ along,
+        "sideways": at @ turning,
+        "across": at @ np.cross(along, turning),
+    }
+    found = dict[float, Hypothesis]()
+    for start, _ in grid(load):
+        has = load.law.has(start)
+        for k, p in enumerate(load.parameters):
+            if has[k] and p.name in place:
+                start[k] = np.clip(place[p.name] / problem.scales.value(p, -1), p.lower, p.upper)
+        found[start[-1]] = hypothesis.without(link).with_term(load, start)
+    return list(found.values())

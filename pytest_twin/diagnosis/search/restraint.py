@@ -361,11 +361,12 @@ def _perhaps_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1
     What the motion follows in leaps alone (when a drive lets go) has no interval, and is there.
     """
     place = fitted.hypothesis.slice_of(term)
-    switches = [k for k, p in enumerate(term.parameters, place.start) if p.neutral is not None]
+    own = term.switches(fitted.hypothesis.theta[place])
+    switches = [place.start + k for k in own]
     if not np.any(fitted.jacobian[:, :, switches] != 0.0, axis=(0, 1)).all():
         return False
-    neutral = [p.neutral for p in term.parameters if p.neutral is not None]
-    offset = np.array(neutral) - fitted.hypothesis.theta[switches]
+    neutral = [term.parameters[k].neutral for k in own]
+    offset = np.array(neutral, dtype=float) - fitted.hypothesis.theta[switches]
     return known.apart(np.array(switches), offset) <= within
 
 

@@ -402,7 +402,7 @@ class Selection:
         simulated without something else in its place, that; of two that explain as much, more for
         the one that leaves less under the floor.
         """
-        chance = by_chance(found)
+        chance = by_chance(best.hypothesis, found)
         evidence = as_simulated(found, [(x, r.evidence) for x, r in simulated])
         evidence = {place: e - chance[place] for place, e in evidence.items()}
         for x in found:
