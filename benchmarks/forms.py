@@ -59,11 +59,13 @@ class Form:
         named: effect of the catalogue whose form it is, None where it is in nobody's.
         joint: where it is; None where it is the whole robot's.
         shows: the joint whose reading it changes most.
+        gearing: (joints, joints) how motors, which the servos hold, turn with joints.
     """
 
     named: ClassVar[str | None] = None
     joint: ClassVar[str | None] = JOINTS[HERE]
     shows: ClassVar[int] = HERE
+    gearing: ClassVar[FloatArray] = np.eye(len(JOINTS))
     temperature: str | None = None
 
     def __init__(self, trial: int) -> None:
@@ -236,8 +238,17 @@ def whole(model: mujoco.MjModel, body: int) -> tuple[FloatArray, FloatArray]:
 class OtherDrive(Form):
     """The drive of the joint behind pulls at this one."""
 
+    named = "joint_coupling"
+
     def delivered(self, effort: FloatArray) -> float:
         return float(effort[HERE] + 0.3 * effort[HERE + 1])
+
+
+class Differential(Form):
+    """A belt that runs over the joint before: its turning turns this link along."""
+
+    named = "joint_coupling"
+    gearing = np.array([[1.0, 0.0, 0.0], [-0.1, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 class OtherReading(Form):
@@ -268,7 +279,7 @@ class Shaker(Form):
 FORMS: tuple[type[Form], ...] = (
     Smoothed, SmallEfforts, FrictionByDrive, FourWaves, WarmsUp, Grease, WheelOffItsAxis,
     HeavyLink, WideLink, MovedCentre, OtherLink, LoadAside,
-    OtherDrive, OtherReading, Pulses, Shaker,
+    OtherDrive, Differential, OtherReading, Pulses, Shaker,
 )  # fmt: skip
 
 
@@ -305,9 +316,11 @@ def record(file: Path, form: Form) -> None:
             seen.append(form.read(data.qpos.copy()))
         target = command.copy()
         target[HERE] = form.setpoint(command[HERE], step)
-        effort = KP * (target - data.qpos) - KV * data.qvel
+        motors, speeds = form.gearing @ data.qpos, form.gearing @ data.qvel
+        effort = KP * (target - motors) - KV * speeds
         q, v = float(data.qpos[HERE]), float(data.qvel[HERE])
         effort[HERE] = form.delivered(effort)
+        effort = form.gearing.T @ effort
         effort[HERE] += form.push(t, q, v, float(effort[HERE]))
         data.qfrc_applied[:] = effort
         mujoco.mj_step(model, data)

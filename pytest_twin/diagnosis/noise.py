@@ -11,9 +11,11 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Predicted, Segment
 
-# Samples that a cubic is fitted to, and its coefficients.
+# Samples that a cubic is fitted to, and its coefficients; of polynomials that follow fast motion at
+# low rates, and how far they lie apart.
 _NEIGHBOURS, _CUBIC = 15, 4
 _FREE = _NEIGHBOURS - _CUBIC
+_FEW, _SEVENTH, _APART = 12, 8, 4
 # Groups of windows of like speed.
 _SPEEDS = 12
 # Share of the samples, those that the model's step changes least, that tell an effort's noise.
@@ -23,10 +25,11 @@ _QUIET = 0.3
 def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
     """(joints,) standard deviation of noise and quantization of (n, joints) samples at (n,) s.
 
-    Two filters take out what is smooth, third differences and cubics through neighbours in time;
-    each knows what it leaves of white noise. Fast motion gets through the second; the steps of a
-    coarse encoder and irregular sampling are blown up by the first: the lesser is right. Medians
-    keep reversals and impacts out.
+    Three filters take out what is smooth, third differences, cubics through neighbours in time and
+    polynomials of degree seven through fewer; each knows what it leaves of white noise. Fast motion
+    gets through the second, at few samples a period through the first; the steps of a coarse
+    encoder and irregular sampling are blown up by the first: the least is right. Medians keep
+    reversals and impacts out.
     """
     step = np.array([_quantum(position[:, j]) for j in range(position.shape[1])])
     third = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
@@ -34,6 +37,7 @@ def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
     spread = 1.4826 * (third + 0.5 * step) / np.sqrt(20.0)
     if len(position) >= 2 * _NEIGHBOURS:
         spread = np.minimum(spread, _off_cubics(time, position))
+        spread = np.minimum(spread, _off_seventh_degree(time, position))
     noise: FloatArray = np.maximum(spread, step / np.sqrt(12.0))
     return noise
 
@@ -48,8 +52,7 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
     if len(time) < _SPEEDS * _NEIGHBOURS:
         return 0.0
     square, speed = _cubics(time, position)
-    # Of a chi-squared variable (Wilson, Hilferty 1931).
-    median = _FREE * (1.0 - 2.0 / (9.0 * _FREE)) ** 3
+    median = _median_square(_FREE)
     jitter = []
     for s, v in zip(square.T, speed.T, strict=True):
         bins = np.array_split(np.argsort(np.abs(v)), _SPEEDS)
@@ -70,16 +73,37 @@ def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
     return spread
 
 
+def _off_seventh_degree(time: FloatArray, position: FloatArray) -> FloatArray:
+    """(joints,) deviation of samples from polynomials through fewer of them."""
+    square, _ = _polynomials(time, position, _FEW, _SEVENTH, _APART)
+    spread: FloatArray = np.sqrt(np.median(square, axis=0) / _median_square(_FEW - _SEVENTH))
+    return spread
+
+
+def _median_square(freedom: int) -> float:
+    """Median of a chi-squared variable (Wilson, Hilferty 1931)."""
+    return float(freedom * (1.0 - 2.0 / (9.0 * freedom)) ** 3)
+
+
 def _cubics(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(windows, joints) squares of samples off cubics through neighbours, and their speed."""
-    count = len(time) // _NEIGHBOURS
-    inside = slice(0, count * _NEIGHBOURS)
-    windows = time[inside].reshape(count, _NEIGHBOURS)
+    return _polynomials(time, position, _NEIGHBOURS, _CUBIC, _NEIGHBOURS)
+
+
+def _polynomials(
+    time: FloatArray, position: FloatArray, neighbours: int, coefficients: int, apart: int
+) -> tuple[FloatArray, FloatArray]:
+    """(windows, joints) squares of samples off polynomials through as many neighbours, windows so
+    many samples apart, and their speed.
+    """
+    first = np.arange(0, len(time) - neighbours + 1, apart)
+    inside = first[:, None] + np.arange(neighbours)
+    windows = time[inside]
     middle = 0.5 * (windows[:, :1] + windows[:, -1:])
     half = np.maximum(0.5 * (windows[:, -1:] - windows[:, :1]), 1e-12)
-    powers = ((windows - middle) / half)[..., None] ** np.arange(_CUBIC)
+    powers = ((windows - middle) / half)[..., None] ** np.arange(coefficients)
     basis, triangle = np.linalg.qr(powers)
-    samples = position[inside].reshape(count, _NEIGHBOURS, -1)
+    samples = position[inside]
     along = basis.transpose(0, 2, 1) @ samples
     off = samples - basis @ along
     square: FloatArray = (off**2).sum(axis=1)

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Parameter, Values, World
 from pytest_twin.effects.motor_side import Gear
 
 
@@ -36,23 +36,59 @@ class JointSpring(Effect):
         fields.constant_force += values["preload"]
 
 
+def _beside(x: FloatArray, way: int) -> FloatArray:
+    """(rows, joints) of the joint before (-1) or behind (1); zero where there is none."""
+    out = np.zeros_like(x)
+    if way < 0:
+        out[:, 1:] = x[:, :-1]
+    else:
+        out[:, :-1] = x[:, 1:]
+    return out
+
+
 class JointCoupling(Effect):
-    """The drive of the joint before moves this one too: a differential, a routed cable."""
+    """The drive of a neighbour moves this joint too: a differential, a routed cable, a belt."""
 
     id = "joint_coupling"
     family = "transmission"
-    law = "delivered_j += ratio drive_(j-1)"
+    law = (
+        "form 0: delivered_j += ratio drive_(j-1); "
+        "form 1: delivered_j += ratio drive_(j+1); "
+        "form 2: the motor, which the servo sees, turns by q_j - ratio q_(j-1), and "
+        "delivered_(j-1) -= ratio drive_j; "
+        "form 3: the same with j+1"
+    )
     source = "Siciliano et al., Robotics (2009), sec. 5.1: transmissions that couple joints"
-    parameters = (Parameter("ratio", "one", 0.0, -2.0, 2.0, (0.1,)),)
+    parameters = (
+        Parameter("ratio", "one", 0.0, -2.0, 2.0, (0.1,)),
+        Parameter("form", "one", None, 0.0, 3.0, (0.0, 1.0, 2.0, 3.0), choice=True),
+    )
     reads_other_joints = True
     confused_with: ClassVar = {
         "inertial_parameters": "hold the other joint still under load: only a coupling pulls",
     }
 
+    def servo(self, world: World, values: Values) -> None:
+        # The servo holds its motor, not the link: as if it were asked for what the neighbour adds.
+        for way, ratio in self._ratios(values, moves_motor=True):
+            pull = world.stiffness * _beside(world.position, way)
+            pull = pull + world.damping * _beside(world.velocity, way)
+            gain = np.where(world.gain == 0.0, 1.0, world.gain)
+            world.setpoint = world.setpoint + ratio * np.where(world.gain == 0.0, 0.0, pull / gain)
+
     def drive(self, world: World, values: Values) -> None:
-        before = np.zeros_like(world.delivered)
-        before[:, 1:] = world.delivered[:, :-1]
-        world.delivered = world.delivered + values["ratio"] * before
+        drive = world.delivered
+        for way, ratio in self._ratios(values, moves_motor=False):
+            world.delivered = world.delivered + ratio * _beside(drive, way)
+        for way, ratio in self._ratios(values, moves_motor=True):
+            world.delivered = world.delivered - _beside(ratio * drive, -way)
+
+    @staticmethod
+    def _ratios(values: Values, *, moves_motor: bool) -> list[tuple[int, FloatArray]]:
+        """Way to the neighbour, -1 or 1, and (rows, joints) ratios in that form."""
+        forms = ((-1, 2.0), (1, 3.0)) if moves_motor else ((-1, 0.0), (1, 1.0))
+        found = [(way, values["ratio"] * (values["form"] == form)) for way, form in forms]
+        return [(way, ratio) for way, ratio in found if ratio.any()]
 
 
 class Backlash(Effect):

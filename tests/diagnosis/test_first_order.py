@@ -125,7 +125,10 @@ ALONE: list[tuple[str, Term, dict[str, float]]] = [
         Term("joint_elasticity", SHOULDER),
         {"compliance": 1 / 150.0, "damping_time": 0.008},
     ),
-    ("position", Term("joint_coupling", ELBOW), {"ratio": 0.08}),
+    ("position", Term("joint_coupling", ELBOW), {"ratio": 0.08, "form": 0.0}),
+    ("position", Term("joint_coupling", SHOULDER), {"ratio": 0.3, "form": 1.0}),
+    ("position", Term("joint_coupling", ELBOW), {"ratio": 0.08, "form": 2.0}),
+    ("position", Term("joint_coupling", SHOULDER), {"ratio": 0.08, "form": 3.0}),
     (
         "position",
         Term("external_force", SHOULDER),

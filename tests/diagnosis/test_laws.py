@@ -28,7 +28,7 @@ LATE: Variant = {Term("sensor_delay", ROBOT): [0.02], Term("command_delay", ELBO
 LAG: Variant = {Term("actuator_lag", ELBOW): [0.03, 0.0]}
 SOFT: Variant = {Term("joint_elasticity", SHOULDER): [0.1, 0.01]}
 COUPLED: Variant = {
-    Term("joint_coupling", ELBOW): [0.1],
+    Term("joint_coupling", ELBOW): [0.1, 0.0],
     Term("actuator_lag", SHOULDER): [0.02, 0.0],
 }
 

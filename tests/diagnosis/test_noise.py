@@ -44,6 +44,25 @@ def test_what_moves_fast_is_not_noise() -> None:
     assert sensor_noise(time, fast[:, None])[0] < 5e-3
 
 
+@pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize(
+    ("rate", "lost"), [(50.0, 0.0), (50.0, 0.2), (100.0, 0.2), (250.0, 0.2)], ids=str
+)
+def test_noise_at_low_rates_with_samples_lost(rate: float, lost: float, noise: float) -> None:
+    """Three sines of up to 1.6 Hz, as a drive follows them: what moves is no noise."""
+    found = []
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        time = np.arange(int(20.0 * rate)) / rate
+        time = time[random.uniform(size=len(time)) >= lost]
+        waves = random.uniform(0.3, 1.6, 3), random.uniform(0.0, 2.0 * np.pi, 3)
+        motion = sum(0.3 * np.sin(2.0 * np.pi * f * time + p) for f, p in zip(*waves, strict=True))
+        read = motion + noise * random.standard_normal(len(time))
+        found.append(sensor_noise(time, read[:, None])[0] / noise)
+    assert np.median(found) == pytest.approx(1.0, abs=0.2)
+    assert max(found) < 1.6
+
+
 def test_too_few_samples_have_a_noise_too() -> None:
     random = np.random.default_rng(1)
     time = INTERVAL * np.arange(20)

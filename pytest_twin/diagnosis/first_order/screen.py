@@ -43,8 +43,6 @@ def candidates(problem: Problem) -> list[Term]:
         for j in range(len(problem.joints)):
             if effect.family in ("actuation", "timing") and servo[j] not in effect.modes:
                 continue
-            if effect.id == "joint_coupling" and j == 0:
-                continue
             if effect.id in _OF_A_TURN and problem.simulator.layout.slides[j]:
                 continue
             found.append(Term(effect.id, j))
