@@ -141,28 +141,22 @@ def _fill_jacobians(
     found = problem.residuals(moved, segments)
     at = 0
     for i in which:
-        columns = []
-        for _ in range(current[i].theta.size):
-            columns.append((residual[i] - found[at]) / steps[at])
+        slopes = np.zeros((*residual[i].shape, current[i].theta.size))
+        for k in np.flatnonzero(current[i].movable):
+            slopes[..., k] = (residual[i] - found[at]) / steps[at]
             at += 1
-        into[i] = np.nan_to_num(np.stack(columns, axis=-1))
+        into[i] = np.nan_to_num(slopes)
 
 
 def nudged(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
-    """A hypothesis with each parameter moved by its finite difference, inside its bounds.
-
-    A choice stays, and what it leaves out, as if moved infinitely far to no effect: the slope is
-    zero.
+    """A hypothesis with each parameter that a fit moves moved by its finite difference, inside its
+    bounds, and these differences.
     """
     _, upper = h.bounds
     parameters = [p for t in h.terms for p in t.parameters]
-    movable = h.movable
     rows, steps = [], []
-    for k, p in enumerate(parameters):
-        if not movable[k]:
-            rows.append(h)
-            steps.append(np.inf)
-            continue
+    for k in np.flatnonzero(h.movable):
+        p = parameters[k]
         step = p.step * max(1.0, abs(h.theta[k]))
         step = -step if h.theta[k] + step > upper[k] else step
         theta = h.theta.copy()

@@ -311,6 +311,11 @@ class Effect:
             [p.under is None or chosen[p.under[0]] in p.under[1] for p in self.parameters]
         )
 
+    @property
+    def has_forms(self) -> bool:
+        """Whether some of its forms have parameters that others lack."""
+        return any(p.under is not None for p in self.parameters)
+
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         """Laws with fewer parameters that this one comes to: effect id -> its parameters, SI."""
         return {}

@@ -68,20 +68,17 @@ class JointCoupling(Effect):
         "inertial_parameters": "hold the other joint still under load: only a coupling pulls",
     }
 
-    def servo(self, world: World, values: Values) -> None:
-        # The servo holds its motor, not the link: as if it were asked for what the neighbour adds.
-        for way, ratio in self._ratios(values, moves_motor=True):
-            pull = world.stiffness * _beside(world.position, way)
-            pull = pull + world.damping * _beside(world.velocity, way)
-            gain = np.where(world.gain == 0.0, 1.0, world.gain)
-            world.setpoint = world.setpoint + ratio * np.where(world.gain == 0.0, 0.0, pull / gain)
-
     def drive(self, world: World, values: Values) -> None:
         drive = world.delivered
         for way, ratio in self._ratios(values, moves_motor=False):
             world.delivered = world.delivered + ratio * _beside(drive, way)
         for way, ratio in self._ratios(values, moves_motor=True):
-            world.delivered = world.delivered - _beside(ratio * drive, -way)
+            # The servo holds its motor, which turns back by what the neighbour adds to the link.
+            pull = world.stiffness * _beside(world.position, way)
+            pull = pull + world.damping * _beside(world.velocity, way)
+            held = np.clip(world.delivered + ratio * pull, world.lower, world.upper)
+            turned = np.where(ratio != 0.0, held, world.delivered)
+            world.delivered = turned - _beside(ratio * turned, -way)
 
     @staticmethod
     def _ratios(values: Values, *, moves_motor: bool) -> list[tuple[int, FloatArray]]:

@@ -63,6 +63,6 @@ def test_a_weak_motor_with_a_brake_too_few_is_a_soft_servo() -> None:
     selection = Selection(problem)
     best = fitted(selection.contest, two)
     linear = linearized(problem, problem.fit, two)
-    (both,) = selection._unclear(best, linear, merged(problem, two))
+    (both,) = selection._unclear(best, linear, merged(problem, two), lambda other: 0.0)
     assert set(both.terms) == {PLAY, gain}
     assert both.theta[both.slice_of(gain)] == pytest.approx([-0.26, -0.4], abs=0.01)

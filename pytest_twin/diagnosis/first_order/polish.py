@@ -56,7 +56,9 @@ def polish(
         for f, (_, steps) in zip(active, nudges, strict=True):
             weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
             here = view.residual - f.residual
-            slope = np.stack([(next(moved) - here) / s for s in steps], axis=-1)
+            slope = np.zeros((*here.shape, f.hypothesis.theta.size))
+            for column, s in zip(np.flatnonzero(f.hypothesis.movable), steps, strict=True):
+                slope[..., column] = (next(moved) - here) / s
             slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
             weights.append(weight)
             tried += proposals(f.hypothesis, f.residual, slope, weight, _DAMPINGS)

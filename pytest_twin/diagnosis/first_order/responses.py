@@ -56,18 +56,48 @@ class Response:
 
 
 def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
-    """Starting sizes of a term in all its forms, and which of its parameters switch it on there."""
-    parameters, out = term.parameters, []
-    for form in itertools.product(*(p.starts if p.choice else (0.0,) for p in parameters)):
-        has, switches = term.law.has(np.array(form)), term.switches(np.array(form))
-        sizes: list[tuple[float, ...]] = []
-        for i, (p, chosen) in enumerate(zip(parameters, form, strict=True)):
-            if p.choice or not has[i]:
-                sizes.append((chosen,))
+    """Starting sizes of a term, of its first form first, and which of its parameters switch it on
+    there.
+    """
+    if not term.law.has_forms:
+        return _sizes(term, [p.starts for p in term.parameters])
+    out = []
+    for form in itertools.product(*(p.starts if p.choice else (0.0,) for p in term.parameters)):
+        has = term.law.has(np.array(form))
+        # Forms with shapes of their own are many: what others have too is at its middle size.
+        own = any(
+            p.under and p.neutral is None and here
+            for p, here in zip(term.parameters, has, strict=True)
+        )
+        starts: list[tuple[float, ...]] = []
+        for p, chosen, here in zip(term.parameters, form, has, strict=True):
+            if p.choice or not here:
+                starts.append((chosen,))
+            elif own and p.neutral is None and p.under is None:
+                starts.append((p.starts[len(p.starts) // 2],))
             else:
-                sizes.append(p.starts if p.neutral is None or len(switches) == 1 else p.starts[:1])
-        out += [(np.array(s), switches) for s in itertools.product(*sizes)]
+                starts.append(p.starts)
+        out += _sizes(term, starts)
     return out
+
+
+def _sizes(
+    term: Term, starts: Sequence[tuple[float, ...]]
+) -> list[tuple[FloatArray, tuple[int, ...]]]:
+    """All combinations of starts; of several switches the first of each."""
+    switches = term.switches(np.array([s[0] for s in starts]))
+    several = len(switches) > 1
+    each = [s[:1] if several and k in switches else s for k, s in enumerate(starts)]
+    return [(np.array(size), switches) for size in itertools.product(*each)]
+
+
+def in_first_form(term: Term) -> list[FloatArray]:
+    """Starting sizes of a term in its first form alone, in all of them where none has parameters
+    that others lack.
+    """
+    sizes = [start for start, _ in grid(term)]
+    choices = [k for k, p in enumerate(term.parameters) if p.choice and term.law.has_forms]
+    return [s for s in sizes if np.array_equal(s[choices], sizes[0][choices])]
 
 
 def simulated(
@@ -87,7 +117,7 @@ def simulated(
         residual: (bins, signals) that they are to explain.
     """
     sizes = {t: grid(t) for t in terms}
-    middle = {t: len(s) // 2 for t, s in sizes.items()}
+    middle = {t: len(in_first_form(t)) // 2 for t in sizes}
     found = _simulated(problem, [(t, sizes[t][middle[t]]) for t in terms], segments, hypothesis)
     weight = 1.0 / (np.mean(residual**2, axis=0) + problem.signal_floor**2)
     order = sorted(found, key=lambda r: -_explained(r.change, residual, weight))

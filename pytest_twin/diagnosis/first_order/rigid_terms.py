@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -23,6 +23,8 @@ _PLACES = np.array(
      [0, 1, 1], [1, 0, 1]], dtype=float,
 )  # fmt: skip
 """m, at which a mass tells its ten moments apart."""
+_MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]], dtype=float)
+"""m, by which a centre that is moved tells what its moments change by."""
 _MAX_ROWS = 4096
 
 
@@ -153,6 +155,42 @@ def _moments(at: FloatArray) -> list[FloatArray]:
     return [np.ones(len(at)), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x]
 
 
+def _shifts(by: FloatArray) -> list[FloatArray]:
+    """Of a centre that is moved by (n, 2) m: (n,) what the moments of its mass change by."""
+    x, y = by.T
+    return [x, y, x * x, y * y, x * y]
+
+
+def _itself(x: FloatArray) -> list[FloatArray]:
+    """(n,) of (n, 1)."""
+    return [x[:, 0]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Family:
+    """Parts of an effort that go together.
+
+    Attributes:
+        effect, parameters: whose values, in SI units, the probes are.
+        probes: (n, parameters) from which the parts are told.
+        amounts: of each part in (k, parameters) values, n times (k,).
+    """
+
+    effect: str
+    parameters: tuple[str, ...]
+    probes: FloatArray
+    amounts: Callable[[FloatArray], list[FloatArray]]
+
+
+_ONE = np.ones((1, 1))
+_FAMILIES = {
+    "mass": _Family("inertial_parameters", ("mass_error",), _ONE, _itself),
+    "inertia": _Family("inertial_parameters", ("inertia_error",), _ONE, _itself),
+    "moved": _Family("inertial_parameters", ("radial", "tangential"), _MOVES, _shifts),
+    "load": _Family("payload", ("distance", "sideways", "across"), _PLACES, _moments),
+}
+
+
 class Efforts:
     """What a motion asks for of variants of the bodies: linear in their masses and first and second
     moments (Atkeson, An, Hollerbach, IJRR 5, 1986), so that a few give all. What moves with the
@@ -164,7 +202,7 @@ class Efforts:
         self._simulator = simulator
         self._along = along
         self._bare = rigid_terms(simulator, along)[0].effort
-        self._parts: dict[tuple[str, int], FloatArray] = {}
+        self._parts: dict[tuple[str, int, int], FloatArray] = {}
 
     def of(self, effects: Sequence[tuple[Effect, Values]], copies: int) -> list[FloatArray]:
         """(segments, len(at), joints) N*m or N that each of ``copies`` variants asks for.
@@ -177,74 +215,59 @@ class Efforts:
         fields, tilted = _fields(effects, copies, joints)
         # Two joints of one body would change it twice.
         bodies = self._simulator.layout.body_index
-        anew = np.asarray(fields.center_moves.any(axis=1))
         if tilted or len(set(bodies)) < len(bodies):
-            anew[:] = True
-        whole = iter(self._worked_out_anew(effects, np.flatnonzero(anew), joints))
-        load, at = fields.added_mass[:, -1], fields.added_at[:, -1]
-        sizes = {("mass", j): fields.mass_scale[:, j] - 1.0 for j in range(joints)}
-        sizes |= {("inertia", j): fields.inertia_scale[:, j] - 1.0 for j in range(joints)}
-        sizes |= {("load", k): load * moment for k, moment in enumerate(_moments(at))}
-        sizes = {part: x for part, x in sizes.items() if x[~anew].any()}
-        self._work_out(sizes)
+            heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
+            found = rigid_terms(self._simulator, self._along, heavy, copies)
+            return [f.effort for f in found]
+        sizes: dict[tuple[str, int, int], FloatArray] = {}
+        for j in range(joints):
+            sizes["mass", j, 0] = fields.mass_scale[:, j] - 1.0
+            sizes["inertia", j, 0] = fields.inertia_scale[:, j] - 1.0
+            by = np.stack([fields.center_radial[:, j], fields.center_tangential[:, j]], axis=1)
+            for k, amount in enumerate(_shifts(by)):
+                sizes["moved", j, k] = fields.mass_scale[:, j] * amount
+        for k, amount in enumerate(_moments(fields.added_at[:, -1])):
+            sizes["load", joints - 1, k] = fields.added_mass[:, -1] * amount
+        sizes = {part: x for part, x in sizes.items() if x.any()}
+        self._work_out(dict.fromkeys((name, j) for name, j, _ in sizes))
         out = []
-        for k in range(copies):
-            if anew[k]:
-                out.append(next(whole))
-                continue
+        for copy in range(copies):
             total = self._bare.copy()
             for part, x in sizes.items():
-                if x[k]:
-                    total += x[k] * self._parts[part]
+                if x[copy]:
+                    total += x[copy] * self._parts[part]
             out.append(total)
         return out
 
-    def _worked_out_anew(
-        self, effects: Sequence[tuple[Effect, Values]], copies: NDArray[np.int64], joints: int
-    ) -> list[FloatArray]:
-        """Efforts of some of the variants, from their own models."""
-        if not len(copies):
-            return []
-        heavy = [
-            (e, {n: x[copies] for n, x in v.items()}) for e, v in effects
-            if changes_bodies(e, v, joints)
-        ]  # fmt: skip
-        found = rigid_terms(self._simulator, self._along, heavy, len(copies))
-        return [f.effort for f in found]
-
     def _work_out(self, wanted: Iterable[tuple[str, int]]) -> None:
-        """Parts that are not known yet: a link of twice the mass, or of twice the inertia, and the
-        moments of 1 kg, from as many places.
-        """
-        missing = {(name, 0 if name == "load" else k) for name, k in wanted} - self._parts.keys()
+        """Parts of families at joints that are not known yet."""
+        missing = [each for each in wanted if (*each, 0) not in self._parts]
         if not missing:
             return
-        scaled = sorted(part for part in missing if part[0] != "load")
-        places = _PLACES if ("load", 0) in missing else np.zeros((0, 3))
         joints = self._bare.shape[2]
-        copies = len(scaled) + len(places)
-        heavier, wider, mass = np.zeros((3, copies, joints))
-        for row, (name, j) in enumerate(scaled):
-            (heavier if name == "mass" else wider)[row, j] = 1.0
-        mass[len(scaled) :] = 1.0
-        link, payload = catalogue()["inertial_parameters"], catalogue()["payload"]
-        neutral = {p.name: np.zeros_like(mass) for p in (*link.parameters, *payload.parameters)}
-        at = {}
-        for name, column in zip(("distance", "sideways", "across"), places.T, strict=True):
-            at[name] = np.zeros_like(mass)
-            at[name][len(scaled) :] = column[:, None]
-        effects: list[tuple[Effect, Values]] = [
-            (link, {**neutral, "mass_error": heavier, "inertia_error": wider}),
-            (payload, {**neutral, **at, "mass": mass}),
-        ]
+        copies = sum(len(_FAMILIES[name].probes) for name, _ in missing)
+        values = {
+            effect: {p.name: np.zeros((copies, joints)) for p in catalogue()[effect].parameters}
+            for effect in {f.effect for f in _FAMILIES.values()}
+        }
+        rows: dict[tuple[str, int], slice] = {}
+        first = 0
+        for name, j in missing:
+            family = _FAMILIES[name]
+            here = rows[name, j] = slice(first, first + len(family.probes))
+            for parameter, column in zip(family.parameters, family.probes.T, strict=True):
+                values[family.effect][parameter][here, j] = column
+            if name == "load":
+                values[family.effect]["mass"][here] = 1.0
+            first = here.stop
+        effects = [(catalogue()[effect], v) for effect, v in values.items()]
         found = rigid_terms(self._simulator, self._along, effects, copies)
-        more = [f.effort - self._bare for f in found]
-        self._parts |= dict(zip(scaled, more, strict=False))
-        if len(places):
-            of_moments = np.linalg.solve(np.stack(_moments(places), axis=1), np.eye(len(places)))
-            loads = np.stack(more[len(scaled) :])
-            parts = np.tensordot(of_moments, loads, axes=1)
-            self._parts |= {("load", k): part for k, part in enumerate(parts)}
+        more = np.stack([f.effort - self._bare for f in found])
+        for (name, j), here in rows.items():
+            family = _FAMILIES[name]
+            amounts = np.stack(family.amounts(family.probes), axis=1)
+            parts = np.tensordot(np.linalg.inv(amounts), more[here], axes=1)
+            self._parts |= {(name, j, k): part for k, part in enumerate(parts)}
 
 
 def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatArray:

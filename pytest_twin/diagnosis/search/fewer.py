@@ -71,14 +71,9 @@ def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[str, f
 
 
 def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with one of its laws as the special case that it comes to, or in a form that
-    has fewer parameters; a last link with what it carries beside it.
-    """
+    """The hypothesis with one of its laws as the special case that it comes to."""
     scales, out = problem.scales, []
     for term in hypothesis.terms:
-        out += _forms_with_fewer(hypothesis, term)
-        if term == Term("inertial_parameters", len(problem.joints) - 1):
-            out += _as_payload(problem, hypothesis, term)
         values = _values(problem, hypothesis, term)
         for effect, special in term.law.special_cases(values).items():
             new = Term(effect, term.joint)
@@ -88,6 +83,18 @@ def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
             ]
             if new not in hypothesis.terms:
                 out.append(hypothesis.without(term).with_term(new, np.array(start)))
+    return out
+
+
+def in_other_forms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with a law in a form that has fewer parameters, or with a load on the last
+    link in the place of another such link.
+    """
+    out = []
+    for term in hypothesis.terms:
+        out += _forms_with_fewer(hypothesis, term)
+        if term == Term("inertial_parameters", len(problem.joints) - 1):
+            out += _as_payload(problem, hypothesis, term)
     return out
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pytest_twin.diagnosis.first_order.responses import grid
+from pytest_twin.diagnosis.first_order.responses import grid, in_first_form
 from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
@@ -95,7 +95,7 @@ def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[H
     terms = [h.terms[-1] for h in found.singles]
     seen = {*terms, *best.hypothesis.terms}
     terms += [t for t in _gears(problem, look, found.left, _FIRST_ORDER) if t not in seen]
-    rows = [best.hypothesis.with_term(t, start) for t in terms for start, _ in grid(t)]
+    rows = [best.hypothesis.with_term(t, start) for t in terms for start in in_first_form(t)]
     whole = look.view.mean_square
     # Once, around the model as it came: they are many replays, and what is left later is less far.
     limited = [] if best.hypothesis.terms else _limits(problem, whole)

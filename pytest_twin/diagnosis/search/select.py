@@ -24,12 +24,13 @@ from pytest_twin.diagnosis.search.exchange import (
     by_chance,
     exchanges,
 )
-from pytest_twin.diagnosis.search.fewer import merged, of_the_robot, simpler
+from pytest_twin.diagnosis.search.fewer import in_other_forms, merged, of_the_robot, simpler
 from pytest_twin.diagnosis.search.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.search.front import front
 from pytest_twin.diagnosis.search.look import Look, look_ahead, look_around, view_of
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import (
+    AS_GOOD,
     EARNS,
     Place,
     Rival,
@@ -220,7 +221,9 @@ class Selection:
             fewer = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
             fewer += merged(self.problem, best.hypothesis)
-            doubtful = self._unclear(best, linear, fewer)
+            fewer += in_other_forms(self.problem, best.hypothesis)
+            grace = self._grace(best, linear)
+            doubtful = self._unclear(best, linear, fewer, grace)
             doubtful += simpler(self.problem, best.hypothesis)
             rivals = self._of_the_robot(best)
             if not doubtful and not rivals:
@@ -229,18 +232,47 @@ class Selection:
             iterations = QUICK if linear is None else FAIR
             self.contest.judge(rivals, best)
             rivals += self.contest.against(doubtful, best, iterations)
-            rivals.sort(key=lambda r: r.evidence)
             self.lost = {r.hypothesis.terms: r.evidence for r in rivals}
-            top = rivals[-1]
-            if top.evidence < -EARNS / 2:
+            top = max(rivals, key=lambda r: r.evidence + grace(r.hypothesis))
+            if top.evidence + grace(top.hypothesis) < -EARNS / 2:
                 break
             gone = set(best.hypothesis.terms) - set(top.hypothesis.terms)
             self.say(f"- {gone} evidence {top.evidence:.1f}")
             best = self.contest.settled(top)
         return best
 
+    def _grace(self, best: Rival, linear: Linear | None) -> Callable[[Hypothesis], float]:
+        """Evidence by which a hypothesis may be behind that has one of the laws at hand in a form
+        with fewer parameters, or a load in its place: what a simulator does not do quite as reality
+        does, a form with more to it follows a little, and that grows with what the law does.
+        """
+        own = best.hypothesis
+        several = [t for t in own.terms if t.law.has_forms]
+        if linear is None or not several:
+            return lambda other: 0.0
+        view = view_of(self.problem, best, linear.residual(best.fitted.residual))
+        gone = [own.without(t) for t in several]
+        _, evidence = against(linear, view, best, gone, self.contest.name_price)
+        lost = dict(zip(several, np.maximum(-np.nan_to_num(evidence), 0.0), strict=True))
+
+        def grace(other: Hypothesis) -> float:
+            changed = [
+                t
+                for t in several
+                if len(other.terms) == len(own.terms)
+                and other.free < own.free
+                and not _as_it_is(t, own, other)
+            ]
+            return AS_GOOD * max((float(lost[t]) for t in changed), default=0.0)
+
+        return grace
+
     def _unclear(
-        self, best: Rival, linear: Linear | None, others: Sequence[Hypothesis]
+        self,
+        best: Rival,
+        linear: Linear | None,
+        others: Sequence[Hypothesis],
+        grace: Callable[[Hypothesis], float],
     ) -> list[Hypothesis]:
         """Those that are not clearly worse along the motion, fitted there, and those without a gear
         of the fit at hand, of which that says little.
@@ -252,7 +284,10 @@ class Selection:
         view = view_of(self.problem, best, linear.residual(best.fitted.residual))
         fitted, evidence = against(linear, view, best, told, self.contest.name_price)
         untold = [h for h in others if not gears <= set(h.terms)]
-        return untold + [h for h, e in zip(fitted, evidence, strict=True) if e > -_CLEAR]
+        told = [
+            h for h, e in zip(fitted, evidence, strict=True) if e + grace(h) > -_CLEAR
+        ]  # fmt: skip
+        return untold + told
 
     def _of_the_robot(self, best: Rival) -> list[Rival]:
         """What is the whole robot's in the place of the same at several joints, fitted; each with
@@ -417,3 +452,11 @@ class Selection:
             if less:
                 evidence[x.gone, x.new] = r.evidence + _EVEN * less
         return evidence
+
+
+def _as_it_is(term: Term, own: Hypothesis, other: Hypothesis) -> bool:
+    """Whether another hypothesis has a term in the form that it has here."""
+    if term not in other.terms:
+        return False
+    here, there = own.theta[own.slice_of(term)], other.theta[other.slice_of(term)]
+    return bool(np.array_equal(term.movable(here), term.movable(there)))
