@@ -69,10 +69,15 @@ class JointCoupling(Effect):
     }
 
     def drive(self, world: World, values: Values) -> None:
+        # Parameters hold for a whole simulation: which forms there are is asked once.
+        ratios = world.state.get(self.id)
+        if ratios is None:
+            ratios = world.state[self.id] = self._ratios(values)
         drive = world.delivered
-        for way, ratio in self._ratios(values, moves_motor=False):
-            world.delivered = world.delivered + ratio * _beside(drive, way)
-        for way, ratio in self._ratios(values, moves_motor=True):
+        for way, turns_motor, ratio in ratios:
+            if not turns_motor:
+                world.delivered = world.delivered + ratio * _beside(drive, way)
+                continue
             # The servo holds its motor, which turns back by what the neighbour adds to the link.
             pull = world.stiffness * _beside(world.position, way)
             pull = pull + world.damping * _beside(world.velocity, way)
@@ -81,11 +86,14 @@ class JointCoupling(Effect):
             world.delivered = turned - _beside(ratio * turned, -way)
 
     @staticmethod
-    def _ratios(values: Values, *, moves_motor: bool) -> list[tuple[int, FloatArray]]:
-        """Way to the neighbour, -1 or 1, and (rows, joints) ratios in that form."""
-        forms = ((-1, 2.0), (1, 3.0)) if moves_motor else ((-1, 0.0), (1, 1.0))
-        found = [(way, values["ratio"] * (values["form"] == form)) for way, form in forms]
-        return [(way, ratio) for way, ratio in found if ratio.any()]
+    def _ratios(values: Values) -> list[tuple[int, bool, FloatArray]]:
+        """Way to the neighbour, -1 or 1, whether it turns the motor, and (rows, joints) ratios."""
+        forms = ((-1, False), (1, False), (-1, True), (1, True))
+        found = [
+            (way, turns, values["ratio"] * (values["form"] == form))
+            for form, (way, turns) in enumerate(forms)
+        ]
+        return [each for each in found if each[2].any()]
 
 
 class Backlash(Effect):

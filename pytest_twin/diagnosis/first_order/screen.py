@@ -143,12 +143,14 @@ class Answers:
 
     Attributes:
         at: the columns of each response.
+        free: how many numbers a fit of each moves.
         lower, upper: (columns,) bounds of their amplitudes.
     """
 
     def __init__(self, responses: Sequence[Response]) -> None:
         self.responses = list(responses)
         self.at: list[slice] = []
+        self.free = [int(r.term.movable(r.start).sum()) for r in self.responses]
         parts, ends, count = [], [], 0
         for r in self.responses:
             self.at.append(slice(count, count + len(r.switches)))
@@ -340,8 +342,8 @@ class Lens:
         cost = price(effective)
         best: dict[Term, tuple[float, int]] = {}
         for i in map(int, sound):
-            term, start = answers.responses[i].term, answers.responses[i].start
-            gain = -0.5 * float(misfit[i] @ effective) - cost * int(term.movable(start).sum())
+            term = answers.responses[i].term
+            gain = -0.5 * float(misfit[i] @ effective) - cost * answers.free[i]
             if term not in best or gain > best[term][0]:
                 best[term] = gain, i
         ranked = sorted(best.values(), key=lambda x: -x[0])[:count]

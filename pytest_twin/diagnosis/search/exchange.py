@@ -40,7 +40,7 @@ _CHANCE = 15.0
 # Share of what is lost without a law by which one that has it in it has to be ahead, and by which
 # it may be behind such a one and stand in its place: what a simulator does not do quite as reality
 # does, a law with more to it follows a little, and that grows with what the law does.
-_MORE_TO_IT, _AS_MUCH = 0.02, 0.01
+MORE_TO_IT, _AS_MUCH = 0.02, 0.01
 # Terms of one joint up to which all their subsets are taken away; of more, pairs and all of them.
 _CROWD = 4
 
@@ -194,7 +194,7 @@ def _by_chance(own: Hypothesis, exchange: Exchange, lost: float) -> float:
     if exchange.new is None:
         return 0.0
     if exchange.has_it:
-        return _MORE_TO_IT * lost
+        return MORE_TO_IT * lost
     if exchange.comes_to:
         return -_AS_MUCH * lost
     more = exchange.hypothesis.free > own.free

@@ -18,6 +18,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import FAIR, QUICK, Contest
 from pytest_twin.diagnosis.search.exchange import (
+    MORE_TO_IT,
     Exchange,
     as_simulated,
     beside_all,
@@ -30,7 +31,6 @@ from pytest_twin.diagnosis.search.front import front
 from pytest_twin.diagnosis.search.look import Look, look_ahead, look_around, view_of
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import (
-    AS_GOOD,
     EARNS,
     Place,
     Rival,
@@ -263,7 +263,7 @@ class Selection:
                 and other.free < own.free
                 and not _as_it_is(t, own, other)
             ]
-            return AS_GOOD * max((float(lost[t]) for t in changed), default=0.0)
+            return MORE_TO_IT * max((float(lost[t]) for t in changed), default=0.0)
 
         return grace
 
