@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from test_behind_gears import fitted, with_true
-from test_first_order import ELBOW, ROBOT, SHOULDER, problem_of
+from test_first_order import ELBOW, ROBOT, SHOULDER, carried, link, problem_of
 
 from pytest_twin.diagnosis.first_order.responses import linearized
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.fewer import merged, of_the_robot
+from pytest_twin.diagnosis.search.fewer import in_other_forms, merged, of_the_robot
 from pytest_twin.diagnosis.search.select import Selection
 
 LATE = [Term("command_delay", j) for j in (SHOULDER, ELBOW)]
@@ -66,3 +66,59 @@ def test_a_weak_motor_with_a_brake_too_few_is_a_soft_servo() -> None:
     (both,) = selection._unclear(best, linear, merged(problem, two), lambda other: 0.0)
     assert set(both.terms) == {PLAY, gain}
     assert both.theta[both.slice_of(gain)] == pytest.approx([-0.26, -0.4], abs=0.01)
+
+
+# -- forms of a law
+
+LINK, LOAD = Term("inertial_parameters", ELBOW), Term("payload", ROBOT)
+
+
+def in_form(hypothesis: Hypothesis, term: Term) -> float:
+    names = [p.name for p in term.parameters]
+    return float(hypothesis.theta[hypothesis.slice_of(term)][names.index("form")])
+
+
+def test_a_last_link_is_offered_in_its_simpler_forms_and_as_what_carries_a_load() -> None:
+    problem = problem_of("position", {LOAD: carried(0.3, 0.2, 0.05)})
+    richest = with_true(problem, LINK, link(3, mass_error=0.6, radial=0.04, tangential=0.02))
+    offered = in_other_forms(problem, richest)
+    assert [in_form(h, LINK) for h in offered if h.terms == (LINK,)] == [0.0, 1.0, 2.0]
+    loads = [h for h in offered if h.terms == (LOAD,)]
+    assert [in_form(h, LOAD) for h in loads] == [0.0, 1.0, 2.0]
+    # The same first moment: 0.3 kg added to 0.5 kg whose centre was 0.125 m out.
+    mass, distance, sideways, *_ = (
+        float(t) * problem.scales.value(p, ROBOT)
+        for t, p in zip(loads[1].theta, LOAD.parameters, strict=True)
+    )
+    assert mass == pytest.approx(0.3)
+    assert mass * distance == pytest.approx(0.8 * 0.165 - 0.5 * 0.125)
+    assert abs(mass * sideways) == pytest.approx(0.8 * 0.02)
+    # A link of the same mass carries nothing, and what is simplest has no simpler form.
+    moved = with_true(problem, LINK, link(3, radial=0.04))
+    assert all(h.terms == (LINK,) for h in in_other_forms(problem, moved))
+    assert not in_other_forms(problem, with_true(problem, LINK, link(0, relative_error=0.2)))
+
+
+def test_a_heavier_link_comes_to_its_simplest_form() -> None:
+    problem = problem_of("position", {LINK: link(0, relative_error=0.4)})
+    selection = Selection(problem)
+    contest = selection.contest
+    start = with_true(problem, LINK, link(3, mass_error=0.4, inertia_error=0.4))
+    best = contest.settled(contest.rivals([start], contest.weights(contest.nominal), 2)[0])
+    assert in_form(best.hypothesis, LINK) == 3.0
+    simplest = selection._backward(best).hypothesis
+    assert in_form(simplest, LINK) == 0.0
+    assert simplest.theta[0] == pytest.approx(0.4, abs=0.01)
+
+
+def test_a_form_with_more_may_be_ahead_by_a_share_of_what_its_law_does() -> None:
+    problem = problem_of("position", {LINK: link(3, mass_error=0.5, tangential=0.02)})
+    selection = Selection(problem)
+    true = with_true(problem, LINK, link(3, mass_error=0.5, tangential=0.02))
+    best = fitted(selection.contest, true)
+    grace = selection._grace(best, linearized(problem, problem.fit, true))
+    simpler = with_true(problem, LINK, link(1, mass_error=0.5))
+    assert grace(simpler) > 5.0
+    assert grace(true) == grace(EMPTY) == 0.0
+    # Far from enough for one that leaves what is seen.
+    assert in_form(selection._backward(best).hypothesis, LINK) == 3.0

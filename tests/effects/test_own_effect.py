@@ -77,6 +77,7 @@ def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
         ("-3.2, 3.2", "3.2, -3.2", "magnet.parameters.pose.lower"),
         ("(0.05, 0.15)", "(0.05, 5.0)", "magnet.parameters.width"),
         ('(0.3,), "effort"', '(0.3,), "joule"', "magnet.parameters.strength.reference"),
+        ('(0.3,), "effort"', '(0.3,), "effort", under=("form", (1.0,))', "strength.under"),
         ("class Magnet(Effect)", "class Magnet", "subclass of pytest_twin.effects.Effect"),
     ],
 )

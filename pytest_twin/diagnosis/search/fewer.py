@@ -132,11 +132,11 @@ def _as_payload(problem: Problem, hypothesis: Hypothesis, link: Term) -> list[Hy
         "sideways": at @ turning,
         "across": at @ np.cross(along, turning),
     }
-    found = dict[float, Hypothesis]()
+    found = dict[bytes, Hypothesis]()
     for start, _ in grid(load):
         has = load.law.has(start)
         for k, p in enumerate(load.parameters):
             if has[k] and p.name in place:
                 start[k] = np.clip(place[p.name] / problem.scales.value(p, -1), p.lower, p.upper)
-        found[start[-1]] = hypothesis.without(link).with_term(load, start)
+        found[has.tobytes()] = hypothesis.without(link).with_term(load, start)
     return list(found.values())

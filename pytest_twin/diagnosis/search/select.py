@@ -256,14 +256,10 @@ class Selection:
         lost = dict(zip(several, np.maximum(-np.nan_to_num(evidence), 0.0), strict=True))
 
         def grace(other: Hypothesis) -> float:
-            changed = [
-                t
-                for t in several
-                if len(other.terms) == len(own.terms)
-                and other.free < own.free
-                and not _as_it_is(t, own, other)
-            ]
-            return MORE_TO_IT * max((float(lost[t]) for t in changed), default=0.0)
+            if len(other.terms) != len(own.terms) or other.free >= own.free:
+                return 0.0
+            changed = [float(lost[t]) for t in several if not _as_it_is(t, own, other)]
+            return MORE_TO_IT * max(changed, default=0.0)
 
         return grace
 
@@ -284,9 +280,7 @@ class Selection:
         view = view_of(self.problem, best, linear.residual(best.fitted.residual))
         fitted, evidence = against(linear, view, best, told, self.contest.name_price)
         untold = [h for h in others if not gears <= set(h.terms)]
-        told = [
-            h for h, e in zip(fitted, evidence, strict=True) if e + grace(h) > -_CLEAR
-        ]  # fmt: skip
+        told = [h for h, e in zip(fitted, evidence, strict=True) if e + grace(h) > -_CLEAR]
         return untold + told
 
     def _of_the_robot(self, best: Rival) -> list[Rival]:
