@@ -82,7 +82,7 @@ def test_a_curve_without_a_slope_is_a_saturation() -> None:
 
 def test_a_choice_is_no_parameter_of_a_fit() -> None:
     term = Term("encoder_bias", SHOULDER)
-    assert term.free == 1
+    assert term.movable(np.array([0.01, 1.0])).tolist() == [True, False]
     problem = problem_of("position", {term: {"bias": 0.05, "in_loop": 1.0}})
     start = EMPTY.with_term(term, np.array([0.01, 1.0]))
     fitted = fit(problem, [start], 1.0 / problem.floor, problem.fit, iterations=6)[0]
@@ -94,14 +94,16 @@ def test_a_choice_is_no_parameter_of_a_fit() -> None:
 def test_rounding_moves_no_choice() -> None:
     """A mass is fitted by its moment, there and back by rounded numbers, and weighs much."""
     term = Term("encoder_bias", SHOULDER)
-    h = EMPTY.with_term(Term("payload", -1), np.array([-0.1, 0.7]))
+    h = EMPTY.with_term(Term("payload", -1), np.array([-0.1, 0.7, 0.0, 0.0, 0.0]))
     h = h.with_term(term, np.array([0.3, 0.5]))
     random = np.random.default_rng(2)
-    jacobian = random.standard_normal((50, 1, 4)) * [1.0, 1.0, 1.0, 0.0]
+    jacobian = random.standard_normal((50, 1, 7)) * [1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
     residual = 1e3 * random.standard_normal((50, 1))
     moved = propose(h, residual, jacobian, np.ones(1), 1e-4)
-    assert moved.theta[3] == 0.5
-    assert moved.theta[2] != 0.3
+    assert moved.theta[6] == 0.5
+    assert moved.theta[5] != 0.3
+    # Nor what the form of a law lacks.
+    assert not moved.theta[2:5].any()
 
 
 @pytest.mark.parametrize(
