@@ -17,7 +17,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import read_recording
 
 
-@pytest.mark.parametrize("form", [forms.WheelOffItsAxis, forms.Smoothed])
+@pytest.mark.parametrize("form", [forms.WheelOffItsAxis, forms.Smoothed, forms.HeavyLink])
 def test_another_form_of_a_law_gets_its_name(form: type[forms.Form], tmp_path: Path) -> None:
     right, line = forms.diagnosed(tmp_path / "case", form)
     assert right, line
