@@ -60,12 +60,14 @@ class Form:
         joint: where it is; None where it is the whole robot's.
         shows: the joint whose reading it changes most.
         gearing: (joints, joints) how motors, which the servos hold, turn with joints.
+        arm: its MJCF, where it is not the model's.
     """
 
     named: ClassVar[str | None] = None
     joint: ClassVar[str | None] = JOINTS[HERE]
     shows: ClassVar[int] = HERE
     gearing: ClassVar[FloatArray] = np.eye(len(JOINTS))
+    arm: ClassVar[str] = MODEL
     temperature: str | None = None
 
     def __init__(self, trial: int) -> None:
@@ -211,28 +213,10 @@ class LoadAside(Form):
     """A load that hangs beside the last link: a ball of 200 g, 12 cm out, 6 cm down, 4 cm aside."""
 
     named, joint, shows = "payload", None, 2
-
-    def links(self, model: mujoco.MjModel) -> None:
-        body = model.jnt_bodyid[-1]
-        total = model.body_mass[body] + 0.2
-        moments, center = whole(model, body)
-        point = np.array([0.12, 0.04, -0.06])
-        both = (model.body_mass[body] * center + 0.2 * point) / total
-        for mass, at in ((model.body_mass[body], center), (0.2, point)):
-            arm = at - both
-            moments += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        size, axes = np.linalg.eigh(moments)
-        axes[:, 0] *= np.sign(np.linalg.det(axes))
-        model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = total, both, size
-        mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
-
-
-def whole(model: mujoco.MjModel, body: int) -> tuple[FloatArray, FloatArray]:
-    """(3, 3) moments of inertia about the centre of mass, and that, frame of the body."""
-    turn = np.empty(9)
-    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
-    axes = turn.reshape(3, 3)
-    return axes * model.body_inertia[body] @ axes.T, model.body_ipos[body].copy()
+    arm = MODEL.replace(
+        "</body></body></body>",
+        '<geom type="sphere" size=".01" pos=".12 .04 -.06" mass=".2"/></body></body></body>',
+    )
 
 
 class OtherDrive(Form):
@@ -295,7 +279,7 @@ def command_at(t: float, trial: int) -> FloatArray:
 
 def record(file: Path, form: Form) -> None:
     """Step the arm and write what a logger would."""
-    model = mujoco.MjModel.from_xml_string(MODEL)
+    model = mujoco.MjModel.from_xml_string(form.arm)
     model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
     step = model.opt.timestep = STEP / FINER
     data = mujoco.MjData(model)

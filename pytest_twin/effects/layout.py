@@ -89,10 +89,22 @@ class Layout:
         """(n, 3) m in the frames of links, of places along their own direction, the way that their
         joints turn them there, and across both.
         """
-        along, turning = self.directions[joint], self.tangential[joint]
-        basis = np.stack([along, turning, np.cross(along, turning)], axis=1)
-        found: FloatArray = np.einsum("nk,nki->ni", place, basis)
+        found: FloatArray = np.einsum("nk,nki->ni", place, self.own_axes(joint))
         return found
+
+    def own_axes(self, joint: NDArray[np.int64]) -> FloatArray:
+        """(n, 3, 3) unit vectors of :meth:`in_link`, frames of the links."""
+        along, turning = self.directions[joint], self.tangential[joint]
+        return np.stack([along, turning, np.cross(along, turning)], axis=1)
+
+    def shift(
+        self, radial: FloatArray, tangential: FloatArray, joint: NDArray[np.int64]
+    ) -> FloatArray:
+        """(..., 3) m in the frames of links, of (...,) m away from the axes of joints (...,), and
+        the way that these turn.
+        """
+        moved: FloatArray = radial[..., None] * self.radial[joint]
+        return moved + tangential[..., None] * self.tangential[joint]
 
     def _around_axes(self, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
         """Radial and tangential; of a centre on the axis, from the frame's axis that is furthest

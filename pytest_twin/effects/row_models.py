@@ -322,9 +322,9 @@ class RowModels:
         mass[:, bodies] *= fields.mass_scale
         inertia[:, bodies] *= fields.inertia_scale[:, :, None]
         if fields.center_moves.any():
-            ipos[:, bodies] += (
-                fields.center_radial[:, :, None] * self.layout.radial
-                + fields.center_tangential[:, :, None] * self.layout.tangential
+            every = np.arange(len(bodies))
+            ipos[:, bodies] += self.layout.shift(
+                fields.center_radial, fields.center_tangential, every
             )
         row, joint = np.nonzero(fields.added_mass)
         if not len(row):

@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.search.exchange import (
     by_chance,
     exchanges,
 )
+from pytest_twin.diagnosis.search.fewer import in_other_forms
 from pytest_twin.diagnosis.search.look import look_around
 from pytest_twin.diagnosis.search.rivals import Rival, Selected, quieter
 from pytest_twin.diagnosis.search.select import Selection
@@ -52,6 +53,12 @@ def around(problem: Problem, contest: Contest, best: Rival) -> list[Exchange]:
     return exchanges(problem, best, look_around(problem, best), known, contest.name_price)
 
 
+def as_load(problem: Problem, exchange: Exchange) -> Hypothesis:
+    """The load that stands there, or that the last link there carries."""
+    there = exchange.hypothesis
+    return next(h for h in (there, *in_other_forms(problem, there)) if h.terms == (MASS,))
+
+
 def test_two_that_hold_each_other_up_give_way_to_the_one_in_their_place(loaded: Problem) -> None:
     contest = Contest(loaded)
     best = settled(contest, SPRING, REFLECTED)
@@ -60,6 +67,10 @@ def test_two_that_hold_each_other_up_give_way_to_the_one_in_their_place(loaded: 
     assert one.gone == (SPRING, REFLECTED)
     assert one.evidence > 0.0
     assert one.hypothesis.terms == (one.new,)
+    true = with_true(loaded, MASS, CARRIED)
+    assert np.prod(as_load(loaded, one).theta[:2]) == pytest.approx(
+        np.prod(true.theta[:2]), rel=0.1
+    )
 
 
 def test_a_term_that_stands_among_the_wrong_ones_starts_anew_in_their_place(
@@ -77,6 +88,7 @@ def test_a_term_that_stands_among_the_wrong_ones_starts_anew_in_their_place(
         if x.new in ON_IT and set(x.gone) == {MASS, BODY}
     ]  # fmt: skip
     assert one.hypothesis.terms == (one.new,)
+    assert as_load(loaded, one).theta[0] > 0.0
     assert one.evidence > 0.0
 
 

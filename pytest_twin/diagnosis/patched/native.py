@@ -257,8 +257,8 @@ def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     (heavier,), (wider,) = fields.mass_scale[0], fields.inertia_scale[0]
     changed: dict[str, Any] = {"mass": mass * heavier, "inertia": _six(tensor * wider)}
     if fields.center_moves.any():
-        moved = fields.center_radial[0, 0] * layout.radial[joint]
-        moved = moved + fields.center_tangential[0, 0] * layout.tangential[joint]
+        by = fields.center_radial[0], fields.center_tangential[0]
+        (moved,) = layout.shift(*by, np.array([joint]))
         changed["com"] = (w.model.body_ipos[index] + moved).tolist()
     w.fit("body", body, changed)
     return f"body '{body}' mass, inertia and centre", {}

@@ -122,16 +122,12 @@ def _as_payload(problem: Problem, hypothesis: Hypothesis, link: Term) -> list[Hy
     added = values["mass_error"] * mass
     if load in hypothesis.terms or not added:
         return []
-    moved = values["radial"] * layout.radial[-1] + values["tangential"] * layout.tangential[-1]
+    last = np.array([link.joint])
+    radial, tangential = np.array([values["radial"]]), np.array([values["tangential"]])
+    (moved,), (axes,) = layout.shift(radial, tangential, last), layout.own_axes(last)
     center = layout.link_length[-1] * layout.directions[-1]
-    at = center + (mass + added) / added * moved
-    along, turning = layout.directions[-1], layout.tangential[-1]
-    place = {
-        "mass": added,
-        "distance": at @ along,
-        "sideways": at @ turning,
-        "across": at @ np.cross(along, turning),
-    }
+    at = axes @ (center + (mass + added) / added * moved)
+    place = {"mass": added, **dict(zip(("distance", "sideways", "across"), at, strict=True))}
     found = dict[bytes, Hypothesis]()
     for start, _ in grid(load):
         has = load.law.has(start)
