@@ -238,6 +238,8 @@ class Differential(Form):
 class OtherReading(Form):
     """The encoder of the joint behind turns along with this one."""
 
+    named = "joint_coupling"
+    joint = JOINTS[HERE + 1]
     shows = HERE + 1
 
     def read(self, q: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -37,12 +37,12 @@ class JointSpring(Effect):
 
 
 def _beside(x: FloatArray, way: int) -> FloatArray:
-    """(rows, joints) of the joint before (-1) or behind (1); zero where there is none."""
+    """(..., joints) of the joint before (-1) or behind (1); zero where there is none."""
     out = np.zeros_like(x)
     if way < 0:
-        out[:, 1:] = x[:, :-1]
+        out[..., 1:] = x[..., :-1]
     else:
-        out[:, :-1] = x[:, 1:]
+        out[..., :-1] = x[..., 1:]
     return out
 
 
@@ -56,12 +56,14 @@ class JointCoupling(Effect):
         "form 1: delivered_j += ratio drive_(j+1); "
         "form 2: the motor, which the servo sees, turns by q_j - ratio q_(j-1), and "
         "delivered_(j-1) -= ratio drive_j; "
-        "form 3: the same with j+1"
+        "form 3: the same with j+1; "
+        "form 4: the encoder alone turns along, measured_j = q_j + ratio q_(j-1); "
+        "form 5: the same with j+1"
     )
     source = "Siciliano et al., Robotics (2009), sec. 5.1: transmissions that couple joints"
     parameters = (
         Parameter("ratio", "one", 0.0, -2.0, 2.0, (0.1,)),
-        Parameter("form", "one", None, 0.0, 3.0, (0.0, 1.0, 2.0, 3.0), choice=True),
+        Parameter("form", "one", None, 0.0, 5.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0), choice=True),
     )
     reads_other_joints = True
     confused_with: ClassVar = {
@@ -84,6 +86,35 @@ class JointCoupling(Effect):
             held = np.clip(world.delivered + ratio * pull, world.lower, world.upper)
             turned = np.where(ratio != 0.0, held, world.delivered)
             world.delivered = turned - _beside(ratio * turned, -way)
+
+    def sense(
+        self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        read = [(way, ratio[:, None]) for way, ratio in self._of_encoders(values)]
+        more = [sum(ratio * _beside(x, way) for way, ratio in read) for x in (position, velocity)]
+        return position + more[0], velocity + more[1]
+
+    def unsense(
+        self, position: FloatArray, velocity: FloatArray, values: Values
+    ) -> tuple[FloatArray, FloatArray]:
+        read = self._of_encoders(values)
+        return self._behind(position, read), self._behind(velocity, read)
+
+    @staticmethod
+    def _behind(measured: FloatArray, read: Sequence[tuple[int, FloatArray]]) -> FloatArray:
+        """What encoders of a chain read as ``measured``, (rows, joints), joint after joint."""
+        true = measured
+        for _ in range(measured.shape[1] - 1 if read else 0):
+            true = measured - sum(ratio * _beside(true, way) for way, ratio in read)
+        return true
+
+    @staticmethod
+    def _of_encoders(values: Values) -> list[tuple[int, FloatArray]]:
+        """Way to the neighbour that encoders turn along with, and (rows, joints) ratios."""
+        found = [
+            (way, values["ratio"] * (values["form"] == form)) for way, form in ((-1, 4), (1, 5))
+        ]
+        return [each for each in found if each[1].any()]
 
     @staticmethod
     def _ratios(values: Values) -> list[tuple[int, bool, FloatArray]]:

@@ -129,6 +129,8 @@ ALONE: list[tuple[str, Term, dict[str, float]]] = [
     ("position", Term("joint_coupling", SHOULDER), {"ratio": 0.3, "form": 1.0}),
     ("position", Term("joint_coupling", ELBOW), {"ratio": 0.08, "form": 2.0}),
     ("position", Term("joint_coupling", SHOULDER), {"ratio": 0.08, "form": 3.0}),
+    ("position", Term("joint_coupling", ELBOW), {"ratio": 0.02, "form": 4.0}),
+    ("position", Term("joint_coupling", SHOULDER), {"ratio": 0.02, "form": 5.0}),
     (
         "position",
         Term("external_force", SHOULDER),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 
@@ -73,3 +74,35 @@ def test_a_window_of_late_readings_starts_before_its_stamp() -> None:
     moved = time[np.flatnonzero(np.abs(found[:, 0]) > 1e-7)[0]]
     # At rest at its first reading, it is seen to leave a delay after the command of 0.45 s.
     assert moved == pytest.approx(0.45 + delay, abs=2.5 * STEP)
+
+
+@pytest.mark.parametrize(
+    ("form", "read"),
+    [
+        (4.0, [0.3, -0.2 + 0.1 * 0.3, 0.5 + 0.2 * -0.2]),
+        (5.0, [0.3 + 0.3 * -0.2, -0.2 + 0.1 * 0.5, 0.5]),
+    ],
+)
+def test_an_encoder_turns_along_with_its_neighbour_and_is_told_from_it(
+    form: float, read: list[float]
+) -> None:
+    coupling = catalogue()["joint_coupling"]
+    values = {"ratio": np.array([[0.3, 0.1, 0.2]]), "form": np.full((1, 3), form)}
+    true = np.array([[0.3, -0.2, 0.5]])
+    # A speed is read as its position is.
+    sensed = coupling.sense(np.zeros((1, 1, 3)), true[:, None], true[:, None], values)
+    for x in sensed:
+        assert x[0, 0] == pytest.approx(read, abs=1e-15)
+    behind = coupling.unsense(sensed[0][:, 0], sensed[1][:, 0], values)
+    for x in behind:
+        assert x == pytest.approx(true, abs=1e-15)
+
+
+def test_the_other_forms_of_a_coupling_leave_readings_as_they_are() -> None:
+    coupling = catalogue()["joint_coupling"]
+    position, velocity = np.full((1, 1, 3), 0.4), np.full((1, 1, 3), 0.2)
+    for form in range(4):
+        values = {"ratio": np.full((1, 3), 0.2), "form": np.full((1, 3), float(form))}
+        sensed = coupling.sense(np.zeros((1, 1, 3)), position, velocity, values)
+        assert np.array_equal(sensed[0], position)
+        assert np.array_equal(sensed[1], velocity)
