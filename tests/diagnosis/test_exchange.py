@@ -251,11 +251,13 @@ def at_starts(*terms: Term) -> Hypothesis:
     return EMPTY.with_terms({t: grid(t)[0][0] for t in terms})
 
 
-def by_chance_of(gone: tuple[Term, ...], new: Term | None, lost: float) -> float:
+def by_chance_of(
+    gone: tuple[Term, ...], new: Term | None, lost: float, unseen: float = 1.0
+) -> float:
     bare = Exchange(gone, None, EMPTY, -lost, False)
     there = at_starts(new) if new else EMPTY
     other = Exchange(gone, new, there, 7.0, False)
-    return by_chance(at_starts(*gone), [bare, other])[gone, new]
+    return by_chance(at_starts(*gone), [bare, other], unseen)[gone, new]
 
 
 def test_more_parameters_are_ahead_by_chance() -> None:
@@ -293,6 +295,10 @@ def test_a_law_that_has_another_in_it_is_clearly_ahead_or_gives_way() -> None:
     assert by_chance_of((DRAG,), gain, lost=1e4) == pytest.approx(200.0)
     assert by_chance_of((DRY,), turning, lost=1e4) == pytest.approx(200.0)
     assert by_chance_of((turning,), DRY, lost=1e4) == pytest.approx(-100.0)
+    # In as much again that no fit has seen it does as much again that is not quite so.
+    assert by_chance_of((DRAG,), gain, lost=1e4, unseen=2.0) == pytest.approx(400.0)
+    assert by_chance_of((turning,), DRY, lost=1e4, unseen=2.0) == pytest.approx(-200.0)
+    assert by_chance_of((BODY,), MASS, lost=500.0, unseen=2.0) == pytest.approx(5.0)
 
 
 def test_of_two_under_the_floor_the_quieter_is_the_likelier(loaded: Problem) -> None:

@@ -56,6 +56,13 @@ class Contest:
         self.name_price = name_price(self.tried)
         self.nominal = self.rivals([EMPTY], np.ones(len(problem.signal_floor)), 0)[0]
 
+    @property
+    def of_all(self) -> float:
+        """Samples of all recordings for each of those that are fitted."""
+        problem = self.problem
+        everything, fitted = (sum(problem.lengths(x)) for x in (problem.everywhere, problem.fit))
+        return everything / fitted
+
     def weights(self, rival: Rival) -> FloatArray:
         """(signals,) reciprocal deviations of what a rival leaves."""
         return self.problem.weights(rival.fitted.mean_square)

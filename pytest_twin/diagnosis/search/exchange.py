@@ -160,14 +160,21 @@ def _worth_fitting(found: Sequence[Exchange]) -> list[int]:
     return out
 
 
-def by_chance(own: Hypothesis, found: Sequence[Exchange]) -> dict[Place, float]:
+def by_chance(
+    own: Hypothesis, found: Sequence[Exchange], unseen: float = 1.0
+) -> dict[Place, float]:
     """Evidence by which each may be ahead and be no better: where it has more parameters than what
     it stands for, for what is left is never white, and more of them follow anything a little.
 
     Negative where it may be behind and be as good: what stands there only has it in it.
+
+    Args:
+        own: the fit at hand.
+        found: evidence along the motion, of what was fitted.
+        unseen: times as much evidence as that is of all recordings, also of what no fit sees.
     """
     lost = {x.gone: max(-x.evidence, 0.0) for x in found if x.new is None}
-    return {(x.gone, x.new): _by_chance(own, x, lost.get(x.gone, 0.0)) for x in found}
+    return {(x.gone, x.new): _by_chance(own, x, lost.get(x.gone, 0.0), unseen) for x in found}
 
 
 def as_simulated(
@@ -190,13 +197,14 @@ def as_simulated(
     return evidence | {(x.gone, x.new): e for x, e in simulated}
 
 
-def _by_chance(own: Hypothesis, exchange: Exchange, lost: float) -> float:
+def _by_chance(own: Hypothesis, exchange: Exchange, lost: float, unseen: float) -> float:
     if exchange.new is None:
         return 0.0
+    # What a simulator does otherwise shows in all recordings; no fit follows what it has not seen.
     if exchange.has_it:
-        return MORE_TO_IT * lost
+        return MORE_TO_IT * lost * unseen
     if exchange.comes_to:
-        return -_AS_MUCH * lost
+        return -_AS_MUCH * lost * unseen
     more = exchange.hypothesis.free > own.free
     return min(AS_GOOD * lost, _CHANCE) if more else 0.0
 

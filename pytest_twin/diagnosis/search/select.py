@@ -253,12 +253,13 @@ class Selection:
         view = view_of(self.problem, best, linear.residual(best.fitted.residual))
         gone = [own.without(t) for t in several]
         _, evidence = against(linear, view, best, gone, self.contest.name_price)
-        lost = dict(zip(several, np.maximum(-np.nan_to_num(evidence), 0.0), strict=True))
+        lost = np.maximum(-np.nan_to_num(evidence), 0.0) * self.contest.of_all
+        lost_of = dict(zip(several, lost, strict=True))
 
         def grace(other: Hypothesis) -> float:
             if len(other.terms) != len(own.terms) or other.free >= own.free:
                 return 0.0
-            changed = [float(lost[t]) for t in several if not _as_it_is(t, own, other)]
+            changed = [float(lost_of[t]) for t in several if not _as_it_is(t, own, other)]
             return MORE_TO_IT * max(changed, default=0.0)
 
         return grace
@@ -431,7 +432,7 @@ class Selection:
         simulated without something else in its place, that; of two that explain as much, more for
         the one that leaves less under the floor.
         """
-        chance = by_chance(best.hypothesis, found)
+        chance = by_chance(best.hypothesis, found, self.contest.of_all)
         evidence = as_simulated(found, [(x, r.evidence) for x, r in simulated])
         evidence = {place: e - chance[place] for place, e in evidence.items()}
         for x in found:
