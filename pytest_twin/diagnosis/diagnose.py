@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,17 +11,21 @@ import numpy as np
 
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import Searched, carried, confirmed, pose, search
+from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
 from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.contact_geoms import ContactGeoms
+from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 
@@ -151,12 +155,18 @@ def diagnose(
 
     # Candidates that run away overflow; what is not finite is ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
-        found = search(prepared, trials, Selection(prepared.problem, say))
-        problems, near = [prepared.problem], (prepared, trials)
-        if found.astray:
+        contact = prepared.problem.simulator.models.contact
+        problems, near, clear = [prepared.problem], (prepared, trials), EMPTY
+        if contact.world.size:
+            away = _posed_away(realization, trials, beside, coldness, threads, contact)
+            if away is not None:
+                problems.append(away[0].problem)
+                clear = _found_away(*away, say)
+        found = search(prepared, trials, Selection(prepared.problem, say), clear)
+        if found.astray and (clear.terms or not contact.world.size):
             near = pose(realization, trials, beside, coldness, threads, [], window=WINDOW)
             problems.append(near[0].problem)
-            found = _windowed(found, *near, say, notes)
+            found = _windowed(found, *near, clear, say, notes)
         left = {}
         if found.verdict in ("improved", "unexplained"):
             left = unexplained(found, *near)
@@ -171,10 +181,37 @@ def diagnose(
     )  # fmt: skip
 
 
+def _posed_away(
+    realization: Realization,
+    trials: TrialSet,
+    beside: Sequence[AppliedEffect],
+    coldness: Coldness,
+    threads: int,
+    contact: ContactGeoms,
+) -> tuple[Prepared, TrialSet] | None:
+    """The problem in windows that are far from what the robot meets, None without any."""
+    try:
+        return pose(
+            realization, trials, beside, coldness, threads, [], window=WINDOW, contact=contact
+        )
+    except RecordingError:
+        return None
+
+
+def _found_away(prepared: Prepared, trials: TrialSet, say: Callable[[str], None]) -> Hypothesis:
+    """What explains the motion far from what the robot meets.
+
+    There deviations are small, and every law can be seen along the measured motion; in contact each
+    has to be simulated.
+    """
+    return search(prepared, trials, Selection(prepared.problem, say)).explained.hypothesis
+
+
 def _windowed(
     found: Searched,
     cut: Prepared,
     kept: TrialSet,
+    clear: Hypothesis,
     say: Callable[[str], None],
     notes: list[str],
 ) -> Searched:
@@ -183,12 +220,15 @@ def _windowed(
     Args:
         found: by whole motions.
         cut, kept: the problem in windows, and its trials.
+        clear: what was found far from what the robot meets.
         say: told what is considered.
         notes: gets how it was named.
     """
     other = confirmed(cut, kept, found, say)
     if other is None:
-        other = search(cut, kept, Selection(cut.problem, say, _CLEAR))
+        # Where nothing is met, no search begins that along the motion leaves too much.
+        share_left = 1.0 if clear.terms else _CLEAR
+        other = search(cut, kept, Selection(cut.problem, say, share_left), clear)
     if other.supersedes(found):
         notes.append(_IN_WINDOWS)
         return replace(other, explained=by_whole_motions(other.explained, found.prepared.problem))

@@ -25,6 +25,7 @@ from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
 from pytest_twin.diagnosis.windows import WINDOW, segments_of
 from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.contact_geoms import NEAR, ContactGeoms
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError
@@ -70,6 +71,7 @@ def prepare(
     window: float | None = None,
     coldness: Coldness = MappingProxyType({}),
     fixed: EffectValues | None = None,
+    contact: ContactGeoms | None = None,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
@@ -81,9 +83,11 @@ def prepare(
             those under effort commands alone.
         coldness: by temperature, as an earlier diagnosis had it; by default the trials tell.
         fixed: effects beside the model, (1, joints) of :func:`shared_joints`.
+        contact: what the robot meets, if windows are to lie where it is far from that.
 
     Raises:
-        RecordingError: no joint that the model and every recording share.
+        RecordingError: no joint that the model and every recording share; or nothing to fit that is
+            far from ``contact``.
         SpecError: a controller, payload or actuator that the model lacks.
     """
     trials = [*fit, *held_out]
@@ -94,7 +98,11 @@ def prepare(
     moving: dict[int, Segment] = {}
     for i, trial in enumerate(trials):
         cold = coldness_in(coldness, trial)
-        made = segments_of(realization, trial, i, joints, window, cold, commanded=True)
+        made = segments_of(
+            realization, trial, i, joints, window, cold, commanded=True, contact=contact
+        )
+        if not made:
+            continue
         if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
             (moving[len(segments)],) = segments_of(
                 realization, trial, i, joints, window, cold, moving=True, commanded=True
@@ -102,6 +110,12 @@ def prepare(
         segments += made
         owner += [i] * len(made)
     is_fit = np.array(owner) < len(fit)
+    if not is_fit.any():
+        raise RecordingError(
+            "the robot is at what it meets all the time",
+            path=trials[0].path,
+            expected=f"a stretch at least {NEAR:g} m away from it",
+        )
     noise = greatest_noise(segments, [s.position for s in segments], owner)
     segments = set_in_motion(segments, moving, joints, noise, threads=threads, fixed=fixed)
     simulator = RowSimulator(segments, joints, threads=threads, fixed=fixed)
@@ -118,6 +132,7 @@ def prepare(
         return prepare(
             realization, fit, held_out,
             threads=threads, window=0.5 * WINDOW, coldness=coldness, fixed=fixed,
+            contact=contact,
         )  # fmt: skip
     problem = Problem(
         simulator,

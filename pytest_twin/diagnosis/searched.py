@@ -22,6 +22,7 @@ from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import joint_inputs
@@ -64,9 +65,8 @@ class Searched:
     @property
     def astray(self) -> bool:
         """Whether whole motions were simulated and did not come to what was recorded."""
-        simulator = self.prepared.problem.simulator
-        free = not simulator.segments[0].amid and not simulator.models.contact.world.size
-        return free and self.verdict in ("improved", "unexplained")
+        whole = not self.prepared.problem.simulator.segments[0].amid
+        return whole and self.verdict in ("improved", "unexplained")
 
     def supersedes(self, other: Searched) -> bool:
         """Whether this explains what the other does not."""
@@ -91,9 +91,15 @@ class Searched:
         return mine.evidence > 0.0 and self.worst < other.worst
 
 
-def search(prepared: Prepared, trials: TrialSet, selection: Selection) -> Searched:
-    """Search a problem, and judge what is found."""
-    selected = selection.run()
+def search(
+    prepared: Prepared, trials: TrialSet, selection: Selection, start: Hypothesis = EMPTY
+) -> Searched:
+    """Search a problem, from the model as it came or from what was found elsewhere, and judge what
+    is found.
+    """
+    contest = selection.contest
+    rival = contest.settled(contest.as_it_is(start)) if start.terms else None
+    selected = selection.run(rival)
     pruned = prune(prepared.problem, selected)
     return _searched(prepared, trials, selected, pruned)
 
@@ -153,6 +159,7 @@ def pose(
     threads: int,
     notes: list[str],
     window: float | None = None,
+    contact: ContactGeoms | None = None,
 ) -> tuple[Prepared, TrialSet]:
     """The problem, without recordings on which the model itself diverges.
 
@@ -163,7 +170,7 @@ def pose(
         coldness: as an earlier diagnosis had it, empty where the trials tell.
         threads: of the batches, 0 for all cores.
         notes: gets what was left out.
-        window: s, as :func:`~pytest_twin.diagnosis.prepare.prepare` has it.
+        window, contact: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
 
     Raises:
         SimulationError: it diverges on all of them.
@@ -173,7 +180,7 @@ def pose(
         fixed = fixed_values(beside, shared_joints(realization, everything), 1)
         prepared = prepare(
             realization, trials.fit, trials.held_out,
-            threads=threads, window=window, coldness=coldness, fixed=fixed,
+            threads=threads, window=window, coldness=coldness, fixed=fixed, contact=contact,
         )  # fmt: skip
         problem = prepared.problem
         predicted = problem.predict([EMPTY], problem.everywhere)[0]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
 from pytest_twin.diagnosis.unrecorded import Around
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.effects.contact_geoms import ContactGeoms, in_the_air
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
@@ -44,6 +45,7 @@ def segments_of(
     *,
     moving: bool = False,
     commanded: bool = False,
+    contact: ContactGeoms | None = None,
 ) -> list[Segment]:
     """A trial in the model's terms: one segment, or short windows.
 
@@ -58,6 +60,8 @@ def segments_of(
             not at rest.
         commanded: whether what lies well before the first command is left out: what the robot was
             told until then is in no recording.
+        contact: what the robot meets, if its windows are to lie where it is far from that; a trial
+            may have none.
 
     Raises:
         SpecError: a controller or payload that the model lacks.
@@ -66,7 +70,11 @@ def segments_of(
     first = _first_commanded(recorded) if commanded else 0
     if window is None and trial.command_mode != "effort":
         return [_whole(recorded, joints, first, moving)]
-    return _windows(recorded, joints, first, window or WINDOW)
+    clear = np.arange(len(recorded.time)) >= first
+    if contact is not None:
+        ids = np.array([recorded.model.joint(j).id for j in joints])
+        clear &= in_the_air(recorded.model, ids, contact, recorded.position)
+    return _windows(recorded, joints, clear, window or WINDOW, whole=contact is None)
 
 
 def _recorded(
@@ -135,17 +143,30 @@ def _whole(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -
     )  # fmt: skip
 
 
-def _windows(recorded: Segment, joints: Sequence[str], first: int, window: float) -> list[Segment]:
-    """Windows of about ``window`` s, from the sample ``first`` on; at least one."""
+def _windows(
+    recorded: Segment,
+    joints: Sequence[str],
+    clear: NDArray[np.bool_],
+    window: float,
+    *,
+    whole: bool,
+) -> list[Segment]:
+    """Windows of about ``window`` s of the (n,) samples that are ``clear``; at least one where the
+    ``whole`` trial is meant.
+    """
     time, position = recorded.time, recorded.position
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
-    edges = edges_of(time[first:], (position - smooth)[first:], max(window, width))
-    every = [
-        (float(start), (time >= start) & (time <= end)) for start, end in itertools.pairwise(edges)
-    ]
-    spans = [(start, inside) for start, inside in every if inside.sum() >= _FEWEST_SAMPLES]
-    spans = spans or [(float(time[first]), np.arange(len(time)) >= first)]
+    spans = []
+    for run in _runs(clear):
+        edges = edges_of(time[run], (position - smooth)[run], max(window, width))
+        every = [
+            (float(start), (time >= start) & (time <= end))
+            for start, end in itertools.pairwise(edges)
+        ]
+        spans += [(start, inside) for start, inside in every if inside.sum() >= _FEWEST_SAMPLES]
+    if whole and not spans:
+        spans = [(float(time[clear][0]), clear)]
     states = [smooth_state(time, position, start, width) for start, _ in spans]
     rests = _around(recorded, joints, smooth, speed).at([start for start, _ in spans], states)
     return [
@@ -155,6 +176,12 @@ def _windows(recorded: Segment, joints: Sequence[str], first: int, window: float
         )
         for (start, inside), (q, v), rest in zip(spans, states, rests, strict=True)
     ]  # fmt: skip
+
+
+def _runs(clear: NDArray[np.bool_]) -> list[slice]:
+    """Stretches of consecutive samples that are ``clear``, of more than one."""
+    change = np.flatnonzero(np.diff(np.concatenate([[False], clear, [False]]).astype(int)))
+    return [slice(a, b) for a, b in zip(change[::2], change[1::2], strict=True) if b - a > 1]
 
 
 def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:

@@ -186,6 +186,23 @@ def touching(data: mujoco.MjData, contact: ContactGeoms, reach: float) -> bool:
     return bool((here | there).any())
 
 
+def in_the_air(
+    model: mujoco.MjModel, joint_ids: Ids, contact: ContactGeoms, poses: FloatArray
+) -> NDArray[np.bool_]:
+    """(n,) whether the robot is :data:`NEAR` nothing that it meets, at (n, joints) poses."""
+    near = far_sighted(model, contact.world, NEAR)
+    _only_between(near, *_sides(model, joint_ids))
+    data = mujoco.MjData(near)
+    index = model.jnt_qposadr[joint_ids]
+    clear = np.empty(len(poses), dtype=bool)
+    for i, pose in enumerate(poses):
+        data.qpos[index] = pose
+        mujoco.mj_kinematics(near, data)
+        mujoco.mj_collision(near, data)
+        clear[i] = not touching(data, contact, NEAR)
+    return clear
+
+
 def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(geoms,) those that move with the joints, and those that stand still around the robot."""
     moves = np.zeros(model.nbody, dtype=bool)

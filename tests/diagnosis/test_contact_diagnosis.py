@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.effects.contact_geoms import contact_geoms
+from pytest_twin.effects.contact_geoms import NEAR, contact_geoms
+from pytest_twin.errors import RecordingError
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 
@@ -63,6 +65,56 @@ def test_a_contact_that_differs_is_named_with_its_size(
     (kept,) = json.loads((tmp_path / "out" / "realization" / "effects.json").read_text())["effects"]
     assert (kept["effect"], kept["in_model"]) == (effect, True)
     assert "'table'" in kept["written"]
+
+
+def test_what_is_wrong_in_the_air_is_named_beside_what_is_wrong_at_the_table(
+    tmp_path: Path,
+) -> None:
+    words = case(tmp_path, ONE, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
+    assert cli.main(["diagnose", *words, "--out", str(tmp_path / "out")]) == 0
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert said["verdict"] == "explained"
+    found = {f["effect"]: f["parameters"] for f in said["findings"]}
+    assert found.keys() == {"contact_stiffness", "viscous_friction"}
+    for estimate, hidden in (
+        (found["contact_stiffness"]["relative_error"], 0.6),
+        (found["viscous_friction"]["coefficient"], 0.1),
+    ):
+        assert estimate["ci95"][0] <= hidden <= estimate["ci95"][1]
+        assert estimate["value"] == pytest.approx(hidden, rel=0.1)
+
+
+def test_windows_in_the_air_lie_far_from_the_table(tmp_path: Path) -> None:
+    words = case(tmp_path, ONE)
+    realization = load_model(tmp_path / "model.xml").realization
+    trials = [make_trial(read_recording(Path(w)), realization.structure) for w in words[1:]]
+    contact = prepare(realization, trials, []).problem.simulator.models.contact
+    assert contact.world.size
+    air = prepare(realization, trials, [], window=0.2, contact=contact)
+    segments = air.problem.simulator.segments
+    assert all(s.amid for s in segments)
+    far = [0.2 - 0.02 - 0.3 * np.sin(t.position[:, 0]) > NEAR for t in trials]
+    for trial, clear in zip(trials, far, strict=True):
+        mine = [s for s in segments if trials[s.trial] is trial]
+        kept = {float(t) for s in mine for t in s.time}
+        # Of what is in the air only ends of windows that are too short are lost.
+        assert kept <= set(trial.time[clear])
+        assert len(kept) > 0.8 * clear.sum()
+    assert 0.1 < np.concatenate(far).mean() < 0.9
+    # Far from the table nothing of it competes, and motions are seen to first order.
+    assert not air.problem.simulator.models.contact.world.size
+    assert not {t.effect for t in candidates(air.problem)} & CONTACT
+
+
+def test_an_arm_that_never_leaves_the_table_has_no_windows_in_the_air(
+    bench: tuple[Path, Trial, Prepared],
+) -> None:
+    folder, trial, prepared = bench
+    contact = prepared.problem.simulator.models.contact
+    low = replace(trial, position=np.tile([0.3, 0.6], (len(trial.time), 1)))
+    realization = load_model(folder / "model.xml").realization
+    with pytest.raises(RecordingError, match=r"all the time.*0\.05 m"):
+        prepare(realization, [low], [], window=0.2, contact=contact)
 
 
 def test_contact_competes_only_where_there_is_some(tmp_path: Path) -> None:

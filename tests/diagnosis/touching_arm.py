@@ -16,7 +16,7 @@ SOLREF = (0.05, 1.0)
 FRICTION = 0.5
 _LINK = """
     <body name="{name}_link" pos="{at} 0 0">
-      <joint name="{name}" axis="0 1 0" damping=".1" armature=".01"/>
+      <joint name="{name}" axis="0 1 0" damping="{damping:.17g}" armature=".01"/>
       <geom name="{name}_geom" type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".4"
        solref="{solref[0]:.17g} {solref[1]:.17g}" friction="{friction:.17g} .005 .0001"/>{inner}
     </body>"""
@@ -30,13 +30,15 @@ def mjcf(
     offset: float = 0.0,
     solref: tuple[float, float] = SOLREF,
     friction: float = FRICTION,
+    damping: float = 0.1,
 ) -> str:
     """An arm over a table that is ``offset`` m higher than drawn."""
     inner = ""
     for index, name in reversed(list(enumerate(joints))):
         inner = _LINK.format(
-            name=name, at=".3" if index else "0", solref=solref, friction=friction, inner=inner
-        )
+            name=name, at=".3" if index else "0", solref=solref, friction=friction, inner=inner,
+            damping=damping,
+        )  # fmt: skip
     servos = "".join(_SERVO.format(name=name) for name in joints)
     return (
         '<mujoco model="touching"><compiler angle="radian"/>'
