@@ -166,6 +166,9 @@ def diagnose(
         if found.astray and (clear.terms or not contact.world.size):
             near = pose(realization, trials, beside, coldness, threads, [], window=WINDOW)
             problems.append(near[0].problem)
+            if contact.world.size:
+                # What acts in the air is known from there.
+                near[0].problem.family = "contact"
             found = _windowed(found, *near, clear, say, notes)
         left = {}
         if found.verdict in ("improved", "unexplained"):

@@ -69,6 +69,7 @@ class Problem:
         in_starts: steps that were simulated to find them.
         step_left: share of the step's error that the correction leaves, at most an eighth as
             measured on arms in the air.
+        family: of the effects that compete; all where it is None.
         starts: segment -> its free initial state, where errors of it would grow.
         free: gives ``starts`` around a hypothesis, where there are any.
         start_noise: (joints,) what their priors rest on, as :func:`free_starts` takes it.
@@ -88,6 +89,7 @@ class Problem:
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
     in_starts: int = 0
     step_left: float = 0.125
+    family: str | None = None
     _refined_at: dict[_Key, tuple[dict[int, Predicted], Starts]] = field(default_factory=dict)
 
     @property

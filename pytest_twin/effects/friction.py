@@ -145,7 +145,8 @@ class LoadDependentFriction(Effect):
     )
     source = "Duclos et al., arXiv:2410.08650 (extended friction of servo actuators)"
     parameters = (
-        Parameter("coefficient", "effort_per_load", 0.0, 0.0, 2.0, (0.1,)),
+        # Poor worm gears still pass a fifth of the effort on.
+        Parameter("coefficient", "effort_per_load", 0.0, 0.0, 0.8, (0.1,)),
         Parameter("of_drive", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
     )
     reads_drive = True

@@ -116,8 +116,9 @@ class MotorLoadFriction(Effect):
         "speed: Tustin (1947), in Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
     )
     parameters = (
-        Parameter("coefficient", "effort_per_load", 0.0, 0.0, 0.9, (0.2,)),
-        Parameter("stiction_excess", "effort_per_load", 0.0, 0.0, 0.9, (0.1,)),
+        # As of load_dependent_friction.
+        Parameter("coefficient", "effort_per_load", 0.0, 0.0, 0.8, (0.2,)),
+        Parameter("stiction_excess", "effort_per_load", 0.0, 0.0, 0.8, (0.1,)),
         Parameter("stribeck_velocity", "velocity", None, 0.005, 3.0, (0.15, 0.5), "velocity"),
     )
     confused_with: ClassVar = {

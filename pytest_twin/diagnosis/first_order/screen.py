@@ -29,10 +29,12 @@ _SWAPS = 4
 
 
 def candidates(problem: Problem) -> list[Term]:
-    """Every effect where it can act."""
+    """Every effect that competes, where it can act."""
     servo = problem.simulator.layout.servo
     found = []
     for effect in catalogue().values():
+        if problem.family not in (None, effect.family):
+            continue
         if effect.id.startswith("effort_") and problem.effort_floor is None:
             continue
         if effect.family == "contact" and not problem.simulator.models.contact.has(effect.id):
