@@ -15,9 +15,17 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import Searched, carried, confirmed, pose, search
+from pytest_twin.diagnosis.searched import (
+    Searched,
+    carried,
+    confirmed,
+    from_start,
+    pose,
+    search,
+)
 from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
@@ -32,6 +40,7 @@ from pytest_twin.trial import Trial
 # Share of the squared mismatch that may be left along the motion where a law of the catalogue is
 # worth a search in windows.
 _CLEAR = 0.1
+_CONTACT = "contact"
 _IN_WINDOWS = (
     f"predicted in windows of {WINDOW:g} s that start from what was measured: over whole "
     "recordings small errors of this motion grow (a servo that hunts, an arm that falls, a speed "
@@ -156,19 +165,20 @@ def diagnose(
     # Candidates that run away overflow; what is not finite is ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         contact = prepared.problem.simulator.models.contact
-        problems, near, clear = [prepared.problem], (prepared, trials), EMPTY
+        problems, near, clear, start = [prepared.problem], (prepared, trials), EMPTY, EMPTY
         if contact.world.size:
             away = _posed_away(realization, trials, beside, coldness, threads, contact)
             if away is not None:
                 problems.append(away[0].problem)
                 clear = _found_away(*away, say)
-        found = search(prepared, trials, Selection(prepared.problem, say), clear)
+                start = _with_contact(prepared.problem, clear, say)
+        found = search(prepared, trials, Selection(prepared.problem, say), start)
         if found.astray and (clear.terms or not contact.world.size):
             near = pose(realization, trials, beside, coldness, threads, [], window=WINDOW)
             problems.append(near[0].problem)
             if contact.world.size:
                 # What acts in the air is known from there.
-                near[0].problem.family = "contact"
+                near[0].problem.family = _CONTACT
             found = _windowed(found, *near, clear, say, notes)
         left = {}
         if found.verdict in ("improved", "unexplained"):
@@ -208,6 +218,14 @@ def _found_away(prepared: Prepared, trials: TrialSet, say: Callable[[str], None]
     has to be simulated.
     """
     return search(prepared, trials, Selection(prepared.problem, say)).explained.hypothesis
+
+
+def _with_contact(problem: Problem, clear: Hypothesis, say: Callable[[str], None]) -> Hypothesis:
+    """What was found in the air, and what contact alone adds to that."""
+    problem.family = _CONTACT
+    selected = from_start(Selection(problem, say), clear)
+    problem.family = None
+    return selected.best.hypothesis
 
 
 def _windowed(

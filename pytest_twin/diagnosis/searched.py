@@ -97,11 +97,16 @@ def search(
     """Search a problem, from the model as it came or from what was found elsewhere, and judge what
     is found.
     """
-    contest = selection.contest
-    rival = contest.settled(contest.as_it_is(start)) if start.terms else None
-    selected = selection.run(rival)
+    selected = from_start(selection, start)
     pruned = prune(prepared.problem, selected)
     return _searched(prepared, trials, selected, pruned)
+
+
+def from_start(selection: Selection, start: Hypothesis) -> Selected:
+    """What a search chooses that begins with a hypothesis, fitted; or with the model as it came."""
+    contest = selection.contest
+    rival = contest.settled(contest.as_it_is(start)) if start.terms else None
+    return selection.run(rival)
 
 
 def confirmed(
