@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_first_order import ELBOW, problem_of
+from test_first_order import ELBOW, link, problem_of
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
@@ -12,7 +12,9 @@ from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.foremost import foremost
 from pytest_twin.diagnosis.search.front import front
 from pytest_twin.diagnosis.search.look import look_ahead
+from pytest_twin.diagnosis.search.resonant import resonant
 from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.search.tryout import Tryout
 
 PLAY, FRICTION, LATE = (
     Term(effect, ELBOW) for effect in ("backlash", "asymmetric_friction", "command_delay")
@@ -61,3 +63,38 @@ def test_play_beside_what_explains_more_is_tried_by_simulation() -> None:
     found = foremost(contest, best, look, silent)
     assert found is not None
     assert PLAY in {h.terms[-1] for h in front(problem, best, look, found)}
+
+
+GIVES, LINK = Term("joint_elasticity", ELBOW), Term("inertial_parameters", ELBOW)
+SOFT = {"compliance": 1.0 / 12.0, "damping_time": 0.01}
+
+
+def tried(problem: Problem, best: Rival) -> list[Hypothesis]:
+    left = np.mean(best.fitted.residual**2, axis=0)
+    return resonant(Tryout(problem, best, left), best.hypothesis)
+
+
+def test_a_heavier_link_is_tried_with_its_gear_as_much_stiffer() -> None:
+    error = 0.4
+    problem = problem_of("position", {GIVES: SOFT, LINK: link(0, relative_error=error)})
+    contest = Contest(problem)
+    # The stiffness at which a link as the model has it swings as the real one does.
+    servo = 1.0 / problem.simulator.models.world(problem.fit).stiffness[0, ELBOW]
+    swings = SOFT | {"compliance": (SOFT["compliance"] + servo) * (1.0 + error) - servo}
+    best = fitted(contest, with_true(problem, GIVES, swings))
+    (found,) = tried(problem, best)
+    truth = with_true(problem, GIVES, SOFT).theta
+    assert found.terms == (GIVES, LINK)
+    assert found.theta[:2] == pytest.approx(truth, rel=0.02)
+    assert found.theta[found.slice_of(LINK)][0] == pytest.approx(error, rel=0.02)
+    look = look_ahead(problem, best)
+    seen = foremost(contest, best, look, silent)
+    assert seen is not None
+    (start,) = (h for h in front(problem, best, look, seen) if h.terms == found.terms)
+    assert start.theta[:2] == pytest.approx(truth, rel=0.05)
+    # With a link that is right, or named, or without a gear nothing of it is tried.
+    right = problem_of("position", {GIVES: SOFT})
+    fits = fitted(Contest(right), with_true(right, GIVES, SOFT))
+    assert tried(right, fits) == []
+    assert tried(problem, fitted(contest, found)) == []
+    assert tried(problem, fitted(contest, EMPTY)) == []

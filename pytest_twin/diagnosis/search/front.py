@@ -16,6 +16,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.foremost import Foremost
 from pytest_twin.diagnosis.search.look import Look
+from pytest_twin.diagnosis.search.resonant import resonant
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.search.softer import softened
 from pytest_twin.diagnosis.search.tryout import Tryout
@@ -50,7 +51,9 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
         starts = _anchored(tryout, best, starts)
     if look.linear is None and starts:
         starts = _promising(tryout, best, starts)
-    return starts
+    swinging = resonant(tryout, best.hypothesis)
+    alike = {h.terms for h in swinging}
+    return [*(h for h in starts if h.terms not in alike), *swinging]
 
 
 def _anchored(tryout: Tryout, best: Rival, starts: Sequence[Hypothesis]) -> list[Hypothesis]:
