@@ -19,6 +19,7 @@ from scipy.signal import welch
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
+from pytest_twin.diagnosis.windows import runs
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.contact_geoms import far_sighted, touching
 from pytest_twin.effects.segment import Segment
@@ -134,10 +135,9 @@ def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
     reached = np.searchsorted(np.cumsum(smooth[order]), _COVER * smooth.sum()) + 1
     chosen = np.zeros(len(time), dtype=bool)
     chosen[order[:reached]] = True
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]])))
     found: list[list[float]] = []
-    for begin, end in zip(edges[::2], edges[1::2] - 1, strict=True):
-        start, stop = float(time[begin]), float(time[end])
+    for run in runs(chosen):
+        start, stop = float(time[run][0]), float(time[run][-1])
         if found and start - found[-1][1] <= _MERGE:
             found[-1][1] = stop
         else:

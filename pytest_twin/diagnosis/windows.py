@@ -158,7 +158,7 @@ def _windows(
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
     spans = []
-    for run in _runs(clear):
+    for run in runs(clear):
         edges = edges_of(time[run], (position - smooth)[run], max(window, width))
         every = [
             (float(start), (time >= start) & (time <= end))
@@ -178,10 +178,10 @@ def _windows(
     ]  # fmt: skip
 
 
-def _runs(clear: NDArray[np.bool_]) -> list[slice]:
-    """Stretches of consecutive samples that are ``clear``, of more than one."""
-    change = np.flatnonzero(np.diff(np.concatenate([[False], clear, [False]]).astype(int)))
-    return [slice(a, b) for a, b in zip(change[::2], change[1::2], strict=True) if b - a > 1]
+def runs(inside: NDArray[np.bool_]) -> list[slice]:
+    """Stretches of consecutive samples that are ``inside``."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]])))
+    return [slice(a, b) for a, b in zip(ends[::2], ends[1::2], strict=True)]
 
 
 def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import mujoco
@@ -134,15 +134,9 @@ def contact_geoms(
         return ContactGeoms()
     everywhere = np.concatenate(list(poses))
     everywhere = everywhere[:: max(1, -(-len(everywhere) // _MOST_POSES))]
-    near = far_sighted(model, world, NEAR)
-    _only_between(near, robot, world)
-    data = mujoco.MjData(near)
+    data = mujoco.MjData(model)
     found: dict[tuple[int, int], tuple[int, FloatArray, int]] = {}
-    index = model.jnt_qposadr[joint_ids]
-    for pose in everywhere:
-        data.qpos[index] = pose
-        mujoco.mj_kinematics(near, data)
-        mujoco.mj_collision(near, data)
+    for data in _near_at(model, joint_ids, robot, world, everywhere):
         seen: set[tuple[int, int]] = set()
         for k in np.flatnonzero(data.contact.dist < NEAR):
             one, two = (int(g) for g in data.contact.geom[k])
@@ -190,17 +184,29 @@ def in_the_air(
     model: mujoco.MjModel, joint_ids: Ids, contact: ContactGeoms, poses: FloatArray
 ) -> NDArray[np.bool_]:
     """(n,) whether the robot is :data:`NEAR` nothing that it meets, at (n, joints) poses."""
-    near = far_sighted(model, contact.world, NEAR)
-    _only_between(near, *_sides(model, joint_ids))
+    robot, _ = _sides(model, joint_ids)
+    stands = np.isin(np.arange(model.ngeom), contact.world)
+    seen = _near_at(model, joint_ids, robot, stands, poses)
+    return np.array([not touching(data, contact, NEAR) for data in seen], dtype=bool)
+
+
+def _near_at(
+    model: mujoco.MjModel,
+    joint_ids: Ids,
+    robot: NDArray[np.bool_],
+    world: NDArray[np.bool_],
+    poses: FloatArray,
+) -> Iterator[mujoco.MjData]:
+    """What the robot's geoms are :data:`NEAR` of the world's, at each of (n, joints) poses."""
+    near = far_sighted(model, world, NEAR)
+    _only_between(near, robot, world)
     data = mujoco.MjData(near)
     index = model.jnt_qposadr[joint_ids]
-    clear = np.empty(len(poses), dtype=bool)
-    for i, pose in enumerate(poses):
+    for pose in poses:
         data.qpos[index] = pose
         mujoco.mj_kinematics(near, data)
         mujoco.mj_collision(near, data)
-        clear[i] = not touching(data, contact, NEAR)
-    return clear
+        yield data
 
 
 def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
