@@ -54,7 +54,8 @@ class Contest:
         self.has_held = bool(len(problem.held_out))
         self.tried = len(candidates(problem))
         self.name_price = name_price(self.tried)
-        self.nominal = self.rivals([EMPTY], np.ones(len(problem.signal_floor)), 0)[0]
+        # An earlier search may have left the step corrected for what it came to.
+        self.nominal = self.as_it_is(EMPTY)
 
     @property
     def of_all(self) -> float:
