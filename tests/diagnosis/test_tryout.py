@@ -161,6 +161,7 @@ def test_the_step_is_corrected_where_the_simplest_that_leaves_least_is(
     wrong = EMPTY.with_term(heavy, np.array([0.5]))
     both = right.with_term(heavy, np.array([0.0]))
     starts = [both, wrong, right]
+    selection = Selection(late)
     at: list[Hypothesis] = []
 
     def refine_at(problem: Problem, hypothesis: Hypothesis) -> None:
@@ -168,7 +169,6 @@ def test_the_step_is_corrected_where_the_simplest_that_leaves_least_is(
 
     monkeypatch.setattr(Problem, "refine_at", refine_at)
     monkeypatch.setattr(select, "front", lambda *_: starts)
-    selection = Selection(late)
     nominal = selection.contest.nominal
     assert selection._tried(nominal, look_ahead(late, nominal))
     assert at[0] is right
