@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search import contest
 from pytest_twin.diagnosis.search.restraint import (
+    _as_good_as_rigid,
     _in_doubt,
     _misshapen,
     _perhaps_absent,
@@ -132,6 +133,33 @@ def test_a_name_of_wide_interval_stays_where_much_more_is_left_without_it(
 
     assert stretched(flat, without) == ([] if named else [term])
     assert stretched(fitted, 40.0) == []
+
+
+@pytest.mark.parametrize(
+    ("effect", "size", "slope", "rigid"),
+    [
+        pytest.param("joint_elasticity", 0.01, 1e-6, True, id="its interval holds none"),
+        pytest.param("joint_elasticity", 0.01, 1e4, False, id="it gives by so much"),
+        pytest.param("viscous_friction", 0.6, 1e-6, False, id="no gear"),
+    ],
+)
+def test_a_gear_as_good_as_rigid_is_no_name_whatever_it_takes_off(
+    tmp_path: Path, effect: str, size: float, slope: float, rigid: bool
+) -> None:
+    prepared, _ = bench(tmp_path, viscous=0.6)
+    problem, term = prepared.problem, Term(effect, 0)
+    theta = [p.starts[0] if p.neutral is None else p.neutral for p in term.parameters]
+    theta[term.switches(np.array(theta))[0]] = size
+    weights = 1.0 / problem.signal_floor
+    start = EMPTY.with_term(term, np.array(theta, dtype=float))
+    (fitted,) = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)
+    vague = replace(fitted, jacobian=slope * fitted.jacobian)
+    gone = _as_good_as_rigid(of_one_term(problem, vague, left=2.0, without=90.0))
+    assert list(gone) == ([0] if rigid else [])
+    for note in gone.values():
+        assert note == (
+            "joint_elasticity at left is as good as rigid, by its own interval; it is not claimed"
+        )
 
 
 @pytest.mark.parametrize(

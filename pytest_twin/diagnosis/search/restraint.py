@@ -179,6 +179,19 @@ def _under_the_floor(tested: _Tested) -> _Gone:
     }
 
 
+def _as_good_as_rigid(tested: _Tested) -> _Gone:
+    """A gear that gives as little as none, by its own interval: a motor apart from its link is
+    stepped in another way than one with it, and what that takes off is no gear's merit.
+    """
+    for k, t in enumerate(tested.terms):
+        apart = t.law.overrides("separates")
+        if apart and _perhaps_absent(tested.fitted, t, tested.known):
+            return {
+                k: f"{tested.label(k)} is as good as rigid, by its own interval; it is not claimed"
+            }
+    return {}
+
+
 def _idle(tested: _Tested) -> _Gone:
     """The term without which least more is left, of those that take no worthwhile share off."""
     one, levels = np.ones(len(tested.base)), tested.levels
@@ -278,7 +291,8 @@ def _shares(problem: Problem, hypothesis: Hypothesis, joint: int) -> tuple[float
 
 
 _RULES: tuple[Callable[[_Tested], _Gone], ...] = (
-    _diverging, _under_the_floor, _idle, _slight, _unlikely, _stretched, _misshapen,
+    _diverging, _under_the_floor, _as_good_as_rigid, _idle, _slight, _unlikely, _stretched,
+    _misshapen,
 )  # fmt: skip
 
 
