@@ -38,6 +38,9 @@ _UNSIGNED = 0.05
 # length; samples that one of half that length has to have.
 _WILD, _WILD_SHARE, _FEWEST = 30.0, 0.002, 20
 NOISE = "sensor noise and quantization"
+STEP = "discretization of the simulator"
+# Share of a joint's floor below which it was set far too high.
+_FAR_LOWER = 0.5
 # As measured on an arm whose tip taps on a table, and on arms whose drives are sent efforts:
 # impacts and the jumps of a command fall between steps.
 _LEFT_OF_IMPACTS, _LEFT_OF_JUMPS = 0.35, 0.25
@@ -60,6 +63,29 @@ class Prepared:
     segment_trial: tuple[int, ...]
     floor_parts: dict[str, FloatArray]
     coldness: Coldness
+
+    def lowers_floor(self, hypothesis: Hypothesis) -> bool:
+        """Measure the error of the simulator's step where a hypothesis is, and lower the floor
+        where that leaves far less.
+
+        The model as it came may run away from what was recorded (a drive that in it never
+        saturates), and its step is as far off there as it was measured; not where it stays near.
+
+        Returns:
+            Whether some joint's floor is far lower now; the others keep theirs.
+        """
+        problem = self.problem
+        problem.refine_at(hypothesis)
+        if len(problem.defect) < len(problem.simulator.segments):
+            return False
+        steps = discretization(problem.defect, len(problem.joints))
+        floor = np.hypot(self.floor_parts[NOISE], problem.step_left * steps)
+        before = np.hypot(self.floor_parts[NOISE], problem.step_left * self.floor_parts[STEP])
+        # A floor that is not what its parts add up to is of a joint whose encoder says nothing.
+        lower = (floor < _FAR_LOWER * before) & np.isclose(problem.floor, before)
+        problem.floor = np.where(lower, floor, problem.floor)
+        self.floor_parts[STEP] = np.where(lower, steps, self.floor_parts[STEP])
+        return bool(lower.any())
 
 
 def prepare(
@@ -174,7 +200,7 @@ def prepare(
         NOISE: noise,
         # Of a joint that swings fast now and then its mean square is more than the usual noise.
         "of it, sample timing": np.minimum(timing_noise(segments, owner), noise),
-        "discretization of the simulator": steps,
+        STEP: steps,
     }
     return Prepared(problem, tuple(owner), parts, coldness)
 

@@ -97,9 +97,18 @@ def search(
     """Search a problem, from the model as it came or from what was found elsewhere, and judge what
     is found.
     """
-    selected = from_start(selection, start)
+    selected = _to_the_floor(prepared, selection, from_start(selection, start))
     pruned = prune(prepared.problem, selected)
     return _searched(prepared, trials, selected, pruned)
+
+
+def _to_the_floor(prepared: Prepared, selection: Selection, selected: Selected) -> Selected:
+    """What a search came to, or one that goes on from there where the floor is far lower."""
+    while True:
+        best = selected.best.hypothesis
+        if not best.terms or not prepared.lowers_floor(best):
+            return selected
+        selected = from_start(selection.anew(), best)
 
 
 def from_start(selection: Selection, start: Hypothesis) -> Selected:
@@ -122,7 +131,7 @@ def confirmed(
     before, after = (left_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
     if not all(e.explained for e in _errors(prepared, before, after).values()):
         return None
-    selected = selection.run(rival)
+    selected = _to_the_floor(prepared, selection, selection.run(rival))
     found = _searched(prepared, trials, selected, prune(prepared.problem, selected))
     return found if found.verdict == "explained" else None
 

@@ -8,12 +8,17 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from two_pendulums import START_NS
+from two_pendulums import START_NS, case
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.noise import timing_noise
+from pytest_twin.diagnosis.prepare import NOISE as SENSOR
+from pytest_twin.diagnosis.prepare import STEP as STEPS
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.searched import search
+from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects.base import FloatArray
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
@@ -194,3 +199,52 @@ def test_what_timing_makes_of_a_noise_is_no_more_than_it(tmp_path: Path) -> None
     everywhere = timing_noise(found.problem.simulator.segments, [0])
     assert everywhere[0] > 1.5 * usual[0], "or there is nothing to cap"
     assert timing[0] == usual[0]
+
+
+def raised(found: Prepared, times: float) -> float:
+    """Say that the step was so many times as far off as the sensor is loud; the floor, rad."""
+    problem = found.problem
+    steps = times * found.floor_parts[SENSOR] / problem.step_left
+    found.floor_parts[STEPS] = steps
+    problem.floor = np.hypot(found.floor_parts[SENSOR], problem.step_left * steps)
+    return float(problem.floor[0])
+
+
+def test_a_floor_of_where_the_model_ran_to_is_lowered_at_what_was_found(tmp_path: Path) -> None:
+    found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
+    measured, steps = found.problem.floor.copy(), found.floor_parts[STEPS].copy()
+    raised(found, 10.0)
+    assert found.lowers_floor(EMPTY)
+    np.testing.assert_allclose(found.problem.floor, measured, rtol=1e-6)
+    np.testing.assert_allclose(found.floor_parts[STEPS], steps, rtol=1e-6)
+    assert not found.lowers_floor(EMPTY), "once"
+
+
+def test_a_floor_that_is_little_too_high_stays(tmp_path: Path) -> None:
+    found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
+    high = raised(found, 1.2)
+    assert not found.lowers_floor(EMPTY)
+    assert found.problem.floor[0] == high
+
+
+def test_the_floor_of_an_encoder_that_says_nothing_stays(tmp_path: Path) -> None:
+    found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
+    raised(found, 10.0)
+    found.problem.floor = np.array([1e6])
+    assert not found.lowers_floor(EMPTY)
+    assert found.problem.floor[0] == 1e6
+
+
+def test_what_a_floor_too_high_hid_is_found_once_it_is_lowered(tmp_path: Path) -> None:
+    """Damping leaves next to nothing of a floor of where the model ran to, a delay much of it."""
+    model, *files = map(Path, case(tmp_path / "case", ("left",), viscous=0.3, delay=0.003))
+    loaded = load_model(model)
+    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
+    found = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
+    problem = found.problem
+    measured = problem.floor.copy()
+    hidden = raised(found, 20.0)
+    best = search(found, trials, Selection(problem)).selected.best
+    assert {t.effect for t in best.hypothesis.terms} == {"viscous_friction", "command_delay"}
+    assert float(np.sqrt(best.fitted.mean_square[0])) < measured[0] < 0.3 * hidden
+    assert problem.floor[0] <= measured[0]

@@ -96,6 +96,10 @@ class Selection:
         self._grow(selected)
         return self._regrown(selected)
 
+    def anew(self) -> Selection:
+        """Another search of the same problem, which may have changed."""
+        return Selection(self.problem, self.say, self.share_left)
+
     def _grow(self, selected: Selected) -> None:
         """Add, drop and exchange terms until nothing is better."""
         for _ in range(_ROUNDS):
