@@ -26,6 +26,7 @@ from pytest_twin.diagnosis.search.restraint import (
     _stretched,
     _Tested,
     _too_little,
+    _under_the_floor,
     as_named,
     prune,
 )
@@ -112,6 +113,36 @@ def test_a_law_out_of_shape_that_does_not_explain_all_is_no_name(
     assert stretched(40.0) == ([] if named else [term])
     # Where it explains its joint it is as good a name as any.
     assert stretched(2.0) == []
+
+
+@pytest.mark.parametrize(
+    ("distance", "without", "named"),
+    [
+        pytest.param(0.1, 2.0, True, id="bristles"),
+        pytest.param(0.0, 2.0, False, id="dry friction in another form"),
+        pytest.param(0.0, 4.0, True, id="far above the floor"),
+    ],
+)
+def test_bristles_of_the_least_length_have_to_take_off_more(
+    tmp_path: Path, distance: float, without: float, named: bool
+) -> None:
+    """All dry friction yields a little before it slides."""
+    prepared, _ = bench(tmp_path, viscous=0.6)
+    problem, term = prepared.problem, Term("presliding_hysteresis", 0)
+    size, length = term.parameters
+    start = EMPTY.with_term(term, np.array([size.starts[0], max(distance, length.lower)]))
+    weights = 1.0 / problem.signal_floor
+    (fitted,) = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)
+    well_known = replace(fitted, jacobian=100.0 * fitted.jacobian)
+    tested = of_one_term(problem, well_known, left=1.0, without=without)
+    assert not _perhaps_absent(well_known, term, tested.known)
+    gone = _under_the_floor(tested)
+    assert list(gone) == ([] if named else [0])
+    for note in gone.values():
+        assert note == (
+            "presliding_hysteresis at left takes nothing off that stands more than 3 floors high; "
+            "it is not claimed"
+        )
 
 
 @pytest.mark.parametrize(("without", "named"), [(50.0, False), (70.0, True)])

@@ -31,11 +31,12 @@ _LEFT_SEVERAL, _SEVERAL_FLOORS = 0.05, 50.0
 # than they are together is none where its joint stays unexplained.
 _UNSURE, _SLIGHT = 0.7, 0.01
 _UNLIKELY, _EVEN = 0.02, 0.5
-# What could be absent, by its own interval, or has predicted nothing that no fit has seen, has to
-# take off this many times as much as others; half widths of that interval within which a name is in
+# What could be absent, by its own interval, or stands for something else, its shape at a physical
+# bound, or has predicted nothing that no fit has seen, has to take off this many times as much as
+# others; half widths of that interval within which a name is in
 # doubt where its joint stays unexplained: the right law is known well there, for so much stands out
 # of the noise.
-_ABSENT_BAR, _DOUBTED = 2.0, 2.0
+_DOUBTFUL_BAR, _DOUBTED = 2.0, 2.0
 # Share of the squared mismatch that without a name is left in addition, where it is no doubt.
 _NEEDED = 0.25
 # Share of the force that is missing with a law of position which goes with position once more, and
@@ -157,12 +158,15 @@ def _diverging(tested: _Tested) -> _Gone:
 
 def _under_the_floor(tested: _Tested) -> _Gone:
     """The term that takes least off, where that is too little to stand out."""
-    untested = not len(tested.problem.held_out)
-    bars = [
-        STANDS_OUT
-        * (_ABSENT_BAR if untested or _perhaps_absent(tested.fitted, t, tested.known) else 1.0)
-        for t in tested.terms
-    ]
+    problem, fitted = tested.problem, tested.fitted
+    untested = not len(problem.held_out)
+
+    def doubtful(t: Term) -> bool:
+        # Dry friction that turns to bristles of the least length is dry friction in another form.
+        changed = problem.out_of_shape(fitted.hypothesis, t)
+        return untested or changed or _perhaps_absent(fitted, t, tested.known)
+
+    bars = [STANDS_OUT * (_DOUBTFUL_BAR if doubtful(t) else 1.0) for t in tested.terms]
     # What stands with all of them at work is no term's merit.
     others = np.maximum(tested.base**2 - 1.0, 0.0)
     height = [
