@@ -173,6 +173,8 @@ def diagnose(
                 clear = _found_away(*away, say)
                 start = _with_contact(prepared.problem, clear, say)
         found = search(prepared, trials, Selection(prepared.problem, say), start)
+        if found.astray and contact.world.size:
+            found = _once_more(found, say)
         if found.astray and (clear.terms or not contact.world.size):
             near = pose(realization, trials, beside, coldness, threads, [], window=WINDOW)
             problems.append(near[0].problem)
@@ -226,6 +228,18 @@ def _with_contact(problem: Problem, clear: Hypothesis, say: Callable[[str], None
     selected = from_start(Selection(problem, say), clear)
     problem.family = None
     return selected.best.hypothesis
+
+
+def _once_more(found: Searched, say: Callable[[str], None]) -> Searched:
+    """What contact adds to all that was found, and what is found from there: a surface that was
+    hidden behind what acts in contact as well (a late clock, a drive at its limit) stands out now.
+    """
+    problem, known = found.prepared.problem, found.explained.hypothesis
+    more = _with_contact(problem, known, say)
+    if set(more.terms) <= set(known.terms):
+        return found
+    other = search(found.prepared, found.trials, Selection(problem, say), more)
+    return other if other.leaves_less(found) else found
 
 
 def _windowed(

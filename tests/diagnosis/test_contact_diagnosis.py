@@ -10,10 +10,12 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from test_behind_gears import silent
 from touching_arm import FRICTION, SOLREF, case, mjcf
 
 from pytest_twin import cli
 from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.diagnose import _once_more
 from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import motions, place_of
@@ -21,6 +23,9 @@ from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.searched import search
+from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects.contact_geoms import NEAR, contact_geoms
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.mcap import read_recording
@@ -82,6 +87,28 @@ def test_what_is_wrong_in_the_air_is_named_beside_what_is_wrong_at_the_table(
     ):
         assert estimate["ci95"][0] <= hidden <= estimate["ci95"][1]
         assert estimate["value"] == pytest.approx(hidden, rel=0.1)
+
+
+def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
+    tmp_path: Path,
+) -> None:
+    model, *files = map(
+        Path, case(tmp_path, ONE, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
+    )
+    loaded = load_model(model)
+    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
+    prepared = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
+    # As a search that had spent its replays before it came to surfaces.
+    prepared.problem.family = "friction"
+    found = search(prepared, trials, Selection(prepared.problem))
+    prepared.problem.family = None
+    friction = {t.effect for t in found.explained.hypothesis.terms}
+    assert friction == {"viscous_friction"}
+    assert found.astray
+    more = _once_more(found, silent)
+    assert {f.effect for f in more.explained.findings} == friction | {"contact_stiffness"}
+    assert more.verdict == "explained"
+    assert _once_more(more, silent) is more
 
 
 def test_windows_in_the_air_lie_far_from_the_table(tmp_path: Path) -> None:
