@@ -93,7 +93,8 @@ def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
     tmp_path: Path,
 ) -> None:
     model, *files = map(
-        Path, case(tmp_path, ONE, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
+        Path,
+        case(tmp_path, ONE, seconds=1.2, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2),
     )
     loaded = load_model(model)
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
