@@ -78,9 +78,10 @@ class Prepared:
         problem.refine_at(hypothesis)
         if len(problem.defect) < len(problem.simulator.segments):
             return False
+        noise = self.floor_parts[NOISE]
         steps = discretization(problem.defect, len(problem.joints))
-        floor = np.hypot(self.floor_parts[NOISE], problem.step_left * steps)
-        before = np.hypot(self.floor_parts[NOISE], problem.step_left * self.floor_parts[STEP])
+        floor = _floor(noise, problem, steps)
+        before = _floor(noise, problem, self.floor_parts[STEP])
         # A floor that is not what its parts add up to is of a joint whose encoder says nothing.
         lower = (floor < _FAR_LOWER * before) & np.isclose(problem.floor, before)
         problem.floor = np.where(lower, floor, problem.floor)
@@ -181,7 +182,7 @@ def prepare(
         problem.step_left = _LEFT_OF_JUMPS
     elif simulator.models.contact.world.size:
         problem.step_left = _LEFT_OF_IMPACTS
-    problem.floor = np.sqrt(noise**2 + (problem.step_left * steps) ** 2)
+    problem.floor = _floor(noise, problem, steps)
     if effort_floor is not None and problem.defect:
         if segments[0].mode == "effort":
             # An effort drive gives what it is sent: only when is open, by a sample.
@@ -234,6 +235,12 @@ def discretization(defect: Mapping[int, Predicted], joints: int) -> FloatArray:
         return np.zeros(joints)
     error: FloatArray = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0))
     return error
+
+
+def _floor(noise: FloatArray, problem: Problem, steps: FloatArray) -> FloatArray:
+    """(joints,) of the noise and what the correction leaves of the step's error."""
+    floor: FloatArray = np.hypot(noise, problem.step_left * steps)
+    return floor
 
 
 def shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[str, ...]:

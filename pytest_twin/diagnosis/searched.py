@@ -97,9 +97,14 @@ def search(
     """Search a problem, from the model as it came or from what was found elsewhere, and judge what
     is found.
     """
-    selected = _to_the_floor(prepared, selection, from_start(selection, start))
-    pruned = prune(prepared.problem, selected)
-    return _searched(prepared, trials, selected, pruned)
+    return _concluded(prepared, trials, selection, from_start(selection, start))
+
+
+def _concluded(
+    prepared: Prepared, trials: TrialSet, selection: Selection, selected: Selected
+) -> Searched:
+    selected = _to_the_floor(prepared, selection, selected)
+    return _searched(prepared, trials, selected, prune(prepared.problem, selected))
 
 
 def _to_the_floor(prepared: Prepared, selection: Selection, selected: Selected) -> Selected:
@@ -131,8 +136,7 @@ def confirmed(
     before, after = (left_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
     if not all(e.explained for e in _errors(prepared, before, after).values()):
         return None
-    selected = _to_the_floor(prepared, selection, selection.run(rival))
-    found = _searched(prepared, trials, selected, prune(prepared.problem, selected))
+    found = _concluded(prepared, trials, selection, selection.run(rival))
     return found if found.verdict == "explained" else None
 
 

@@ -33,9 +33,8 @@ _UNSURE, _SLIGHT = 0.7, 0.01
 _UNLIKELY, _EVEN = 0.02, 0.5
 # What could be absent, by its own interval, or stands for something else, its shape at a physical
 # bound, or has predicted nothing that no fit has seen, has to take off this many times as much as
-# others; half widths of that interval within which a name is in
-# doubt where its joint stays unexplained: the right law is known well there, for so much stands out
-# of the noise.
+# others; half widths of that interval within which a name is in doubt where its joint stays
+# unexplained: the right law is known well there, for so much stands out of the noise.
 _DOUBTFUL_BAR, _DOUBTED = 2.0, 2.0
 # Share of the squared mismatch that without a name is left in addition, where it is no doubt.
 _NEEDED = 0.25
