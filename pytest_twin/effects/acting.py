@@ -44,13 +44,10 @@ def hooks_between_steps(
 
 
 def between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
-    """(rows,) whether a row has an effect that acts between steps."""
-    found = np.zeros(count, dtype=bool)
-    for name, v in values.items():
-        effect = catalogue()[name]
-        if effect.overrides(*BETWEEN_STEPS):
-            found |= there(effect, v).any(axis=1)
-    return found
+    """(rows, effects) whether a row has each of the effects that act between steps."""
+    laws = [(catalogue()[name], v) for name, v in values.items()]
+    found = [there(e, v).any(axis=1) for e, v in laws if e.overrides(*BETWEEN_STEPS)]
+    return np.array(found, dtype=bool).reshape(-1, count).T
 
 
 def any_hook(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values, World
+from pytest_twin.effects.within import within
 
 
 class ActuatorLag(Effect):
@@ -36,24 +39,53 @@ class ActuatorLag(Effect):
     }
 
     def command(self, world: World, values: Values) -> None:
-        # What an effort drive is sent is what it gives: its lag is that of the effort.
-        lag = values["time_constant"] * values["of_setpoint"] * (world.servo != "effort")
-        world.setpoint = self._follow(world, "setpoint", world.setpoint, lag)
+        world.setpoint = self._lags(world, values)[0].mean(world.setpoint)
 
     def drive(self, world: World, values: Values) -> None:
-        lag = values["time_constant"] * (1.0 - values["of_setpoint"])
-        world.delivered = self._follow(world, "effort", world.delivered, lag)
+        world.delivered = self._lags(world, values)[1].mean(world.delivered)
 
-    def _follow(self, world: World, what: str, asked: FloatArray, lag: FloatArray) -> FloatArray:
-        """(rows, joints) mean over the step of what follows ``asked`` with a lag, s."""
-        if not lag.any():
+    def _lags(self, world: World, values: Values) -> tuple[_Lag, _Lag]:
+        """Of the setpoint and of the effort."""
+        lags: tuple[_Lag, _Lag] | None = world.state.get(self.id)
+        if lags is None:
+            # What an effort drive is sent is what it gives: its lag is that of the effort.
+            of_setpoint = values["of_setpoint"] * (world.servo != "effort")
+            of_effort = 1.0 - values["of_setpoint"]
+            each = (values["time_constant"] * share for share in (of_setpoint, of_effort))
+            before, after = (_Lag.of(lag, world.timestep) for lag in each)
+            lags = world.state[self.id] = before, after
+        return lags
+
+
+@dataclass(slots=True)
+class _Lag:
+    """A first-order lag of a step: exact for an input that is held over it.
+
+    Attributes:
+        kept: (rows, joints) share of what it is behind that is left at the end of a step.
+        mean_kept: that in the mean over the step.
+        acts: whether there is a lag anywhere; where there is none, what comes in goes through.
+        followed: (rows, joints) where it has come to.
+    """
+
+    kept: FloatArray
+    mean_kept: FloatArray
+    acts: bool
+    followed: FloatArray | None = None
+
+    @classmethod
+    def of(cls, lag: FloatArray, timestep: float) -> _Lag:
+        """Of (rows, joints) time constants, s."""
+        steps = timestep / np.maximum(lag, 1e-9)
+        return cls(np.exp(-steps), -np.expm1(-steps) / steps, bool(lag.any()))
+
+    def mean(self, asked: FloatArray) -> FloatArray:
+        """(rows, joints) mean over the next step of what follows ``asked``."""
+        if not self.acts:
             return asked
-        followed = world.state.setdefault(self.id, {})
-        # Exact for an input that is held over the step; a zero time constant passes it through.
-        steps = world.timestep / np.maximum(lag, 1e-9)
-        behind = followed.get(what, asked) - asked
-        followed[what] = asked + np.exp(-steps) * behind
-        mean: FloatArray = asked - np.expm1(-steps) / steps * behind
+        behind = (asked if self.followed is None else self.followed) - asked
+        self.followed = asked + self.kept * behind
+        mean: FloatArray = asked + self.mean_kept * behind
         return mean
 
 
@@ -86,14 +118,14 @@ class RateLimit(Effect):
     }
 
     def command(self, world: World, values: Values) -> None:
-        held = world.state.get(self.id)
-        if held is None:
-            held = world.setpoint.copy()
-        reach = world.timestep / np.maximum(values["inverse_rate"], 1e-9)
-        moved = np.clip(world.setpoint - held, -reach, reach)
-        world.state[self.id] = held + moved
+        held, reach = world.state.get(self.id) or (
+            world.setpoint.copy(), world.timestep / np.maximum(values["inverse_rate"], 1e-9),
+        )  # fmt: skip
+        asked = world.setpoint - held
+        moved = within(asked, -reach, reach)
+        world.state[self.id] = held + moved, reach
         # What lies in the middle of the step; without a limit, what is asked for.
-        world.setpoint = held + np.where(np.abs(moved) < reach, moved, 0.5 * moved)
+        world.setpoint = held + np.where(np.abs(asked) < reach, moved, 0.5 * moved)
 
 
 class TorqueConstant(Effect):
@@ -185,10 +217,12 @@ class TorqueSpeedLimit(Effect):
 
     def servo(self, world: World, values: Values) -> None:
         inverse = values["inverse_no_load_speed"]
-        stall = np.where(inverse > 0.0, values["stall"], np.inf)
+        stall = world.state.get(self.id)
+        if stall is None:
+            stall = world.state[self.id] = np.where(inverse > 0.0, values["stall"], np.inf)
         used = inverse * world.motor_velocity
-        world.upper = np.minimum(world.upper, stall * np.clip(1.0 - used, 0.0, 1.0))
-        world.lower = np.maximum(world.lower, -stall * np.clip(1.0 + used, 0.0, 1.0))
+        world.upper = np.minimum(world.upper, stall * within(1.0 - used, 0.0, 1.0))
+        world.lower = np.maximum(world.lower, -stall * within(1.0 + used, 0.0, 1.0))
 
 
 class DeadZone(Effect):
@@ -213,15 +247,35 @@ class DeadZone(Effect):
     }
 
     def servo(self, world: World, values: Values) -> None:
-        width = values["width"] * (1.0 - values["of_effort"])
-        error = world.setpoint - np.where(world.servo == "position", world.motor_position, 0.0)
-        world.setpoint = world.setpoint - np.clip(error, -width, width)
+        width, of_position, _ = self._known(world, values)
+        if width is None:
+            return
+        error = world.setpoint - np.where(of_position, world.motor_position, 0.0)
+        world.setpoint = world.setpoint - within(error, -width, width)
 
     def drive(self, world: World, values: Values) -> None:
-        # What an effort drive gives is its command: one dead zone for both.
-        width = values["width"] * values["of_effort"] * (world.servo != "effort")
-        none = world.gain * width
-        world.delivered = world.delivered - np.clip(world.delivered, -none, none)
+        _, _, none = self._known(world, values)
+        if none is not None:
+            world.delivered = world.delivered - within(world.delivered, -none, none)
+
+    def _known(
+        self, world: World, values: Values
+    ) -> tuple[FloatArray | None, NDArray[np.bool_], FloatArray | None]:
+        """(rows, joints) width of errors that are ignored, whether a servo is of position, and
+        efforts that are not given; None where there are none.
+        """
+        found: tuple[FloatArray | None, NDArray[np.bool_], FloatArray | None]
+        if self.id not in world.state:
+            # What an effort drive gives is its command: one dead zone for both.
+            of_effort = values["of_effort"] * (world.servo != "effort")
+            width = values["width"] * (1.0 - values["of_effort"])
+            none = world.gain * values["width"] * of_effort
+            world.state[self.id] = (
+                width if width.any() else None, world.servo == "position",
+                none if none.any() else None,
+            )  # fmt: skip
+        found = world.state[self.id]
+        return found
 
 
 class Cogging(Effect):

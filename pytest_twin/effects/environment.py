@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_twin.effects.base import Effect, Parameter, Values, World
+from pytest_twin.effects.within import within
 
 
 class ExternalForce(Effect):
@@ -36,4 +37,4 @@ class ExternalForce(Effect):
         since = world.time[:, None] - values["start"]
         # Overlap of the step with the window, so that its edges move smoothly.
         inside = np.minimum(since + world.timestep, values["duration"]) - np.maximum(since, 0.0)
-        world.applied += values["effort"] * np.clip(inside / world.timestep, 0.0, 1.0)
+        world.applied += values["effort"] * within(inside / world.timestep, 0.0, 1.0)

@@ -224,10 +224,12 @@ class ThermalFriction(_DryFriction):
     has_in_it = _DryFriction.has_in_it | {"viscous_friction"}
 
     def friction(self, world: World, values: Values) -> None:
-        world.friction_level = world.friction_level + values["excess"] * self._cold(world, values)
+        cold = world.state[self.id] = self._cold(world, values)
+        world.friction_level = world.friction_level + values["excess"] * cold
 
     def force(self, world: World, values: Values) -> None:
-        world.drag_motor(values["viscous_excess"] * self._cold(world, values))
+        # Of the same step: friction comes before.
+        world.drag_motor(values["viscous_excess"] * world.state[self.id])
 
     @staticmethod
     def _cold(world: World, values: Values) -> FloatArray:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.effects.within import within
+
 FloatArray = NDArray[np.float64]
 
 _RING = 0.6
@@ -165,7 +167,7 @@ class MotorSide:
         """Begin a step: without a gear that gives the motor is where the link is."""
         self.angle = np.where(self.apart, self.angle, position)
         self.speed = np.where(self.apart, self.speed, velocity)
-        self.applied, self.drag = self.constant.copy(), np.zeros_like(self.constant)
+        self.applied, self.drag = self.constant.copy(), np.zeros(self.constant.shape)
 
     def step(
         self,
@@ -196,7 +198,7 @@ class MotorSide:
         inert, gear = self.inert + self.servo * free + self.drag, self.gear
         half = self.half_gap
         if half is not None:
-            deflection = deflection - np.minimum(np.maximum(deflection, -half), half)
+            deflection = deflection - within(deflection, -half, half)
             # Without play teeth always touch, also where they are not deflected.
             gear = gear * ((deflection != 0.0) | (half == 0.0))
             inert = inert + gear
@@ -205,7 +207,7 @@ class MotorSide:
         moving = (push - pull + gear * velocity) / inert
         # Dry friction as the impulse that stops the motor, at most its level (Moreau 1988).
         most = friction_level / inert
-        moving = moving - np.minimum(np.maximum(moving, -most), most)
+        moving = moving - within(moving, -most, most)
         transmitted = pull + gear * (moving - velocity)
         if half is not None:
             # Flanks push and never pull.

@@ -13,6 +13,7 @@ import numpy as np
 
 from pytest_twin.effects.base import Effect, FloatArray, Values, World
 from pytest_twin.effects.motor_side import Gear, MotorSide
+from pytest_twin.effects.within import within
 
 LEAD = 0.2
 """s; motors behind gears and current loops forget sooner."""
@@ -46,7 +47,7 @@ def act(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
     native = world.delivered
     if drives or geared:
         law = world.asked(world.motor_position, world.motor_velocity)
-        native = world.delivered = np.minimum(np.maximum(law, world.lower), world.upper)
+        native = world.delivered = within(law, world.lower, world.upper)
     for effect, v in hooks["drive"]:
         effect.drive(world, v)
     for effect, v in hooks["friction"]:

@@ -140,6 +140,13 @@ class RowModels:
             self._link_inertia[key] = (s.position, least)
         return np.array([self._link_inertia[id(s.position)][1] for s in segments])
 
+    def warm(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> None:
+        """Work out and keep what batches of ``rows`` share, before forks each do."""
+        for r in np.unique(rows):
+            self.bounded(int(r))
+        if any(effect.overrides("separates") for effect, _ in effects):
+            self.link_inertia(np.unique(rows))
+
     def world(self, rows: NDArray[np.int64]) -> World:
         """The rows' segments at their start, the drives as the model has them."""
         segments, of = np.unique(rows, return_inverse=True)

@@ -7,8 +7,8 @@ steps on arrays of all rows.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from mujoco.batch import SimulationError as BatchError
@@ -24,6 +24,7 @@ from pytest_twin.effects.acting import (
 from pytest_twin.effects.base import Effect, FloatArray, Values, World
 from pytest_twin.effects.held_commands import HeldCommands
 from pytest_twin.effects.layout import Layout
+from pytest_twin.effects.parts import Part, parts, worth_forks
 from pytest_twin.effects.roll_in import (
     LEAD,
     PATH_STEP,
@@ -37,10 +38,9 @@ from pytest_twin.effects.roll_in import (
 from pytest_twin.effects.row_models import RowModels, Rows
 from pytest_twin.effects.sampling import behind, sampled, taken
 from pytest_twin.effects.segment import Predicted, Segment
+from pytest_twin.realization.forks import free_cores, in_forks, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
-
-_MAX_ROWS = 384
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(steps + 1, rows, joints) positions, velocities and efforts."""
@@ -52,7 +52,7 @@ class RowSimulator:
     Args:
         segments: all of one layout of model and of the same joints.
         joints: hinges and slides, in the order of the segments' columns.
-        threads: of the batch, 0 for all cores that the process may use.
+        threads: of the batch, or forks in their place, 0 for all cores that the process may use.
         refine: substeps per model step, to measure the discretization.
         fixed: effects under every row: parameters as (1, joints) arrays.
     """
@@ -68,7 +68,7 @@ class RowSimulator:
     ) -> None:
         self.segments = list(segments)
         self.joints = tuple(joints)
-        self.threads = threads or _cores()
+        self.threads = threads or usable_cores()
         model = self.segments[0].model
         self.layout = Layout(model, self.segments, joints)
         self.timestep = float(model.opt.timestep) / refine
@@ -93,32 +93,28 @@ class RowSimulator:
     def simulate(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
         """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i."""
         values = with_fixed(values, self.fixed, len(rows))
-        found: list[Predicted | None] = [None] * len(rows)
-        stepwise = between_steps(values, len(rows))
-        order = np.lexsort((self.steps[rows], stepwise))
-        begin = 0
-        while begin < len(order):
-            # Rows of like length step together; none waits for one more than a tenth longer, and
-            # none that the engine steps alone waits for laws between steps.
-            shortest, kind = self.steps[rows[order[begin]]], stepwise[order[begin]]
-            end = begin
-            while (
-                end < len(order)
-                and end - begin < _MAX_ROWS
-                and stepwise[order[end]] == kind
-                and self.steps[rows[order[end]]] <= 1.1 * shortest + 8
-            ):
-                end += 1
-            chosen = order[begin:end]
-            effects = acting({e: {n: v[chosen] for n, v in vs.items()} for e, vs in values.items()})
-            motion = self._moved(rows[chosen], effects)
-            segments = [self.segments[r] for r in rows[chosen]]
-            for i, predicted in zip(
-                chosen, sampled(segments, effects, motion, self.timestep), strict=True
-            ):
-                found[i] = predicted
-            begin = end
-        return [p for p in found if p is not None]
+        laws = between_steps(values, len(rows))
+        cores = free_cores(self.threads)
+        divided = parts(self.steps[rows], laws, len(self.joints), cores)
+
+        def work(part: Part) -> list[Predicted]:
+            mine = rows[part.rows]
+            effects = acting(
+                {e: {n: v[part.rows] for n, v in vs.items()} for e, vs in values.items()}
+            )
+            motion = self._moved(mine, effects)
+            return sampled([self.segments[r] for r in mine], effects, motion, self.timestep)
+
+        if not worth_forks(divided):
+            cores = 1
+        if cores > 1:
+            self.models.warm(rows, acting(values))
+        each = in_forks([partial(work, p) for p in divided], cores)
+        found: dict[int, Predicted] = {}
+        for part, predicted in zip(divided, each, strict=True):
+            self._count(rows[part.rows])
+            found.update(zip(part.rows.tolist(), predicted, strict=True))
+        return [found[i] for i in range(len(rows))]
 
     def trajectories(
         self, rows: NDArray[np.int64], values: EffectValues
@@ -127,7 +123,9 @@ class RowSimulator:
 
         A row that is shorter than the longest goes on under its last command.
         """
-        q, v, _ = self._moved(rows, acting(with_fixed(values, self.fixed, len(rows))))
+        effects = acting(with_fixed(values, self.fixed, len(rows)))
+        q, v, _ = self._moved(rows, effects)
+        self._count(rows)
         return q, v
 
     def followed(
@@ -136,6 +134,7 @@ class RowSimulator:
         """As :meth:`trajectories`, and what is read of them."""
         effects = acting(with_fixed(values, self.fixed, len(rows)))
         motion = self._moved(rows, effects)
+        self._count(rows)
         segments = [self.segments[r] for r in rows]
         return motion[0], motion[1], sampled(segments, effects, motion, self.timestep)
 
@@ -155,7 +154,11 @@ class RowSimulator:
 
     def written(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> Rows:
         """Rows with their model fields written, and the state and drives that they start from."""
-        return self.models.written(rows, effects, self.threads)
+        return self.models.written(rows, effects, threads_here(self.threads))
+
+    def _count(self, rows: NDArray[np.int64]) -> None:
+        """Count what rows of one batch took."""
+        self.stepped += len(rows) * int(self.steps[rows].max())
 
     def commands(
         self,
@@ -255,7 +258,6 @@ class RowSimulator:
         """Rows first; NaN where a row diverged."""
         steps = int(self.steps[rows].max())
         commands = self.commands(rows, effects, steps)
-        self.stepped += len(rows) * steps
         hooks = hooks_between_steps(effects)
         with quiet():
             written = self.written(rows, effects)
@@ -395,9 +397,3 @@ def _span(index: NDArray[np.int64]) -> slice | NDArray[np.int64]:
     if len(index) and (np.diff(index) == 1).all():
         return slice(int(index[0]), int(index[-1]) + 1)
     return index
-
-
-def _cores() -> int:
-    """Cores that the process may use; 0, all of them, where the system cannot tell."""
-    allowed = getattr(os, "sched_getaffinity", None)
-    return 0 if allowed is None else len(allowed(0))

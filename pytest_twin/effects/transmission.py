@@ -8,8 +8,16 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Parameter, Values, World
+from pytest_twin.effects.base import (
+    Effect,
+    FloatArray,
+    ModelFields,
+    Parameter,
+    Values,
+    World,
+)
 from pytest_twin.effects.motor_side import Gear
+from pytest_twin.effects.within import within
 
 
 class JointSpring(Effect):
@@ -83,7 +91,7 @@ class JointCoupling(Effect):
             # The servo holds its motor, which turns back by what the neighbour adds to the link.
             pull = world.stiffness * _beside(world.position, way)
             pull = pull + world.damping * _beside(world.velocity, way)
-            held = np.clip(world.delivered + ratio * pull, world.lower, world.upper)
+            held = within(world.delivered + ratio * pull, world.lower, world.upper)
             turned = np.where(ratio != 0.0, held, world.delivered)
             world.delivered = turned - _beside(ratio * turned, -way)
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from typing import Any
 
 import jinja2
 
+from pytest_twin.realization.forks import in_forks, usable_cores
 from pytest_twin.report.diagnosis_plots import joint_figure
 from pytest_twin.report.diagnosis_view import DiagnosisView
 from pytest_twin.report.text import number, printable, quantity
@@ -75,6 +76,7 @@ def render(view: DiagnosisView) -> str:
     )
     said = view.said
     drawn = view.joints[:MAX_FIGURES]
+    figures = in_forks([partial(joint_figure, v) for v in drawn], usable_cores())
     return _template().render(
         view=view,
         style=style,
@@ -83,7 +85,7 @@ def render(view: DiagnosisView) -> str:
         mood=_MOOD[said["verdict"]],
         findings=[_shown(f, view) for f in said["findings"]],
         left=_left(said),
-        figures=[(v.joint, _data_uri(joint_figure(v))) for v in drawn],
+        figures=[(v.joint, _data_uri(f)) for v, f in zip(drawn, figures, strict=True)],
         figures_left_out=[v.joint for v in view.joints[MAX_FIGURES:]],
         at_floor=view.at_floor,
         share_left=view.share_left,

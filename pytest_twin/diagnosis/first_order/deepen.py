@@ -8,6 +8,8 @@ gets its company.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from pytest_twin.diagnosis.first_order.polish import Polished
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, Search, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.realization.forks import in_forks
 
 # Single terms that are grown.
 _ROOTS = 4
@@ -26,6 +29,7 @@ def deepened(
     polished: Sequence[Polished],
     own: Hypothesis,
     search: Callable[[], Search],
+    cores: int = 1,
 ) -> list[Hypothesis]:
     """The best structure of every size around each of the foremost single terms.
 
@@ -35,6 +39,7 @@ def deepened(
         polished: structures fitted along the motion, best first.
         own: the fit at hand.
         search: a fresh one.
+        cores: that take part.
     """
     seen = {frozenset(p.hypothesis.terms) for p in polished}
     roots = [
@@ -42,17 +47,20 @@ def deepened(
         if p.hypothesis.more_terms(own) == 1
         and not p.hypothesis.at_bound(p.hypothesis.terms[-1])
     ]  # fmt: skip
-    out: list[Hypothesis] = []
-    for root in roots[:_ROOTS]:
+
+    def grown(root: Polished) -> list[Hypothesis]:
         term = root.hypothesis.terms[-1]
         gives = np.concatenate([view.jacobian, _nearest(answers, root.hypothesis, term)], axis=2)
         others = Answers([r for r in answers.responses if r.term not in root.hypothesis.terms])
         lens = Lens(View(root.residual, gives, view.floor, view.lengths), others)
-        for level in search().levels(lens):
-            h = root.hypothesis.with_terms(level[0].starts)
-            if frozenset(h.terms) not in seen:
-                seen.add(frozenset(h.terms))
-                out.append(h)
+        levels = search().levels(lens)
+        return [root.hypothesis.with_terms(level[0].starts) for level in levels]
+
+    out: list[Hypothesis] = []
+    for h in chain(*in_forks([partial(grown, r) for r in roots[:_ROOTS]], cores)):
+        if frozenset(h.terms) not in seen:
+            seen.add(frozenset(h.terms))
+            out.append(h)
     return out
 
 

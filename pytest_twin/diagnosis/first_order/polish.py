@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,13 +17,14 @@ from pytest_twin.diagnosis.first_order.screen import View
 from pytest_twin.diagnosis.fit import nudged, proposals, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.realization.forks import free_cores, in_forks
 
 NEARBY, FAR_OFF = 3, 8
 """Iterations of what starts near where it ends, and of what stands for something else."""
 _DAMPINGS = (1e-4, 1e-2, 1.0)
 _ENOUGH = 3e-3
-_AT_ONCE = 48
-"""Rows of one batch: more take memory and save no more time."""
+_FEW, _AT_ONCE = 4, 48
+"""Rows of one batch: fewer are not worth a core of their own, more take memory and save no time."""
 
 
 @dataclass(slots=True)
@@ -87,10 +89,18 @@ def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Float
             any(e.overrides("gear") for e in effects),
         )
         groups.setdefault(key, []).append(i)
+    cores = free_cores(linear.simulator.threads)
+    batches = []
+    # What takes the model's own step takes longest.
+    for key in sorted(groups, key=lambda k: (k[1], k[0]), reverse=True):
+        # All of a batch have all laws of it: those of the same laws go together.
+        which = sorted(groups[key], key=lambda i: sorted(t.effect for t in hypotheses[i].terms))
+        each = min(_AT_ONCE, max(-(-len(which) // cores), _FEW))
+        batches += [which[i : i + each] for i in range(0, len(which), each)]
+    if cores > 1:
+        linear.know_bodies(hypotheses)
+    tasks = [partial(linear.differences, [hypotheses[i] for i in some]) for some in batches]
     out: dict[int, FloatArray] = {}
-    for which in groups.values():
-        for first in range(0, len(which), _AT_ONCE):
-            some = which[first : first + _AT_ONCE]
-            found = linear.differences([hypotheses[i] for i in some])
-            out.update(zip(some, found, strict=True))
+    for some, found in zip(batches, in_forks(tasks, cores), strict=True):
+        out.update(zip(some, found, strict=True))
     return [out[i] for i in range(len(hypotheses))]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from pytest_twin.diagnosis.first_order.rigid_terms import (
     Rigid,
     changes_bodies,
     rigid_terms,
+    tilts,
     upsampled,
 )
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
@@ -32,6 +34,7 @@ from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import BETWEEN_STEPS, EffectValues, with_fixed
 from pytest_twin.effects.base import Effect, FloatArray, Values
+from pytest_twin.realization.forks import free_cores, in_forks
 
 _IN_FORCES = ("gains", "command_delay", "sample_time", "fields", "separates", *BETWEEN_STEPS)
 _CLOSEST = 16
@@ -285,16 +288,28 @@ class Linear:
 
     def responses(self, terms: Sequence[Term]) -> list[Response]:
         """All candidates', those of one effect together."""
+        by_effect: dict[str, list[Term]] = {}
+        for term in sorted(terms, key=lambda t: t.effect):
+            by_effect.setdefault(term.effect, []).append(term)
+        cores = free_cores(self.simulator.threads)
+        if cores > 1:
+            self.know_bodies([
+                EMPTY.with_term(t, start) for each in by_effect.values() for t in each
+                for start, _ in grid(t)
+            ])  # fmt: skip
+        order = sorted(by_effect, key=_slow, reverse=True)
+        found = in_forks([partial(self._of_effect, by_effect[e]) for e in order], cores)
+        of = dict(zip(order, found, strict=True))
+        return [response for effect in by_effect for response in of[effect]]
+
+    def _of_effect(self, terms: Sequence[Term]) -> list[Response]:
+        """Those of one effect."""
         out: list[Response] = []
         plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
         columns: list[Column] = []
-        for effect, group in itertools.groupby(
-            sorted(terms, key=lambda t: t.effect), key=lambda t: t.effect
-        ):
-            mine = list(group)
-            for term, start, switches, found in self._columns(catalogue()[effect], mine):
-                plan.append((term, start, switches))
-                columns += found
+        for term, start, switches, found in self._columns(catalogue()[terms[0].effect], terms):
+            plan.append((term, start, switches))
+            columns += found
         changes = self.readings.of(columns)
         at = 0
         for term, start, switches in plan:
@@ -418,6 +433,18 @@ class Linear:
 
     # -- whole hypotheses
 
+    def know_bodies(self, hypotheses: Sequence[Hypothesis]) -> None:
+        """Work out and keep what hypotheses ask of their bodies, before forks each do."""
+        joints = len(self.problem.joints)
+        values = effect_values(hypotheses, joints, self.problem.scales)
+        self.efforts.know(
+            [
+                (e, v) for e, v in self._active(values)
+                if changes_bodies(e, v, joints) and not tilts(e, v, joints)
+            ],
+            len(hypotheses),
+        )  # fmt: skip
+
     def differences(self, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
         """What hypotheses would read more than the one at hand, (bins, signals) each.
 
@@ -473,6 +500,12 @@ class Linear:
         for effect, v in reversed(mine):
             q, v0 = effect.unsense(q, v0, {k: np.repeat(x, len(q), axis=0) for k, x in v.items()})
         return np.concatenate(out), np.concatenate([q, v0], axis=1)
+
+
+def _slow(effect: str) -> tuple[bool, bool]:
+    """Greater for effects whose laws take longer to follow along a motion."""
+    law = catalogue()[effect]
+    return law.overrides("gear"), law.remembers
 
 
 def _sensing(active: ActiveEffects) -> ActiveEffects:

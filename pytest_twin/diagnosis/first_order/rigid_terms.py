@@ -138,6 +138,11 @@ def changes_bodies(effect: Effect, values: Values, joints: int) -> bool:
     return tilted or changed.changes_links
 
 
+def tilts(effect: Effect, values: Values, joints: int) -> bool:
+    """Whether an effect changes gravity, of which efforts are no parts."""
+    return _fields([(effect, values)], len(next(iter(values.values()))), joints)[1]
+
+
 def _fields(
     effects: Sequence[tuple[Effect, Values]], copies: int, joints: int
 ) -> tuple[ModelFields, bool]:
@@ -211,14 +216,35 @@ class Efforts:
             effects: what changes them, values (copies, joints).
             copies: how many variants.
         """
+        sizes = self.know(effects, copies)
+        if sizes is None:
+            joints = self._bare.shape[2]
+            heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
+            found = rigid_terms(self._simulator, self._along, heavy, copies)
+            return [f.effort for f in found]
+        out = []
+        for copy in range(copies):
+            total = self._bare.copy()
+            for part, x in sizes.items():
+                if x[copy]:
+                    total += x[copy] * self._parts[part]
+            out.append(total)
+        return out
+
+    def know(
+        self, effects: Sequence[tuple[Effect, Values]], copies: int
+    ) -> dict[tuple[str, int, int], FloatArray] | None:
+        """Work out the parts that variants are made of, and keep them.
+
+        Returns:
+            Part -> (copies,) how much of it each has; None where no parts give them.
+        """
         joints = self._bare.shape[2]
         fields, tilted = _fields(effects, copies, joints)
         # Two joints of one body would change it twice.
         bodies = self._simulator.layout.body_index
         if tilted or len(set(bodies)) < len(bodies):
-            heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
-            found = rigid_terms(self._simulator, self._along, heavy, copies)
-            return [f.effort for f in found]
+            return None
         sizes: dict[tuple[str, int, int], FloatArray] = {}
         for j in range(joints):
             sizes["mass", j, 0] = fields.mass_scale[:, j] - 1.0
@@ -230,14 +256,7 @@ class Efforts:
             sizes["load", joints - 1, k] = fields.added_mass[:, -1] * amount
         sizes = {part: x for part, x in sizes.items() if x.any()}
         self._work_out(dict.fromkeys((name, j) for name, j, _ in sizes))
-        out = []
-        for copy in range(copies):
-            total = self._bare.copy()
-            for part, x in sizes.items():
-                if x[copy]:
-                    total += x[copy] * self._parts[part]
-            out.append(total)
-        return out
+        return sizes
 
     def _work_out(self, wanted: Iterable[tuple[str, int]]) -> None:
         """Parts of families at joints that are not known yet."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import FloatArray
+from pytest_twin.realization.forks import in_forks
 
 # Laws with one period a turn say nothing of a slide.
 _OF_A_TURN = frozenset({"cogging", "encoder_eccentricity", "position_dependent_friction"})
@@ -374,12 +376,14 @@ class Search:
         most: terms at most.
         earns: evidence that a larger structure, or another in its place, must gain.
         worth: whether (signals,) mean squares after are worth one more name than before.
+        cores: that take part.
     """
 
     width: int
     most: int
     earns: float
     worth: Callable[[FloatArray, FloatArray], bool]
+    cores: int = 1
     _seen: dict[frozenset[int], Structure] = field(default_factory=dict)
 
     def levels(self, lens: Lens) -> list[list[Structure]]:
@@ -412,12 +416,10 @@ class Search:
         return [lens.compared(lens.bare, sizes[n])[: self.width] for n in sorted(sizes)]
 
     def _grown(self, lens: Lens, level: Sequence[Structure], count: int) -> list[Structure]:
-        wanted = {
-            frozenset(c): c
-            for s in level
-            if len(s.chosen) < self.most
-            for c in lens.children(s, count)
-        }
+        parents = [s for s in level if len(s.chosen) < self.most]
+        lens.answers.take_products(i for s in parents for i in s.chosen)
+        tasks = [partial(lens.children, s, count) for s in parents]
+        wanted = {frozenset(c): c for each in in_forks(tasks, self.cores) for c in each}
         new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
         lens.answers.take_products(i for chosen in new.values() for i in chosen)
         self._seen |= {key: lens.structure(chosen) for key, chosen in new.items()}

@@ -58,10 +58,15 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
     if not look.answers.responses:
         return None
     whole = _whole(contest, best)
+    cores = contest.problem.simulator.threads
 
     def search(width: int = _WIDTH, most: int = _AT_ONCE) -> Search:
         return Search(
-            width, most, EARNS, lambda before, after: contest.worth_a_name(before, after, whole)
+            width,
+            most,
+            EARNS,
+            lambda before, after: contest.worth_a_name(before, after, whole),
+            cores,
         )
 
     levels = search().levels(Lens(look.view, look.answers))
@@ -84,7 +89,7 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
     if look.view.above(left, STANDS_OUT).any():
         more = deepened(
             look.view, look.answers, polished, best.hypothesis,
-            lambda: search(_NARROW, _AT_ONCE - 1),
+            lambda: search(_NARROW, _AT_ONCE - 1), cores,
         )  # fmt: skip
         polished += polish(look.linear, look.view, more, NEARBY)
     return _foremost(look.view, polished, best, contest.name_price, say)

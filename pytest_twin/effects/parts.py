@@ -1,0 +1,127 @@
+"""Divide rows into batches that step together, and batches into parts for several cores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_MAX_ROWS = 384
+# About what one step takes, s: of the engine for each joint of a row, and for all rows of what is
+# done between steps and of each law there. Only how work is divided rests on them.
+_ENGINE, _BETWEEN, _LAW = 1e-6, 5e-5, 2e-5
+_FORK = 0.02
+"""s that a fork costs, about."""
+_CUTS = 16
+"""Places at which a part is tried to be cut in two, beside those where its laws change."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Rows that step together.
+
+    Attributes:
+        rows: indices.
+        seconds: that they take, about.
+    """
+
+    rows: NDArray[np.int64]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """What is known of rows.
+
+    Attributes:
+        steps: (rows,) of each.
+        laws: (rows, laws) that act between its steps.
+        joints: of each.
+    """
+
+    steps: NDArray[np.int64]
+    laws: NDArray[np.bool_]
+    joints: int
+
+    def part(self, rows: NDArray[np.int64]) -> Part:
+        """Of these rows."""
+        laws = int(self.laws[rows].any(axis=0).sum())
+        between = _BETWEEN + laws * _LAW if laws else 0.0
+        each = len(rows) * self.joints * _ENGINE + between
+        return Part(rows, float(self.steps[rows].max()) * each)
+
+    def divided(self, part: Part, count: int) -> list[Part]:
+        """A part in ``count``, rows of the same laws together: all of a part have all its laws."""
+        if count < 2 or len(part.rows) < 2:
+            return [part]
+        order = part.rows[np.lexsort([part.rows, *self.laws[part.rows].T])]
+        share = (count // 2) / count
+        changes = 1 + np.flatnonzero(np.any(np.diff(self.laws[order], axis=0), axis=1))
+        even = np.linspace(1, len(order) - 1, _CUTS).astype(int)
+        middle = np.clip(round(share * len(order)), 1, len(order) - 1)
+        places = np.unique([*changes[:: 1 + len(changes) // _CUTS], *even, middle])
+        cuts = [(self.part(order[:at]), self.part(order[at:])) for at in places]
+        few, many = min(cuts, key=lambda c: max(c[0].seconds / share, c[1].seconds / (1.0 - share)))
+        return self.divided(few, count // 2) + self.divided(many, count - count // 2)
+
+
+def parts(steps: NDArray[np.int64], laws: NDArray[np.bool_], joints: int, cores: int) -> list[Part]:
+    """Rows in parts, those that take longest first.
+
+    Rows of like length step together; none waits for one more than a tenth longer, and none that
+    the engine steps alone waits for laws between steps.
+
+    Args:
+        steps: (rows,) of each.
+        laws: (rows, laws) that act between its steps.
+        joints: of a row.
+        cores: that work on parts at the same time.
+    """
+    known = _Rows(steps, laws, joints)
+    stepwise: NDArray[np.bool_] = np.asarray(laws.any(axis=1))
+    order = np.lexsort((steps, stepwise))
+    whole: list[Part] = []
+    begin = 0
+    while begin < len(order):
+        shortest, kind = steps[order[begin]], stepwise[order[begin]]
+        end = begin
+        while (
+            end < len(order)
+            and end - begin < _MAX_ROWS
+            and stepwise[order[end]] == kind
+            and steps[order[end]] <= 1.1 * shortest + 8
+        ):
+            end += 1
+        whole.append(known.part(order[begin:end]))
+        begin = end
+    return sorted(_shared_out(known, whole, cores), key=lambda p: -p.seconds)
+
+
+def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
+    """Parts that several cores are done with soonest: what is done between steps costs a part of
+    the rows as much as all.
+    """
+    best, least = list(whole), _until_done(whole, cores)
+    longest = sorted(whole, key=lambda p: -p.seconds)
+    for count in range(1, len(longest) + 1) if cores > 1 else ():
+        some = [p for w in longest[:count] for p in known.divided(w, cores)] + longest[count:]
+        seconds = _until_done(some, cores) + _FORK
+        if seconds < least:
+            best, least = some, seconds
+    return best
+
+
+def _until_done(found: Sequence[Part], cores: int) -> float:
+    """s until all parts are done, each core taking the longest that is left."""
+    busy = [0.0] * cores
+    for p in sorted(found, key=lambda p: -p.seconds):
+        first = int(np.argmin(busy))
+        busy[first] += p.seconds
+    return max(busy)
+
+
+def worth_forks(found: Sequence[Part]) -> bool:
+    """Whether several cores are done sooner by more than what forks cost."""
+    return len(found) > 1 and sum(p.seconds for p in found) - found[0].seconds > _FORK

@@ -1,0 +1,122 @@
+"""Independent work on several cores, in forks of this process.
+
+What acts between steps is Python, and one interpreter runs that on one core. A fork has all that
+its parent has in memory, nothing is sent to it, and what it found comes back through a pipe.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from typing import BinaryIO, Generic, TypeVar
+
+_Result = TypeVar("_Result")
+# Numbers of tasks are taken off a pipe that must hold them all at once.
+_NUMBER, _MOST_TASKS = 4, 8192
+
+_sharing = False
+
+
+def in_forks(tasks: Sequence[Callable[[], _Result]], processes: int) -> list[_Result]:
+    """Results of tasks in their order. Whoever is done takes the next, forks and this process.
+
+    Where the system cannot fork safely, and within a task, all are done here.
+
+    Args:
+        tasks: independent of one another, the longest first. What one leaves behind beside its
+            result, which must be such as can be pickled, is lost where a fork does it.
+        processes: at most, this one among them.
+
+    Raises:
+        Exception: what a task raises. One that fails in a fork is done again here.
+    """
+    global _sharing
+    helpers = min(processes, len(tasks)) - 1
+    if helpers < 1 or free_cores(processes) == 1 or len(tasks) > _MOST_TASKS:
+        return [task() for task in tasks]
+    numbers, filled = os.pipe()
+    os.write(filled, b"".join(i.to_bytes(_NUMBER, "little") for i in range(len(tasks))))
+    os.close(filled)
+    forks: list[_Fork[_Result]] = []
+    _sharing = True
+    try:
+        forks += [_Fork(tasks, numbers) for _ in range(helpers)]
+        found = _taken(tasks, numbers)
+        for fork in forks:
+            found |= fork.found()
+    finally:
+        _sharing = False
+        os.close(numbers)
+        for fork in forks:
+            fork.end()
+    return [found[i] if i in found else task() for i, task in enumerate(tasks)]
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    return (os.cpu_count() or 1) if allowed is None else len(allowed(0))
+
+
+def free_cores(count: int) -> int:
+    """Of ``count`` cores, those that forks of this process may take part with: one within a task,
+    whose neighbours have the others, and where a process cannot fork safely.
+    """
+    # Apple's libraries do not survive a fork, and Windows has none.
+    return count if sys.platform == "linux" and not _sharing else 1
+
+
+def threads_here(count: int) -> int:
+    """Of ``count`` threads, those that a batch is to have: one within a task."""
+    return 1 if _sharing else count
+
+
+def _taken(tasks: Sequence[Callable[[], _Result]], numbers: int) -> dict[int, _Result]:
+    """Tasks that nobody took before, done until none is left."""
+    found = {}
+    while number := os.read(numbers, _NUMBER):
+        i = int.from_bytes(number, "little")
+        found[i] = tasks[i]()
+    return found
+
+
+class _Fork(Generic[_Result]):
+    """A copy of this process that takes tasks, and ends."""
+
+    def __init__(self, tasks: Sequence[Callable[[], _Result]], numbers: int) -> None:
+        read, write = os.pipe()
+        self.answers: BinaryIO = os.fdopen(read, "rb")
+        self.process = os.fork()
+        if self.process == 0:
+            _work(tasks, numbers, write)
+        os.close(write)
+
+    def found(self) -> dict[int, _Result]:
+        """Number of a task -> its result; nothing where the fork failed."""
+        try:
+            # Written by a copy of this process alone.
+            answer: dict[int, _Result] = pickle.load(self.answers)  # noqa: S301
+        except (EOFError, pickle.UnpicklingError, MemoryError):
+            return {}
+        return answer
+
+    def end(self) -> None:
+        """End it, done or not."""
+        self.answers.close()
+        os.kill(self.process, signal.SIGKILL)
+        os.waitpid(self.process, 0)
+
+
+def _work(tasks: Sequence[Callable[[], object]], numbers: int, answers: int) -> None:
+    """All that a fork does."""
+    # What the parent's garbage holds (threads that this process does not have) is not its to end.
+    gc.freeze()
+    try:
+        with os.fdopen(answers, "wb") as pipe:
+            pickle.dump(_taken(tasks, numbers), pipe, protocol=pickle.HIGHEST_PROTOCOL)
+    finally:
+        os._exit(0)
