@@ -6,6 +6,7 @@ its parent has in memory, nothing is sent to it, and what it found comes back th
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import pickle
@@ -15,10 +16,11 @@ from collections.abc import Callable, Sequence
 from typing import BinaryIO, Generic, TypeVar
 
 _Result = TypeVar("_Result")
-# Numbers of tasks are taken off a pipe that must hold them all at once.
-_NUMBER, _MOST_TASKS = 4, 8192
+# Numbers of tasks are taken off a pipe that holds them all at once: the least is one page.
+_NUMBER, _MOST_TASKS = 4, 1024
 
 _sharing = False
+_ended: set[int] = set()
 
 
 def in_forks(tasks: Sequence[Callable[[], _Result]], processes: int) -> list[_Result]:
@@ -38,13 +40,17 @@ def in_forks(tasks: Sequence[Callable[[], _Result]], processes: int) -> list[_Re
     helpers = min(processes, len(tasks)) - 1
     if helpers < 1 or free_cores(processes) == 1 or len(tasks) > _MOST_TASKS:
         return [task() for task in tasks]
+    _bury()
     numbers, filled = os.pipe()
     os.write(filled, b"".join(i.to_bytes(_NUMBER, "little") for i in range(len(tasks))))
     os.close(filled)
     forks: list[_Fork[_Result]] = []
     _sharing = True
     try:
-        forks += [_Fork(tasks, numbers) for _ in range(helpers)]
+        # Fewer than asked for, where the system gives no more.
+        with contextlib.suppress(OSError):
+            for _ in range(helpers):
+                forks.append(_Fork(tasks, numbers))
         found = _taken(tasks, numbers)
         for fork in forks:
             found |= fork.found()
@@ -53,6 +59,7 @@ def in_forks(tasks: Sequence[Callable[[], _Result]], processes: int) -> list[_Re
         os.close(numbers)
         for fork in forks:
             fork.end()
+        _bury()
     return [found[i] if i in found else task() for i, task in enumerate(tasks)]
 
 
@@ -90,10 +97,15 @@ class _Fork(Generic[_Result]):
     def __init__(self, tasks: Sequence[Callable[[], _Result]], numbers: int) -> None:
         read, write = os.pipe()
         self.answers: BinaryIO = os.fdopen(read, "rb")
-        self.process = os.fork()
-        if self.process == 0:
-            _work(tasks, numbers, write)
-        os.close(write)
+        try:
+            self.process = os.fork()
+            if self.process == 0:
+                _work(tasks, numbers, write)
+        except OSError:
+            self.answers.close()
+            raise
+        finally:
+            os.close(write)
 
     def found(self) -> dict[int, _Result]:
         """Number of a task -> its result; nothing where the fork failed."""
@@ -105,10 +117,19 @@ class _Fork(Generic[_Result]):
         return answer
 
     def end(self) -> None:
-        """End it, done or not."""
+        """End it, done or not; nobody waits until the system has taken its memory back."""
         self.answers.close()
         os.kill(self.process, signal.SIGKILL)
-        os.waitpid(self.process, 0)
+        _ended.add(self.process)
+
+
+def _bury() -> None:
+    """Take leave of forks that are gone."""
+    for process in tuple(_ended):
+        with contextlib.suppress(ChildProcessError):
+            if not os.waitpid(process, os.WNOHANG)[0]:
+                continue
+        _ended.discard(process)
 
 
 def _work(tasks: Sequence[Callable[[], object]], numbers: int, answers: int) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pytest_twin.realization import forks as forks_of_the_process
 from pytest_twin.realization.forks import free_cores, in_forks, threads_here, usable_cores
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="forks are shared with on Linux alone")
@@ -91,8 +92,25 @@ def test_no_fork_and_no_pipe_is_left_behind() -> None:
     for tasks in ([partial(_squared, i) for i in range(4)], [interrupted] * 2):
         with contextlib.suppress(KeyboardInterrupt):
             in_forks(tasks, 2)
+        time.sleep(0.2)
+        in_forks([partial(_squared, i) for i in range(2)], 2)
+        time.sleep(0.2)
+        forks_of_the_process._bury()
         with pytest.raises(ChildProcessError):
             os.waitpid(-1, os.WNOHANG)
+    gc.collect()
+    assert _open_files() == before
+
+
+@forks
+def test_where_the_system_gives_no_fork_all_is_done_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none() -> int:
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "fork", none)
+    before = _open_files()
+    found = in_forks([partial(_squared, i) for i in range(4)], 2)
+    assert found == [(i * i, os.getpid()) for i in range(4)]
     gc.collect()
     assert _open_files() == before
 

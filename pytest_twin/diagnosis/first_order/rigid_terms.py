@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 
 import mujoco
 import numpy as np
@@ -13,6 +15,7 @@ from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
 from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.realization.forks import free_cores, in_forks
 from pytest_twin.realization.quiet import quiet
 
 _EVERY = 0.02
@@ -25,7 +28,7 @@ _PLACES = np.array(
 """m, at which a mass tells its ten moments apart."""
 _MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]], dtype=float)
 """m, by which a centre that is moved tells what its moments change by."""
-_MAX_ROWS = 4096
+_MAX_ROWS, _WORTH_FORKS = 4096, 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +78,10 @@ def rigid_terms(
     motion = (along.position, along.velocity) if nudges is None else along.midway
     q, v, a = (x[:, at].reshape(-1, joints) for x in (*motion, along.acceleration))
     rows = np.repeat(along.segments, points)
-    per = max(1, _MAX_ROWS // len(rows))
-    found: list[Rigid] = []
-    for first in range(0, copies, per):
+    cores = free_cores(simulator.threads) if copies * len(rows) > _WORTH_FORKS else 1
+    per = min(max(1, _MAX_ROWS // len(rows)), -(-copies // cores))
+
+    def terms(first: int) -> list[Rigid]:
         part = np.arange(first, min(first + per, copies))
         owner = np.repeat(part, len(rows))
         values: list[tuple[Effect, Values]] = [
@@ -96,17 +100,20 @@ def rigid_terms(
         mass = _full_mass(simulator, mass_out)
         still = bias[:, simulator.layout.dof_index]
         effort = still + np.einsum("rij,rj->ri", mass, np.tile(a, (len(part), 1)))
-        for i in range(len(part)):
-            mine = slice(i * len(rows), (i + 1) * len(rows))
-            found.append(
-                Rigid(
-                    at,
-                    mass[mine].reshape(segments, points, joints, joints),
-                    effort[mine].reshape(segments, points, joints),
-                    still[mine].reshape(segments, points, joints),
-                )
+        each = (slice(i * len(rows), (i + 1) * len(rows)) for i in range(len(part)))
+        return [
+            Rigid(
+                at,
+                mass[mine].reshape(segments, points, joints, joints),
+                effort[mine].reshape(segments, points, joints),
+                still[mine].reshape(segments, points, joints),
             )
-    return found
+            for mine in each
+        ]
+
+    if cores > 1:
+        simulator.models.warm(rows, effects)
+    return list(chain(*in_forks([partial(terms, i) for i in range(0, copies, per)], cores)))
 
 
 def slopes(
