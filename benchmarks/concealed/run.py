@@ -1,12 +1,13 @@
 """Diagnose blind cases, each in a process that can read the case folder alone.
 
-    python benchmarks/concealed/run.py --cases DIR --out DIR [--seconds 600] [--jobs 2]
+    python benchmarks/concealed/run.py --cases DIR --out DIR [--seconds 600] [--jobs 2] [--cores 1]
+        [--joints 6]
 
 Writes DIR/<case>/diagnosis.json and what the command printed. Where the kernel can, it keeps every
 other file from it (``confine.py``); what was said says whether it did.
-Each case has a core to itself, so that its wall time can be held against the engine's. Goes on
-where it stopped. The order has nothing to do with what is hidden: wherever it stops, what has been
-run is a sample of all.
+Each case has a core or more to itself, so that its wall time can be held against the engine's. Says
+at the end what the cases took. Goes on where it stopped. The order has nothing to do with what is
+hidden: wherever it stops, what has been run is a sample of all.
 """
 
 from __future__ import annotations
@@ -16,28 +17,31 @@ import json
 import os
 import random
 import shutil
+import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
+from xml.etree import ElementTree
 
 from confine import confinable
 
 CONFINE = Path(__file__).with_name("confine.py")
 
 
-def diagnose(case: Path, out: Path, seconds: float, core: int | None = None) -> dict[str, object]:
-    """Run the command on one case, on one core or all; its status, wall time and last words."""
+def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -> dict[str, object]:
+    """Run the command on one case, on some cores or all; its status, wall time and last words."""
     case, out = case.resolve(), out.resolve()
     box = out.with_name(f"{out.name}.box")
     shutil.rmtree(box, ignore_errors=True)
     box.mkdir(parents=True)
     confined = confinable()
     command = [
-        *(() if core is None else ("taskset", "--cpu-list", str(core))),
+        *(("taskset", "--cpu-list", ",".join(map(str, cores))) if cores else ()),
         *((sys.executable, str(CONFINE), "--read", str(case), "--write", str(box), "--")
           if confined else ()),
         str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(case / "model.xml"),
@@ -63,15 +67,21 @@ def diagnose(case: Path, out: Path, seconds: float, core: int | None = None) -> 
     return {**told, "status": done.returncode, "seconds": taken, "stderr": done.stderr[-2000:]}
 
 
-def answer(case: Path, out: Path, seconds: float, cores: SimpleQueue[int]) -> None:
-    """Diagnose a case on the next core that is free, and say so."""
-    core = cores.get()
+def answer(case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]]) -> float:
+    """Diagnose a case on the next cores that are free, and say so; s that it took."""
+    cores = free.get()
     try:
-        told = diagnose(case, out / case.name, seconds, core)
+        told = diagnose(case, out / case.name, seconds, cores)
     finally:
-        cores.put(core)
+        free.put(cores)
     (out / f"{case.name}.run.json").write_text(json.dumps(told, indent=1) + "\n")
     print(case.name, told["status"], f"{told['seconds']:.0f} s", flush=True)
+    return float(str(told["seconds"]))
+
+
+def joints(model: Path) -> int:
+    """How many a model of the cases has."""
+    return sum(1 for _ in ElementTree.parse(model).getroot().iterfind("worldbody//joint"))
 
 
 def main() -> None:
@@ -80,21 +90,28 @@ def main() -> None:
     parser.add_argument("--cases", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=600.0)
-    parser.add_argument("--jobs", type=int, default=2, help="cases at the same time, a core each")
+    parser.add_argument("--jobs", type=int, default=2, help="cases at the same time")
+    parser.add_argument("--cores", type=int, default=1, help="of each case")
+    parser.add_argument("--joints", type=int, help="cases of so many alone")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     open_cases = [
         path.parent for path in sorted(args.cases.glob("*/model.xml"))
         if not (args.out / f"{path.parent.name}.run.json").exists()
+        and args.joints in (None, joints(path))
     ]  # fmt: skip
     random.Random(0).shuffle(open_cases)
-    cores: SimpleQueue[int] = SimpleQueue()
-    for core in sorted(os.sched_getaffinity(0))[: args.jobs]:
-        cores.put(core)
-    with ThreadPoolExecutor(cores.qsize()) as pool:
-        one = partial(answer, out=args.out, seconds=args.seconds, cores=cores)
+    every = sorted(os.sched_getaffinity(0))
+    free: SimpleQueue[list[int]] = SimpleQueue()
+    for first in range(0, min(args.jobs * args.cores, len(every)), args.cores):
+        free.put(every[first : first + args.cores])
+    with ThreadPoolExecutor(free.qsize()) as pool:
+        one = partial(answer, out=args.out, seconds=args.seconds, free=free)
         # Where one ends in an error or is interrupted, those that have not begun do not begin.
-        list(pool.map(one, open_cases))
+        seconds = list(pool.map(one, open_cases))
+    if seconds:
+        print(f"median of {len(seconds)}: {statistics.median(seconds):.0f} s, at most "
+              f"{max(seconds):.0f} s")  # fmt: skip
 
 
 if __name__ == "__main__":

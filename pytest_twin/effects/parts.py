@@ -104,10 +104,14 @@ def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
     the rows as much as all.
     """
     best, least = list(whole), _until_done(whole, cores)
+    if cores == 1 or sum(p.seconds for p in whole) < _FORK:
+        return best
     longest = sorted(whole, key=lambda p: -p.seconds)
-    for count in range(1, len(longest) + 1) if cores > 1 else ():
-        some = [p for w in longest[:count] for p in known.divided(w, cores)] + longest[count:]
-        seconds = _until_done(some, cores) + _FORK
+    divided: list[Part] = []
+    for count, part in enumerate(longest, 1):
+        divided += known.divided(part, cores)
+        some = divided + longest[count:]
+        seconds = _until_done(some, cores) + _FORK * (cores - 1)
         if seconds < least:
             best, least = some, seconds
     return best

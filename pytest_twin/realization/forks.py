@@ -16,6 +16,8 @@ from collections.abc import Callable, Sequence
 from typing import BinaryIO, Generic, TypeVar
 
 _Result = TypeVar("_Result")
+# Each fork takes its parent some 10 ms: more of them are not sooner done.
+_MOST_PROCESSES = 8
 # Numbers of tasks are taken off a pipe that holds them all at once: the least is one page.
 _NUMBER, _MOST_TASKS = 4, 1024
 
@@ -37,8 +39,8 @@ def in_forks(tasks: Sequence[Callable[[], _Result]], processes: int) -> list[_Re
         Exception: what a task raises. One that fails in a fork is done again here.
     """
     global _sharing
-    helpers = min(processes, len(tasks)) - 1
-    if helpers < 1 or free_cores(processes) == 1 or len(tasks) > _MOST_TASKS:
+    helpers = min(free_cores(processes), len(tasks)) - 1
+    if helpers < 1 or len(tasks) > _MOST_TASKS:
         return [task() for task in tasks]
     _bury()
     numbers, filled = os.pipe()
@@ -74,7 +76,8 @@ def free_cores(count: int) -> int:
     whose neighbours have the others, and where a process cannot fork safely.
     """
     # Apple's libraries do not survive a fork, and Windows has none.
-    return count if sys.platform == "linux" and not _sharing else 1
+    alone = _sharing or sys.platform != "linux"
+    return 1 if alone else min(count, _MOST_PROCESSES)
 
 
 def threads_here(count: int) -> int:

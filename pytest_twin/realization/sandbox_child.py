@@ -38,7 +38,8 @@ def _end_with_parent(parent: int) -> None:
     """A parent that was killed cannot end its child: no long call goes on for nobody."""
     while os.getppid() == parent:
         time.sleep(1.0)
-    os.kill(os.getpid(), signal.SIGKILL)
+    # With the forks that share its work: the group is its own.
+    os.killpg(os.getpgrp(), signal.SIGKILL)
 
 
 def _send(answers: BinaryIO, answer: Mapping[str, Any]) -> None:

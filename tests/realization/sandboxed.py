@@ -31,6 +31,12 @@ def spin() -> None:
         time.sleep(0.01)
 
 
+def spin_in_forks() -> None:
+    from pytest_twin.realization.forks import in_forks
+
+    in_forks([spin, spin], 2)
+
+
 def compile_without_end(path: str) -> int:
     from pytest_twin.realization import load
 

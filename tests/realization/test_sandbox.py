@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -148,12 +149,24 @@ def test_a_child_ends_with_its_parent() -> None:
     pytest.fail("the child outlived its parent")
 
 
-def test_a_long_call_ends_with_a_parent_that_was_killed() -> None:
+def _alive(group: int) -> list[int]:
+    """Processes of a group that still run."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, its_group = stat.read_text().rpartition(")")[2].split()[:3]
+            if int(its_group) == group and state != "Z":
+                found.append(int(stat.parent.name))
+    return found
+
+
+@pytest.mark.parametrize("call", ["spin", "spin_in_forks"])
+def test_a_long_call_ends_with_a_parent_that_was_killed(call: str) -> None:
     program = (
         "from pytest_twin.realization.sandbox import Sandbox\n"
         "sandbox = Sandbox()\n"
         "print(sandbox.call('sandboxed:process'), flush=True)\n"
-        "sandbox.call('sandboxed:spin', seconds=600)\n"
+        f"sandbox.call('sandboxed:{call}', seconds=600)\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
     parent = subprocess.Popen(
@@ -161,14 +174,20 @@ def test_a_long_call_ends_with_a_parent_that_was_killed() -> None:
     )
     assert parent.stdout is not None
     child = int(parent.stdout.readline())
+    several = call == "spin_in_forks" and sys.platform == "linux"
+    for _ in range(300):
+        if len(_alive(child)) == 1 + several:
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("not all began")
     parent.kill()
     parent.wait()
     parent.stdout.close()
     for _ in range(300):
-        stat = Path(f"/proc/{child}/stat")
-        if not stat.exists() or stat.read_text().split()[2] == "Z":
+        if not _alive(child):
             break
         time.sleep(0.1)
     else:
-        os.kill(child, signal.SIGKILL)
+        os.killpg(child, signal.SIGKILL)
         pytest.fail("the child went on for nobody")
