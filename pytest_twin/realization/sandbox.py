@@ -213,6 +213,8 @@ class _Child:
         self.output, output_write = os.pipe()
         environment = dict(os.environ)
         environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
+        # Forks share work out already, and a sum that threads divide rounds by how many they are.
+        environment.setdefault("OPENBLAS_NUM_THREADS", "1")
         try:
             self.process = subprocess.Popen(
                 [

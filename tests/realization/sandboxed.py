@@ -15,6 +15,10 @@ def echo(value: Any) -> Any:
     return value
 
 
+def variable(name: str) -> str | None:
+    return os.environ.get(name)
+
+
 def process() -> int:
     return os.getpid()
 

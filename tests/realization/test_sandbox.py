@@ -127,6 +127,18 @@ def test_the_parent_imports_no_simulator() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.parametrize(("given", "taken"), [(None, "1"), ("3", "3")])
+def test_linear_algebra_has_one_thread_unless_somebody_says_otherwise(
+    monkeypatch: pytest.MonkeyPatch, given: str | None, taken: str
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if given is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+    with Sandbox() as sandbox:
+        told = sandbox.call("sandboxed:variable", {"name": "OPENBLAS_NUM_THREADS"})
+    assert told == taken
+
+
 def test_a_child_ends_with_its_parent() -> None:
     folder = str(Path(__file__).parent)
     script = (
