@@ -122,7 +122,9 @@ class _Fork(Generic[_Result]):
     def end(self) -> None:
         """End it, done or not; nobody waits until the system has taken its memory back."""
         self.answers.close()
-        os.kill(self.process, signal.SIGKILL)
+        # Somebody else in this process may have waited for all its children.
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.process, signal.SIGKILL)
         _ended.add(self.process)
 
 
