@@ -21,11 +21,9 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.mcap import JointSeries, write_recording
-
-FloatArray = NDArray[np.float64]
 
 JOINTS = ("yaw", "lift", "elbow")
 KP, KV = np.array([60.0, 80.0, 25.0]), np.array([3.0, 3.0, 0.8])

@@ -33,8 +33,8 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco import sysid
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
@@ -43,7 +43,6 @@ from pytest_twin.effects.segment import Segment
 from pytest_twin.formats.mcap import TOPICS, JointSeries, write_recording
 from pytest_twin.realization import load
 
-FloatArray = NDArray[np.float64]
 Modifier = Callable[[mujoco.MjSpec, sysid.Parameter], None]
 
 

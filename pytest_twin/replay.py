@@ -32,6 +32,7 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
@@ -44,8 +45,6 @@ from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.trial import Trial
 from pytest_twin.twin import JointCalibration
-
-FloatArray = NDArray[np.float64]
 
 # Long enough that stepping outweighs the calls, as far as the records of a block fit in memory.
 _BLOCK_STEPS = 4096

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-# A name in quotes: collecting specs needs no arrays and should not wait for NumPy.
-FloatArray: TypeAlias = "NDArray[np.float64]"
+from pytest_twin.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

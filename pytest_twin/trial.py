@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.mcap import JointSeries, Recording
 
-FloatArray = NDArray[np.float64]
 CommandMode = Literal["position", "velocity", "effort"]
 MarkKind = Literal[
     "gap", "duplicate_stamp", "unordered_stamp", "outlier", "stuck", "unavailable", "beyond_range",

@@ -25,17 +25,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 
-FloatArray = NDArray[np.float64]
 Regressor = Callable[[FloatArray, FloatArray], FloatArray]
 
 RECORDINGS = Path(

@@ -32,6 +32,7 @@ import cma
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
@@ -43,8 +44,6 @@ from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial, make_trial
-
-FloatArray = NDArray[np.float64]
 
 RECORDINGS = Path(
     os.environ.get("TWIN_RECORDINGS") or Path(__file__).resolve().parents[3] / "shared/recordings"

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
-from pytest_twin.trace import FloatArray, Trace
+from pytest_twin.trace import Trace
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.checks.base import FloatArray, Observation, Progress, Trace
+from pytest_twin.arrays import FloatArray
+from pytest_twin.checks.base import Observation, Progress, Trace
 from pytest_twin.checks.contact_scene import Scene
 from pytest_twin.checks.fields import quantity, spec_error
 from pytest_twin.checks.scalars import sample_grid

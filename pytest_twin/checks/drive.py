@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_twin.checks.base import FloatArray
+from pytest_twin.arrays import FloatArray
 from pytest_twin.checks.fields import (
     EFFORT_UNIT,
     POSITION_UNIT,

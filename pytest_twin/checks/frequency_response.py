@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pytest_twin.checks.base import Check, FloatArray, Measure, Observation, Progress, Trace
+from pytest_twin.arrays import FloatArray
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.drive import (
     BENCH_SCHEMA,
     TARGET_SCHEMA,

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.fields import POSITION_UNIT, known_name, quantity, spec_error, tolerance
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, Pose, keyframes_of, resolve_pose
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from pytest_twin.realization import Realization
 
-FloatArray = NDArray[np.float64]
 
 WORLD = "world"
 _DISPLACEMENT = {"hinge": 0.02, "slide": 0.002}  # rad, m

@@ -8,9 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.fields import (
     EFFORT_UNIT,
@@ -39,7 +36,6 @@ from pytest_twin.units import Quantity
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
-FloatArray = NDArray[np.float64]
 
 _DURATION = 0.5  # s
 _GIVING_WAY = 0.05  # of its range: a stop that gives way further holds nothing

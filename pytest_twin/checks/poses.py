@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.checks.fields import (
     POSITION_UNIT,
     QUANTITY_SCHEMA,
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from pytest_twin.realization import Realization
 
-FloatArray = NDArray[np.float64]
 
 REFERENCE = "reference"
 _DRAWS = 200  # redraws of a coupled group before a seed is given up

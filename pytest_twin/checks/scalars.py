@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.checks.base import Measure
 from pytest_twin.golden import Golden
-
-FloatArray = NDArray[np.float64]
 
 
 def scalar_measures(

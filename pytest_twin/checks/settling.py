@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pytest_twin.checks.base import Check, FloatArray, Measure, Observation, Progress, Trace
+from pytest_twin.arrays import FloatArray
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.drive import first_qpos
 from pytest_twin.checks.fields import (
     POSITION_UNIT,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
@@ -31,7 +32,6 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
 from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import WINDOW
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization

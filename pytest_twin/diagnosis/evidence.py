@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.arrays import FloatArray
 
 
 def effective_samples(residual: FloatArray, lengths: Sequence[int]) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.locate import Where, motions, place_of
@@ -16,7 +17,7 @@ from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.restraint import Pruned, in_floors, joint_name, label
 from pytest_twin.diagnosis.search.rivals import Selected
-from pytest_twin.effects.base import FloatArray, Parameter
+from pytest_twin.effects.base import Parameter
 from pytest_twin.trial import Trial
 
 # Without recordings to predict, no name is surer than this.

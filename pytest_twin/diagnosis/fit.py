@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import FloatArray
 
 _DAMPINGS = (1e-4, 1e-1)
 _FAST, _ENOUGH = 0.5, 1e-4

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.responses import responses
@@ -26,7 +27,6 @@ from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare, shared_joint
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import smooth_state
 from pytest_twin.diagnosis.verdict import AT_FLOOR
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.replay import replay

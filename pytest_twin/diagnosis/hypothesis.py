@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.base import SMOOTH_STEP, Effect, FloatArray, Parameter
+from pytest_twin.effects.base import SMOOTH_STEP, Effect, Parameter
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import SMOOTH_STEP, FloatArray
+from pytest_twin.effects.base import SMOOTH_STEP
 
 _LEVEL = 0.975
 # A combination of parameters is taken to be known ten times better than each of them at most.

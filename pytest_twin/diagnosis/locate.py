@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import welch
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
 from pytest_twin.diagnosis.windows import runs
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.contact_geoms import far_sighted, touching
 from pytest_twin.effects.segment import Segment
 from pytest_twin.trial import Trial

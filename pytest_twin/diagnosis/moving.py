@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Predicted, Segment
 
 # Samples that a cubic is fitted to, and its coefficients; of polynomials that follow fast motion at

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.moving import set_in_motion
 from pytest_twin.diagnosis.noise import effort_noise, greatest_noise, quiet_noise, timing_noise
@@ -24,7 +25,6 @@ from pytest_twin.diagnosis.start import Starts, free_starts
 from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
 from pytest_twin.diagnosis.windows import WINDOW, segments_of
 from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.contact_geoms import NEAR, ContactGeoms
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment

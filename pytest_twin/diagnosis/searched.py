@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.patched.model import AppliedEffect
@@ -21,7 +22,6 @@ from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization

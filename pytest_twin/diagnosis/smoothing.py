@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.arrays import FloatArray
 
 SMOOTH = 0.12
 """s over which motions are differentiated."""

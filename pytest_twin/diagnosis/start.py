@@ -16,11 +16,11 @@ from itertools import chain, islice
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 from pytest_twin.diagnosis.windows import start_width
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 

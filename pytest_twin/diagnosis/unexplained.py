@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.locate import Where, frequencies, missing_force, motions, place_of
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.searched import Searched, left_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.effects.base import FloatArray
 
 # A joint whose missing force stands out this much less than the clearest one only shows it.
 _CAUSE = 0.4

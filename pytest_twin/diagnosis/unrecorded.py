@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.segment import Unrecorded
 from pytest_twin.realization.first_state import (
     follow_joint_equalities,

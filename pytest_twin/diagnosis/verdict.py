@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.arrays import FloatArray
 
 Verdict = Literal["no_mismatch", "explained", "improved", "unexplained"]
 

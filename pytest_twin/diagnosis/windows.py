@@ -15,9 +15,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
 from pytest_twin.diagnosis.unrecorded import Around
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.contact_geoms import ContactGeoms, in_the_air
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization

@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values, World
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, Parameter, Values, World
 from pytest_twin.effects.within import within
 
 

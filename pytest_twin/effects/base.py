@@ -15,10 +15,10 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.motor_side import Gear, MotorSide
 from pytest_twin.trial import CommandMode
 
-FloatArray = NDArray[np.float64]
 Values = Mapping[str, FloatArray]
 """Parameter name -> (rows, joints) values in SI units; neutral where the effect is absent."""
 

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.effects.base import FloatArray, ModelFields
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import ModelFields
 
 NEAR = 0.05
 """m: geoms that come this near each other in a recording may really touch."""

@@ -11,14 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import (
-    Effect,
-    FloatArray,
-    ModelFields,
-    Parameter,
-    Values,
-    World,
-)
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.motor import motor_effort
 
 _SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"

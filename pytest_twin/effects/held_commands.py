@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.segment import Segment
 
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization.inputs import command_input
 

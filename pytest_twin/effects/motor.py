@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values, World
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, Parameter, Values, World
 
 # Setpoints that differ by less are the same: a two-thousandth of an encoder's count.
 _SAME_COMMAND = 1e-6

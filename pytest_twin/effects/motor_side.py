@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.within import within
-
-FloatArray = NDArray[np.float64]
 
 _RING = 0.6
 """Damping of teeth, in units of the root of stiffness times inertia."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.arrays import FloatArray
 
 _LEAST_MASS, _LEAST_MOMENT = 1e-6, 1e-9
 """kg, kg m^2: less than a simulator divides by."""

@@ -6,7 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Parameter, Values
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values
 
 
 class Payload(Effect):

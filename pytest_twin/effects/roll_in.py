@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, FloatArray, Values, World
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, Values, World
 from pytest_twin.effects.motor_side import Gear, MotorSide
 from pytest_twin.effects.within import within
 

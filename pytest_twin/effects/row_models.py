@@ -12,8 +12,9 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.acting import BETWEEN_STEPS, any_hook
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values, World, moving_apart
+from pytest_twin.effects.base import Effect, ModelFields, Values, World, moving_apart
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
 from pytest_twin.effects.layout import Layout
 from pytest_twin.effects.link_inertia import link_inertia

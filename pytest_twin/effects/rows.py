@@ -14,6 +14,7 @@ import numpy as np
 from mujoco.batch import SimulationError as BatchError
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.acting import (
     EffectValues,
     acting,
@@ -21,7 +22,7 @@ from pytest_twin.effects.acting import (
     hooks_between_steps,
     with_fixed,
 )
-from pytest_twin.effects.base import Effect, FloatArray, Values, World
+from pytest_twin.effects.base import Effect, Values, World
 from pytest_twin.effects.held_commands import HeldCommands
 from pytest_twin.effects.layout import Layout
 from pytest_twin.effects.parts import Part, parts, worth_forks

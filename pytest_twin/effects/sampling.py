@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, FloatArray, Values
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, Values
 from pytest_twin.effects.segment import Predicted, Segment
 
 

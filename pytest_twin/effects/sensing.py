@@ -6,7 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values, World
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, Parameter, Values, World
 
 
 class EncoderBias(Effect):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pytest_twin.effects.base import Effect, FloatArray, Parameter, Values
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, Parameter, Values
 
 _LATE_OR_LAGGING = (
     "steps: a pure delay leaves a dead time, a lag rises at once; chirp: the phase of a delay "

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Parameter, Values, World
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.motor_side import Gear
 from pytest_twin.effects.within import within
 

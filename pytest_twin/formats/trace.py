@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import atomic, limits
 from pytest_twin.formats.paths import decode_text, read_bytes
-from pytest_twin.trace import FloatArray, Trace
+from pytest_twin.trace import Trace
 
 _HEADING = re.compile(r"(?P<name>[^\[\],\"]+) \[(?P<unit>[^\[\],\"\s]+)\]")
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")

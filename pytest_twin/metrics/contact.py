@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from pytest_twin.arrays import FloatArray
+
 BoolArray = NDArray[np.bool_]
 
 TAIL = 0.1

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from pytest_twin.arrays import FloatArray
+
 IntArray = NDArray[np.int64]
 
 _CANDIDATES = 64  # random phases that compete for the lowest crest

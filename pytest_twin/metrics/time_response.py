@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from pytest_twin.arrays import FloatArray
 
 TAIL = 0.1
 """Fraction of the response, at its end, that must be quiet for a steady state to exist."""

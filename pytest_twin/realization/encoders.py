@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.realization.model import Realization
 from pytest_twin.twin import JointCalibration
 
-FloatArray = NDArray[np.float64]
 _IDENTITY = JointCalibration()
 
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.report.diagnosis_view import JointView, Regime
 from pytest_twin.report.panels import Line, thin
 from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, STYLE, finish
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 _WIDTH, _HEIGHT = 9.6, 9.0
 _STRETCHES = 700
 _BINS = 24

@@ -8,13 +8,12 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
 
 if TYPE_CHECKING:
     from pytest_twin.diagnosis.diagnose import Diagnosis
     from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.outcome import Measure, use_of_tolerance
-
-FloatArray = NDArray[np.float64]
 
 MAX_PANELS = 3
 BUCKETS = 250

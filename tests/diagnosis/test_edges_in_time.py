@@ -7,6 +7,7 @@ import pytest
 from test_behind_gears import with_true
 from test_first_order import SHOULDER, look, problem_of
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis import fit as fit_module
 from pytest_twin.diagnosis.first_order.polish import polish
 from pytest_twin.diagnosis.first_order.responses import Response
@@ -16,7 +17,6 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.look import look_ahead
-from pytest_twin.effects.base import FloatArray
 
 PUSH = Term("external_force", SHOULDER)
 TRUE = {"effort": 1.0, "start": 2.0, "duration": 0.6}

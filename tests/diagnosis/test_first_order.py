@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along, along
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
@@ -37,7 +37,6 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 
-FloatArray = NDArray[np.float64]
 Hidden = Mapping[Term, Mapping[str, float]]
 """What the plant has and the model lacks, SI units."""
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from two_pendulums import START_NS, case
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.noise import timing_noise
@@ -19,7 +20,6 @@ from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import search
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
 

@@ -7,11 +7,11 @@ import pytest
 from test_behind_gears import fitted, with_true
 from test_first_order import ELBOW, SHOULDER, problem_of
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.rivals import Rival
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Predicted
 
 DRAG, DRY = Term("viscous_friction", ELBOW), Term("coulomb_friction", ELBOW)

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.noise import effort_noise, sensor_noise, timing_jitter
 from pytest_twin.diagnosis.windows import edges_of
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Predicted, Segment
 
 SAMPLES, INTERVAL, COUNT = 1200, 0.01, 2.0 * np.pi / 4096

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from test_first_order import problem_of
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.readings import Column
 from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import FloatArray
 
 RNG = np.random.default_rng(3)
 

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.start import Starts, free_starts
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 

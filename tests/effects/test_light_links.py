@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.effects.base import FloatArray
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.motor_side import Gear
 from pytest_twin.effects.rows import RowSimulator

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import World
-
-FloatArray = NDArray[np.float64]
 
 STEP, STEPS, FINER = 0.01, 60, 200
 LAWS = {

@@ -5,14 +5,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term, effect_values
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment
-
-FloatArray = NDArray[np.float64]
 
 KP, MASS, LENGTH, ARMATURE, STEP = 1.5, 0.5, 0.1, 0.001, 0.001
 WEIGHT, INERTIA = MASS * 9.81 * LENGTH, MASS * LENGTH**2 + ARMATURE

@@ -10,13 +10,11 @@ from collections.abc import Callable, Mapping
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
-
-FloatArray = NDArray[np.float64]
 
 STEP, SECONDS = 0.00025, 1.5
 INERTIA, MASS, ARM, ARMATURE, DAMPING = 0.03, 0.5, 0.2, 0.01, 0.05

@@ -7,12 +7,10 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
-
-FloatArray = NDArray[np.float64]
 
 STEP, START = 0.001, 0.6
 MODEL = (

@@ -5,13 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
-
-FloatArray = NDArray[np.float64]
 
 KP, KV, MASS, LENGTH, STEP = 20.0, 1.0, 0.5, 0.2, 0.001
 WEIGHT = MASS * 9.81 * LENGTH

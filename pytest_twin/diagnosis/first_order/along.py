@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import derivatives
-from pytest_twin.effects.base import FloatArray
 
 _GRID = 0.005
 """s between samples of the motion, at most."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import FloatArray
 
 _BIN, _COARSEST = 0.02, 0.05
 """s that residuals are averaged over."""

@@ -13,10 +13,10 @@ from itertools import chain
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.polish import Polished
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, Search, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.realization.forks import in_forks
 
 # Single terms that are grown.

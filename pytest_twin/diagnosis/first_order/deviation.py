@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Forces
 from pytest_twin.diagnosis.first_order.rigid_terms import slopes, upsampled
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 
 _HELD = 1e4

@@ -15,17 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.diagnosis.first_order.rigid_terms import Rigid, upsampled
 from pytest_twin.effects.acting import hooks_between_steps, there
-from pytest_twin.effects.base import (
-    Effect,
-    FloatArray,
-    ModelFields,
-    Values,
-    World,
-    moving_apart,
-)
+from pytest_twin.effects.base import Effect, ModelFields, Values, World, moving_apart
 from pytest_twin.effects.roll_in import act
 from pytest_twin.effects.row_models import OF_ROWS
 from pytest_twin.effects.rows import RowSimulator

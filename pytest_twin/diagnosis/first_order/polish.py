@@ -12,11 +12,11 @@ from functools import partial
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.first_order.screen import View
 from pytest_twin.diagnosis.fit import nudged, proposals, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.realization.forks import free_cores, in_forks
 
 NEARBY, FAR_OFF = 3, 8

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.diagnosis.first_order.bins import Bins
 from pytest_twin.diagnosis.first_order.deviation import Deviation
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.start import FreeStart
-from pytest_twin.effects.base import FloatArray
 
 _AT_ONCE = 32
 """Columns that are turned into readings together: few enough to stay in a core's cache."""

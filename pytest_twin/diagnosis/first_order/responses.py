@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along, along
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
@@ -33,7 +34,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import BETWEEN_STEPS, EffectValues, with_fixed
-from pytest_twin.effects.base import Effect, FloatArray, Values
+from pytest_twin.effects.base import Effect, Values
 from pytest_twin.realization.forks import free_cores, in_forks
 
 _IN_FORCES = ("gains", "command_delay", "sample_time", "fields", "separates", *BETWEEN_STEPS)

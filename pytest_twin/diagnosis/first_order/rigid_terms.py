@@ -11,9 +11,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.base import Effect, FloatArray, ModelFields, Values
+from pytest_twin.effects.base import Effect, ModelFields, Values
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.realization.forks import free_cores, in_forks
 from pytest_twin.realization.quiet import quiet

@@ -16,12 +16,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.responses import Response
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.realization.forks import in_forks
 
 # Laws with one period a turn say nothing of a slide.

@@ -10,12 +10,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.base import FloatArray, ModelFields
+from pytest_twin.effects.base import ModelFields
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.realization import Realization, patch
 from pytest_twin.realization.mjcf import compiled

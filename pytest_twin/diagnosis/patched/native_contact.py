@@ -8,8 +8,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.base import FloatArray, ModelFields
+from pytest_twin.effects.base import ModelFields
 from pytest_twin.effects.contact_geoms import ContactGeoms, least_time_constant
 from pytest_twin.realization.mjcf import compiled
 

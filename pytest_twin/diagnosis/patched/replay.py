@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
@@ -15,7 +16,6 @@ from pytest_twin.diagnosis.temperature import coldness_in
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError, SimulationError

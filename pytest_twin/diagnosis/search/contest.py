@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.screen import candidates, name_price, price
 from pytest_twin.diagnosis.fit import fit, weighted_cost
@@ -18,7 +19,6 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT, worth_a_name
-from pytest_twin.effects.base import FloatArray
 from pytest_twin.effects.segment import Predicted
 
 QUICK, FAIR, _LONG = 2, 4, 8

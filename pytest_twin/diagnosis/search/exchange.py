@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.polish import Polished
 from pytest_twin.diagnosis.first_order.responses import Response
@@ -24,7 +25,6 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.foremost import against, evidence_along
 from pytest_twin.diagnosis.search.look import Look
 from pytest_twin.diagnosis.search.rivals import AS_GOOD, Place, Rival
-from pytest_twin.effects.base import FloatArray
 
 # Rivals in a place that are looked at, and those in the place of several terms, of all such places.
 _RIVALS, _OF_SEVERAL = 6, 4

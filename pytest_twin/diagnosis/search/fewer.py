@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.responses import grid
 from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import FloatArray
 
 
 def merged(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.deepen import deepened
 from pytest_twin.diagnosis.first_order.polish import FAR_OFF, NEARBY, Polished, polish
 from pytest_twin.diagnosis.first_order.responses import Linear
@@ -21,7 +22,6 @@ from pytest_twin.diagnosis.search.contest import FRONT, Contest
 from pytest_twin.diagnosis.search.look import Look
 from pytest_twin.diagnosis.search.rivals import EARNS, Rival, described
 from pytest_twin.diagnosis.verdict import STANDS_OUT
-from pytest_twin.effects.base import FloatArray
 
 Say = Callable[[str], None]
 # Structures kept at each size, terms added at once, structures of each size and of one term that

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.responses import grid, in_first_form
 from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
@@ -21,7 +22,6 @@ from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.search.softer import softened
 from pytest_twin.diagnosis.search.tryout import Tryout
 from pytest_twin.diagnosis.verdict import STANDS_OUT
-from pytest_twin.effects.base import FloatArray
 
 # Single terms are scanned by simulation where the mismatch is more floors than this and the best
 # along the motion is no single term that leaves few; and how many of them are kept.

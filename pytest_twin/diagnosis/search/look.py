@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.responses import (
     Linear,
@@ -18,7 +19,6 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT
-from pytest_twin.effects.base import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
@@ -16,7 +17,6 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.diagnosis.verdict import LEFT, STANDS_OUT, JointError, worth_a_name
-from pytest_twin.effects.base import FloatArray
 
 _REFIT = 4
 # A finding takes some signal down by this factor at least.

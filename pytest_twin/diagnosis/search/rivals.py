@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.effects.base import FloatArray
 
 Place = tuple[tuple[Term, ...], Term | None]
 """What is taken away, and what stands there instead; None for nothing."""

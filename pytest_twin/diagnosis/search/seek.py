@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import FloatArray
 
 # Hypotheses of one generation, which are one batch, those asked in all for each parameter, and
 # searches from each start.

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.responses import Linear, Response, linearized
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
@@ -40,7 +41,6 @@ from pytest_twin.diagnosis.search.rivals import (
     simplest,
 )
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS
-from pytest_twin.effects.base import FloatArray
 
 _MAX_TERMS = 20
 _ROUNDS, _ATTEMPTS = 6, 3

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects.base import FloatArray
 
 _GAIN, _FRICTION = "controller_gain", "coulomb_friction"
 # Shares of the model's stiffness that are tried; less far ones are found along the motion, and what

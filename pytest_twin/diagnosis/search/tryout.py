@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Rival
-from pytest_twin.effects.base import FloatArray
 
 
 class Tryout:
