@@ -239,6 +239,7 @@ def _once_more(found: Searched, say: Callable[[str], None]) -> Searched:
     if set(more.terms) <= set(known.terms):
         return found
     other = search(found.prepared, found.trials, Selection(problem, say), more)
+    found = found.judged_again()
     return other if other.leaves_less(found) else found
 
 

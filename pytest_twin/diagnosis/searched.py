@@ -68,6 +68,11 @@ class Searched:
         whole = not self.prepared.problem.simulator.segments[0].amid
         return whole and self.verdict in ("improved", "unexplained")
 
+    def judged_again(self) -> Searched:
+        """The same, held against the floor as another search of its problem may have lowered it."""
+        errors = _errors(self.prepared, self.before, self.after)
+        return replace(self, errors=errors, verdict=verdict(errors, self.explained.findings))
+
     def supersedes(self, other: Searched) -> bool:
         """Whether this explains what the other does not."""
         if not self.explained.findings:

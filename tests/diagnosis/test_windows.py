@@ -89,6 +89,9 @@ def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
     assert whole.leaves_less(nothing)
     assert not nothing.leaves_less(whole)
     assert not whole.beside(nothing)
+    once = replace(whole, errors=off(whole.errors, times=30.0), verdict="improved")
+    again = once.judged_again()
+    assert (again.errors, again.verdict) == (whole.errors, whole.verdict)
 
 
 def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(tmp_path: Path) -> None:
