@@ -112,6 +112,7 @@ SAME = (
 BLOCK = 200
 ORDER = np.random.default_rng(20_261_120).permutation(BLOCK)
 NOTHING, TWO, THREE, OUTSIDE_CASES = 40, 20, 20, 20
+SEEDS = "first:last, last not included; several with commas; or the .jsonl of answers"
 
 
 def plan(seed: int) -> tuple[str, list[str]]:
@@ -572,20 +573,33 @@ def make(seed: int, out: Path, truth: Path, effect: str | None = None) -> str:
     return name
 
 
+def seeds(said: str) -> list[int]:
+    """Seeds by ``first:last``, last not included, of several such and of single ones with commas
+    between, or of the cases that a file of answers (``answers.py``) holds.
+    """
+    if said.endswith(".jsonl"):
+        answers = map(json.loads, Path(said).read_text().splitlines())
+        return [int(answer["run"]["case"].removeprefix("case")) for answer in answers]
+    found: list[int] = []
+    for part in said.split(","):
+        first, to, last = part.partition(":")
+        found += range(int(first), int(last) if to else int(first) + 1)
+    return found
+
+
 def main() -> None:
-    """Write the cases of a range of seeds."""
+    """Write the cases of some seeds."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--truth", type=Path, required=True)
-    parser.add_argument("--seeds", default="0:8", help="first:last, last not included")
+    parser.add_argument("--seeds", type=seeds, default="0:8", help=SEEDS)
     parser.add_argument("--effect", help="none, or what alone is hidden in every case")
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
     if args.effect not in (None, "none", *EFFECTS, *OUTSIDE_NAMES):
         parser.error(f"--effect {args.effect}: none, {', '.join((*EFFECTS, *OUTSIDE_NAMES))}")
-    first, last = (int(x) for x in args.seeds.split(":"))
     with ProcessPoolExecutor(args.jobs) as pool:
-        jobs = [pool.submit(make, s, args.out, args.truth, args.effect) for s in range(first, last)]
+        jobs = [pool.submit(make, s, args.out, args.truth, args.effect) for s in args.seeds]
         for job in jobs:
             print(job.result(), flush=True)
 

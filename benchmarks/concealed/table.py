@@ -28,7 +28,7 @@ def main() -> None:
     """Every step of it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seeds", default="20000:20200", help="first:last, last not included")
+    parser.add_argument("--seeds", default="20000:20200", help="as cases.py has them")
     parser.add_argument("--jobs", default="2", help="cases at the same time, a core each")
     parser.add_argument("--seconds", default="600", help="a diagnosis may take")
     args = parser.parse_args()

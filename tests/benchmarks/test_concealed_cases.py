@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections import Counter
 from dataclasses import replace
@@ -33,6 +34,17 @@ def test_any_two_hundred_seeds_cover_every_effect(first: int) -> None:
     assert min(alone.values()) >= 2
     beside = {given[0] for kind, given in planned if kind in ("two", "three")}
     assert beside == set(cases.EFFECTS)
+
+
+def test_seeds_are_ranges_single_ones_or_those_of_answers(tmp_path: Path) -> None:
+    assert cases.seeds("3:6") == [3, 4, 5]
+    assert cases.seeds("3:5,9,20:22") == [3, 4, 9, 20, 21]
+    said = tmp_path / "said.jsonl"
+    runs = [{"run": {"case": f"case{seed:04d}"}, "said": None} for seed in (7, 60003)]
+    said.write_text("".join(f"{json.dumps(run)}\n" for run in runs))
+    assert cases.seeds(str(said)) == [7, 60003]
+    with pytest.raises(ValueError, match="many"):
+        cases.seeds("many")
 
 
 def test_nothing_of_the_same_physics_is_hidden_at_one_joint() -> None:
