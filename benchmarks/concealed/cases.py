@@ -24,11 +24,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import platform
 import struct
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+# The last digits of a sum depend on the kernel that OpenBLAS picks for a processor, and the digest
+# of a truth file on those: the same one everywhere. It is read when numpy is loaded.
+if platform.machine() in ("x86_64", "AMD64"):
+    os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
 import numpy as np
 from kernel import OUTSIDE, OUTSIDE_KINDS
