@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from test_behind_gears import fitted, with_true
-from test_first_order import ELBOW, ROBOT, SHOULDER, carried, link, problem_of
+from test_first_order import CRANK_JOINT, ELBOW, ROBOT, SHOULDER, carried, link, problem_of
 
 from pytest_twin.diagnosis.first_order.responses import linearized
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
@@ -122,3 +122,46 @@ def test_a_form_with_more_may_be_ahead_by_a_share_of_what_its_law_does() -> None
     assert grace(true) == grace(EMPTY) == 0.0
     # Far from enough for one that leaves what is seen.
     assert in_form(selection._backward(best).hypothesis, LINK) == 3.0
+
+
+# -- a link's inertia and a rotor's
+
+ROTOR = Term("armature", ELBOW)
+CRANK_ROTOR, CRANK_LINK = (Term(e, CRANK_JOINT) for e in ("armature", "inertial_parameters"))
+
+
+def test_more_inertia_of_a_link_is_offered_as_a_rotor_of_as_much() -> None:
+    problem = problem_of("position", {ROTOR: {"inertia": 0.004}})
+    wider = with_true(problem, LINK, link(2, inertia_error=1.5))
+    (rotor,) = (h for h in in_other_forms(problem, wider) if h.terms == (ROTOR,))
+    # A capsule of 0.5 kg about the axis across it, through its centre.
+    model = problem.simulator.segments[0].model
+    across = float(model.body_inertia[2].max())
+    scale = problem.scales.value(ROTOR.parameters[0], ELBOW)
+    assert rotor.theta * scale == pytest.approx(1.5 * across)
+    # Not of a link that is heavier too, nor beside a rotor that is named.
+    heavier = with_true(problem, LINK, link(0, relative_error=0.2))
+    named = wider.with_term(ROTOR, with_true(problem, ROTOR, {"inertia": 0.01}).theta)
+    for other in (heavier, named):
+        assert not any(LINK not in h.terms for h in in_other_forms(problem, other))
+
+
+def test_where_nothing_tells_them_apart_more_inertia_is_the_rotors() -> None:
+    """One joint: a link of more inertia about its centre of mass moves as one with a rotor does."""
+    problem = problem_of("effort", {CRANK_ROTOR: {"inertia": 0.02}})
+    selection = Selection(problem)
+    contest = selection.contest
+    start = with_true(problem, CRANK_LINK, link(2, inertia_error=2.0))
+    best = contest.settled(contest.rivals([start], contest.weights(contest.nominal), 2)[0])
+    assert best.hypothesis.terms == (CRANK_LINK,)
+    simplest = selection._backward(best).hypothesis
+    assert simplest.terms == (CRANK_ROTOR,)
+    scale = problem.scales.value(CRANK_ROTOR.parameters[0], CRANK_JOINT)
+    assert simplest.theta[0] * scale == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_link_that_the_joint_before_turns_too_is_no_rotor() -> None:
+    problem = problem_of("position", {LINK: link(2, inertia_error=4.0)})
+    selection = Selection(problem)
+    best = fitted(selection.contest, with_true(problem, LINK, link(2, inertia_error=4.0)))
+    assert selection._backward(best).hypothesis.terms == (LINK,)

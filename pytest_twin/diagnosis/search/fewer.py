@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
@@ -87,14 +88,16 @@ def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def in_other_forms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with a law in a form that has fewer parameters, or with a load on the last
-    link in the place of another such link.
+    """The hypothesis with a law in a form that has fewer parameters, with a load on the last link
+    in the place of another such link, or with a rotor in the place of a link's inertia.
     """
     out = []
     for term in hypothesis.terms:
         out += _forms_with_fewer(hypothesis, term)
         if term == Term("inertial_parameters", len(problem.joints) - 1):
             out += _as_payload(problem, hypothesis, term)
+        if term.effect == "inertial_parameters":
+            out += _as_rotor(problem, hypothesis, term)
     return out
 
 
@@ -136,3 +139,27 @@ def _as_payload(problem: Problem, hypothesis: Hypothesis, link: Term) -> list[Hy
                 start[k] = np.clip(place[p.name] / problem.scales.value(p, -1), p.lower, p.upper)
         found[has.tobytes()] = hypothesis.without(link).with_term(load, start)
     return list(found.values())
+
+
+def _as_rotor(problem: Problem, hypothesis: Hypothesis, link: Term) -> list[Hypothesis]:
+    """The hypothesis with a link of another inertia alone as it is, and as much more at its rotor.
+
+    Where no joint before it turns the link about that axis the two are the same motion; and rotors
+    and gears are what models leave out.
+    """
+    rotor = Term("armature", link.joint)
+    layout, values = problem.simulator.layout, _values(problem, hypothesis, link)
+    theta = hypothesis.theta[hypothesis.slice_of(link)]
+    changed = {
+        p.name for p, moves in zip(link.parameters, link.movable(theta), strict=True) if moves
+    }
+    if rotor in hypothesis.terms or layout.slides[link.joint] or changed != {"inertia_error"}:
+        return []
+    model, body = problem.simulator.segments[0].model, layout.body_index[link.joint]
+    axis, turned_back = np.zeros(3), np.zeros(4)
+    mujoco.mju_negQuat(turned_back, model.body_iquat[body])
+    mujoco.mju_rotVecQuat(axis, model.jnt_axis[layout.joint_ids[link.joint]], turned_back)
+    added = values["inertia_error"] * float(model.body_inertia[body] @ axis**2)
+    (p,) = rotor.parameters
+    start = np.clip(added / problem.scales.value(p, rotor.joint), p.lower, p.upper)
+    return [hypothesis.without(link).with_term(rotor, np.array([start]))]
