@@ -81,10 +81,12 @@ class Searched:
 
     def beside(self, other: Searched) -> bool:
         """Whether this and the other explain most, both, by names of their own, and the other
-        leaves what this may take.
+        leaves what this may take: some of it all, or more than this by other names.
         """
-        named = self.explained.findings and other.explained.findings
-        return bool(named) and self.worst <= _MOSTLY and _SOME < other.worst <= _MOSTLY
+        mine, others = ({*s.explained.hypothesis.terms} for s in (self, other))
+        if not (mine and others) or max(self.worst, other.worst) > _MOSTLY:
+            return False
+        return other.worst > _SOME or (mine != others and self.worst < other.worst)
 
     def leaves_less(self, other: Searched) -> bool:
         """Whether what stands of this is better than what stands of the other, prices paid; both of

@@ -157,6 +157,10 @@ def _windows(
     time, position = recorded.time, recorded.position
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
+    # A cubic says little of a velocity where its samples lie on one side.
+    between = time >= time[0] + width / 2
+    if (clear & between).sum() >= _FEWEST_SAMPLES:
+        clear = clear & between
     spans = []
     for run in runs(clear):
         edges = edges_of(time[run], (position - smooth)[run], max(window, width))

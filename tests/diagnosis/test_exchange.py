@@ -267,7 +267,14 @@ def test_more_parameters_are_ahead_by_chance() -> None:
     assert by_chance_of((BODY,), MASS, lost=-3.0) == 0.0
     assert by_chance_of((DRAG,), DRY, lost=1e5) == 0.0
     assert by_chance_of((DRAG, DRY), MASS, lost=1e5) == 0.0
+    assert by_chance_of((MASS, DRY), DRAG, lost=1e5) == 0.0
     assert by_chance_of((DRAG,), None, lost=1e5) == 0.0
+
+
+def test_fewer_parameters_may_be_behind_by_chance() -> None:
+    assert by_chance_of((MASS,), DRAG, lost=500.0) == pytest.approx(-5.0)
+    assert by_chance_of((MASS,), DRAG, lost=1e5) == pytest.approx(-15.0)
+    assert by_chance_of((MASS,), DRAG, lost=-3.0) == 0.0
 
 
 def test_what_was_not_simulated_loses_what_those_that_seemed_nearer_lost() -> None:

@@ -10,7 +10,7 @@ from test_first_order import CRANK_JOINT, ELBOW, ROBOT, SHOULDER, carried, link,
 from pytest_twin.diagnosis.first_order.responses import linearized
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.fewer import in_other_forms, merged, of_the_robot
+from pytest_twin.diagnosis.search.fewer import in_like_forms, in_other_forms, merged, of_the_robot
 from pytest_twin.diagnosis.search.select import Selection
 
 LATE = [Term("command_delay", j) for j in (SHOULDER, ELBOW)]
@@ -119,9 +119,25 @@ def test_a_form_with_more_may_be_ahead_by_a_share_of_what_its_law_does() -> None
     grace = selection._grace(best, linearized(problem, problem.fit, true))
     simpler = with_true(problem, LINK, link(1, mass_error=0.5))
     assert grace(simpler) > 5.0
-    assert grace(true) == grace(EMPTY) == 0.0
+    assert grace(EMPTY) == 0.0
+    # One with as many says nothing in fewer words: it has to be better.
+    assert grace(true) < 0.0
     # Far from enough for one that leaves what is seen.
     assert in_form(selection._backward(best).hypothesis, LINK) == 3.0
+
+
+def test_a_law_comes_to_the_form_that_was_not_seen_when_it_was_named() -> None:
+    rough = Term("position_dependent_friction", ELBOW)
+    true = {"mean": 0.3, "sine": 0.15, "cosine": 0.1, "harmonic": 1.0}
+    problem = problem_of("position", {rough: true})
+    crests = [p.name for p in rough.parameters].index("harmonic")
+    selection = Selection(problem)
+    best = fitted(selection.contest, with_true(problem, rough, true | {"harmonic": 2.0}))
+    offered = {h.theta[crests] for h in in_like_forms(best.hypothesis)}
+    assert 1.0 in offered
+    assert 2.0 not in offered
+    found = selection._backward(best).hypothesis
+    assert found.theta == pytest.approx(with_true(problem, rough, true).theta, abs=0.02)
 
 
 # -- a link's inertia and a rotor's

@@ -71,10 +71,10 @@ def polish(
             mine = range(ends[k], ends[k + 1])
             best = min(mine, key=lambda i: weighted_cost(left[i], weight))
             before, after = weighted_cost(f.residual, weight), weighted_cost(left[best], weight)
-            if after < before:
+            # Less would only move what is the same physics away from where it is known to be.
+            if after <= (1.0 - _ENOUGH) * before:
                 f.hypothesis, f.residual = tried[best], left[best]
-                if after <= (1.0 - _ENOUGH) * before:
-                    still.append(f)
+                still.append(f)
         active = still
     return fits
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -161,20 +162,31 @@ def _worth_fitting(found: Sequence[Exchange]) -> list[int]:
 
 
 def by_chance(
-    own: Hypothesis, found: Sequence[Exchange], unseen: float = 1.0
+    own: Hypothesis,
+    found: Sequence[Exchange],
+    unseen: float = 1.0,
+    simulated: Mapping[tuple[Term, ...], float] = MappingProxyType({}),
 ) -> dict[Place, float]:
     """Evidence by which each may be ahead and be no better: where it has more parameters than what
     it stands for, for what is left is never white, and more of them follow anything a little.
 
-    Negative where it may be behind and be as good: what stands there only has it in it.
+    Negative where it may be behind and be as good: one law that has fewer than the one it stands
+    for, or that this one has in it.
 
     Args:
         own: the fit at hand.
         found: evidence along the motion, of what was fitted.
         unseen: times as much evidence as that is of all recordings, also of what no fit sees.
+        simulated: evidence that is lost without each, where that was simulated: along the motion
+            samples hang together for longer, and evidence is less.
     """
     lost = {x.gone: max(-x.evidence, 0.0) for x in found if x.new is None}
-    return {(x.gone, x.new): _by_chance(own, x, lost.get(x.gone, 0.0), unseen) for x in found}
+    return {
+        (x.gone, x.new): _by_chance(
+            own, x, lost.get(x.gone, 0.0), unseen, simulated.get(x.gone, lost.get(x.gone, 0.0))
+        )
+        for x in found
+    }
 
 
 def as_simulated(
@@ -197,7 +209,9 @@ def as_simulated(
     return evidence | {(x.gone, x.new): e for x, e in simulated}
 
 
-def _by_chance(own: Hypothesis, exchange: Exchange, lost: float, unseen: float) -> float:
+def _by_chance(
+    own: Hypothesis, exchange: Exchange, lost: float, unseen: float, simulated: float
+) -> float:
     if exchange.new is None:
         return 0.0
     # What a simulator does otherwise shows in all recordings; no fit follows what it has not seen.
@@ -205,8 +219,10 @@ def _by_chance(own: Hypothesis, exchange: Exchange, lost: float, unseen: float) 
         return MORE_TO_IT * lost * unseen
     if exchange.comes_to:
         return -_AS_MUCH * lost * unseen
-    more = exchange.hypothesis.free > own.free
-    return min(AS_GOOD * lost, _CHANCE) if more else 0.0
+    more = exchange.hypothesis.free - own.free
+    if more < 0 and len(exchange.gone) > 1:
+        return 0.0
+    return float(np.sign(more)) * min(AS_GOOD * simulated, _CHANCE)
 
 
 def _places(

@@ -101,17 +101,37 @@ def in_other_forms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]
     return out
 
 
+def in_like_forms(hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with a law in another form that has as many parameters: other crests a turn, a
+    gap on the other side of a law. Which one it takes is no slope's to tell, and was chosen when
+    less was known beside it.
+    """
+    out = []
+    for term in hypothesis.terms:
+        out += _forms(hypothesis, term, len(term.parameters))
+    return [h for h in out if h.free == hypothesis.free]
+
+
 def _forms_with_fewer(hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
-    """The hypothesis with a term in each form that has fewer parameters; what both have stays."""
+    """The hypothesis with a term in each form that has fewer parameters."""
+    own = hypothesis.theta[hypothesis.slice_of(term)]
+    return _forms(hypothesis, term, int(term.movable(own).sum()) - 1)
+
+
+def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
+    """The hypothesis with a term in each other form of so many parameters at most; what both have
+    stays.
+    """
     place = hypothesis.slice_of(term)
     own = hypothesis.theta[place]
     movable, found = term.movable(own), dict[bytes, Hypothesis]()
     for start, _ in grid(term):
         other = term.movable(start)
-        if other.sum() < movable.sum():
+        if other.sum() <= most:
             theta = hypothesis.theta.copy()
             theta[place] = np.where(movable & other, own, start)
             found[theta.tobytes()] = hypothesis.with_theta(theta)
+    found.pop(hypothesis.theta.tobytes(), None)
     return list(found.values())
 
 

@@ -26,7 +26,13 @@ from pytest_twin.diagnosis.search.exchange import (
     by_chance,
     exchanges,
 )
-from pytest_twin.diagnosis.search.fewer import in_other_forms, merged, of_the_robot, simpler
+from pytest_twin.diagnosis.search.fewer import (
+    in_like_forms,
+    in_other_forms,
+    merged,
+    of_the_robot,
+    simpler,
+)
 from pytest_twin.diagnosis.search.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.search.front import front
 from pytest_twin.diagnosis.search.look import Look, look_ahead, look_around, view_of
@@ -52,6 +58,8 @@ _HARDLY = 0.05
 _DISPUTED = 2000.0
 # Evidence within which what two leave under the floor tells them apart.
 _EVEN = 10.0
+# Evidence by which another form of a law with as many parameters has to be ahead.
+_LIKE = 2.0 * EARNS
 # Rivals in one place that are simulated.
 _MOST_CLOSE = 2
 # Terms that act on one joint and may be a crowd in the place of fewer.
@@ -215,7 +223,8 @@ class Selection:
         return share > self.share_left
 
     def _backward(self, best: Rival) -> Rival:
-        """Drop terms that do not pay, and laws that fewer or a simpler one equal.
+        """Drop terms that do not pay, and laws that fewer or a simpler one equal; take a form that
+        is better.
 
         What clearly pays along the motion is not simulated, gears apart: along it they say little.
         """
@@ -226,6 +235,8 @@ class Selection:
             linear = linearized(self.problem, self.problem.fit, best.hypothesis)
             fewer += merged(self.problem, best.hypothesis)
             fewer += in_other_forms(self.problem, best.hypothesis)
+            if linear is not None:
+                fewer += in_like_forms(best.hypothesis)
             grace = self._grace(best, linear)
             doubtful = self._unclear(best, linear, fewer, grace)
             doubtful += simpler(self.problem, best.hypothesis)
@@ -248,22 +259,24 @@ class Selection:
     def _grace(self, best: Rival, linear: Linear | None) -> Callable[[Hypothesis], float]:
         """Evidence by which a hypothesis may be behind that has one of the laws at hand in a form
         with fewer parameters, or a load in its place: what a simulator does not do quite as reality
-        does, a form with more to it follows a little, and that grows with what the law does.
+        does, a form with more to it follows a little, and that grows with what the law does. One
+        with as many has to be ahead.
         """
-        own = best.hypothesis
+        own, lost_of = best.hypothesis, dict[Term, float]()
         several = [t for t in own.terms if t.law.has_forms]
-        if linear is None or not several:
-            return lambda other: 0.0
-        view = view_of(self.problem, best, linear.residual(best.fitted.residual))
-        gone = [own.without(t) for t in several]
-        _, evidence = against(linear, view, best, gone, self.contest.name_price)
-        lost = np.maximum(-np.nan_to_num(evidence), 0.0) * self.contest.of_all
-        lost_of = dict(zip(several, lost, strict=True))
+        if linear is not None and several:
+            view = view_of(self.problem, best, linear.residual(best.fitted.residual))
+            gone = [own.without(t) for t in several]
+            _, evidence = against(linear, view, best, gone, self.contest.name_price)
+            lost = np.maximum(-np.nan_to_num(evidence), 0.0) * self.contest.of_all
+            lost_of = dict(zip(several, lost.tolist(), strict=True))
 
         def grace(other: Hypothesis) -> float:
+            if other.terms == own.terms and other.free == own.free:
+                return -_LIKE
             if len(other.terms) != len(own.terms) or other.free >= own.free:
                 return 0.0
-            changed = [float(lost_of[t]) for t in several if not _as_it_is(t, own, other)]
+            changed = [lost for t, lost in lost_of.items() if not _as_it_is(t, own, other)]
             return MORE_TO_IT * max(changed, default=0.0)
 
         return grace
@@ -387,9 +400,11 @@ class Selection:
 
     def _on_its_own(self, rival: Rival, best: Rival) -> Rival:
         """A rival whose motion is not quite that of ``best``, with the simulator's step corrected
-        for itself: what sets it back may be that error alone.
+        for itself: what sets it back may be that error alone. Where it has fewer parameters, all of
+        what sets it back.
         """
-        if not -_DISPUTED < rival.evidence < -_CLEAR:
+        least = 0.0 if rival.hypothesis.free < best.hypothesis.free else -_CLEAR
+        if not -_DISPUTED < rival.evidence < least:
             return rival
         own = self._at_its_own(rival.hypothesis, best)
         self.contest.judge([own], best)
@@ -436,7 +451,8 @@ class Selection:
         simulated without something else in its place, that; of two that explain as much, more for
         the one that leaves less under the floor.
         """
-        chance = by_chance(best.hypothesis, found, self.contest.of_all)
+        lost = self._lost(best, found, [x for x, _ in simulated])
+        chance = by_chance(best.hypothesis, found, self.contest.of_all, lost)
         evidence = as_simulated(found, [(x, r.evidence) for x, r in simulated])
         evidence = {place: e - chance[place] for place, e in evidence.items()}
         for x in found:
@@ -451,6 +467,21 @@ class Selection:
             if less:
                 evidence[x.gone, x.new] = r.evidence + _EVEN * less
         return evidence
+
+    def _lost(
+        self, best: Rival, found: Sequence[Exchange], near: Sequence[Exchange]
+    ) -> dict[tuple[Term, ...], float]:
+        """Evidence that is lost, simulated, without each single term that has a near rival of more
+        or fewer parameters.
+        """
+        own = best.hypothesis
+        places = {x.gone for x in near if len(x.gone) == 1 and x.hypothesis.free != own.free}
+        bare = [x for x in found if x.new is None and x.gone in places]
+        if not bare:
+            return {}
+        rivals = self.contest.rivals([x.hypothesis for x in bare], self.contest.weights(best), 0)
+        self.contest.judge(rivals, best)
+        return {x.gone: max(-r.evidence, 0.0) for x, r in zip(bare, rivals, strict=True)}
 
 
 def _as_it_is(term: Term, own: Hypothesis, other: Hypothesis) -> bool:
