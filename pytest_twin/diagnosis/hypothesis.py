@@ -13,6 +13,8 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import SMOOTH_STEP, Effect, Parameter
 
+_DRY = "coulomb_friction"
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Term:
@@ -35,6 +37,13 @@ class Term:
         """(parameters,) which of them a fit moves: no choices, and what the law has under these."""
         choices = np.array([p.choice for p in self.parameters])
         return np.asarray(self.law.has(theta) & ~choices)
+
+    @property
+    def dry_level(self) -> int | None:
+        """Number of the parameter that is a level of dry friction, None without one."""
+        own = self.effect == _DRY
+        name = "coulomb" if own else self.law.holds(_DRY).get("coulomb")
+        return next((k for k, p in enumerate(self.parameters) if p.name == name), None)
 
     def switches(self, theta: FloatArray) -> tuple[int, ...]:
         """Which of them switch the effect on, in the form that its choices have."""

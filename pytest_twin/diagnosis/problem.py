@@ -113,6 +113,24 @@ class Problem:
         longest = [p.upper for p in term.parameters if p.neutral is None]
         return hypothesis.out_of_shape(term) and not (lasts and shapes == longest)
 
+    def less_than_none(self, hypothesis: Hypothesis, term: Term) -> bool:
+        """Whether a law of dry friction that varies over the turn would leave its joint with less
+        than none on average, all that is dry counted, the model's own too.
+
+        No gear is like that; cut off at zero such a law is a brake in one place.
+        """
+        if not term.law.over_the_turn:
+            return False
+        level = 0.0
+        for t in hypothesis.terms:
+            if t.joint == term.joint and t.dry_level is not None:
+                p = t.parameters[t.dry_level]
+                theta = hypothesis.theta[hypothesis.slice_of(t)][t.dry_level]
+                level += theta * self.scales.value(p, t.joint)
+        dof = self.simulator.layout.dof_index[term.joint]
+        own = self.simulator.segments[0].model.dof_frictionloss[dof]
+        return bool(level + own < 0.0)
+
     @property
     def differ_in_temperature(self) -> bool:
         """Whether some trials were colder than others, by what they say."""

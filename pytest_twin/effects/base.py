@@ -273,6 +273,7 @@ class Effect:
         asks_temperature: whether a hook reads how cold a trial is.
         reads_drive: whether ``friction`` reads what the drive delivers.
         of_position: whether its effort follows from the joint's position and nothing else.
+        over_the_turn: whether it is dry friction whose level varies with the joint's position.
     """
 
     id: ClassVar[str]
@@ -290,6 +291,7 @@ class Effect:
     asks_temperature: ClassVar[bool] = False
     reads_drive: ClassVar[bool] = False
     of_position: ClassVar[bool] = False
+    over_the_turn: ClassVar[bool] = False
 
     @property
     def path(self) -> str:

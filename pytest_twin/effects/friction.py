@@ -255,6 +255,7 @@ class PositionDependentFriction(_DryFriction):
         Parameter("cosine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
         Parameter("harmonic", "one", None, 1.0, 8.0, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), choice=True),
     )
+    over_the_turn = True
     confused_with: ClassVar = {
         "coulomb_friction": "the same speed at poses far apart",
         "cogging": "both directions: cogging keeps its sign",

@@ -21,6 +21,7 @@ from pytest_twin.diagnosis.search import contest
 from pytest_twin.diagnosis.search.restraint import (
     _as_good_as_rigid,
     _in_doubt,
+    _less_than_none,
     _misshapen,
     _perhaps_absent,
     _stretched,
@@ -215,6 +216,43 @@ def test_a_law_of_position_that_leaves_more_of_position_is_no_name(
     for note in gone.values():
         assert note.startswith("near in the catalogue is joint_spring at left, but ")
         assert "goes with the joint's position, too: what acts has another shape" in note
+
+
+def waving(problem: Problem, mean: float, *beside: tuple[Term, float]) -> Hypothesis:
+    """Dry friction over the turn at the first joint, N m, 0.3 N m up and down."""
+    wave = Term("position_dependent_friction", 0)
+    sizes = {"mean": mean, "sine": 0.3, "cosine": 0.0, "harmonic": 8.0}
+    scaled = [sizes[p.name] / problem.scales.value(p, 0) for p in wave.parameters]
+    terms, values = ([t for t, _ in beside], [v for _, v in beside])
+    return with_sizes(problem, terms, values).with_term(wave, np.array(scaled))
+
+
+def test_less_than_no_friction_over_the_turn_is_no_name(tmp_path: Path) -> None:
+    """Cut off at zero it brakes in one place, as a patch of dirt does."""
+    problem = bench(tmp_path, dry=0.05)[0].problem
+    weights = 1.0 / problem.signal_floor
+
+    def taken_back(hypothesis: Hypothesis) -> dict[int, str]:
+        (fitted,) = fit(problem, [hypothesis], weights, problem.fit, iterations=0)
+        tested = of_one_term(problem, fitted, 2.0, without=50.0)
+        return dict(_less_than_none(tested))
+
+    (note,) = taken_back(waving(problem, -0.1)).values()
+    assert note.startswith("near in the catalogue is position_dependent_friction at left, but ")
+    assert "less than no dry friction on average over the turn" in note
+    # A bent shaft may run free for a part of the turn, and what is dry beside it counts.
+    assert not taken_back(waving(problem, 0.1))
+    assert not taken_back(waving(problem, -0.1, (Term("coulomb_friction", 0), 0.2)))
+    # What is dry beside it there goes with it.
+    there, elsewhere, viscous = (
+        Term("coulomb_friction", 0), Term("coulomb_friction", 1), Term("viscous_friction", 0)
+    )  # fmt: skip
+    assert list(taken_back(waving(problem, -0.1, (there, 0.05)))) == [0, 1]
+    assert list(taken_back(waving(problem, -0.1, (elsewhere, 0.2)))) == [1]
+    assert list(taken_back(waving(problem, -0.1, (viscous, 0.2)))) == [1]
+    own = problem.simulator.segments[0].model.dof_frictionloss
+    own[0] = 0.2
+    assert not taken_back(waving(problem, -0.1))
 
 
 @pytest.mark.parametrize(

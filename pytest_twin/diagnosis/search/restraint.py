@@ -155,6 +155,21 @@ def _diverging(tested: _Tested) -> _Gone:
     return {k: f"with {tested.label(k)} the prediction diverges; it is not claimed"}
 
 
+def _less_than_none(tested: _Tested) -> _Gone:
+    """Friction over the turn that would be less than none on average, and what is dry beside it: a
+    brake in one place, which is in no catalogue, passes for such a law where that is cut off at
+    zero.
+    """
+    problem, hypothesis = tested.problem, tested.fitted.hypothesis
+    joints = {t.joint for t in tested.terms if problem.less_than_none(hypothesis, t)}
+    return {
+        k: f"near in the catalogue is {tested.label(k)}, but the joint would have less than no dry "
+        "friction on average over the turn: what acts there acts in one place; it is not claimed"
+        for k, t in enumerate(tested.terms)
+        if t.joint in joints and t.dry_level is not None
+    }
+
+
 def _under_the_floor(tested: _Tested) -> _Gone:
     """The term that takes least off, where that is too little to stand out."""
     problem, fitted = tested.problem, tested.fitted
@@ -294,8 +309,8 @@ def _shares(problem: Problem, hypothesis: Hypothesis, joint: int) -> tuple[float
 
 
 _RULES: tuple[Callable[[_Tested], _Gone], ...] = (
-    _diverging, _under_the_floor, _as_good_as_rigid, _idle, _slight, _unlikely, _stretched,
-    _misshapen,
+    _diverging, _less_than_none, _under_the_floor, _as_good_as_rigid, _idle, _slight, _unlikely,
+    _stretched, _misshapen,
 )  # fmt: skip
 
 

@@ -154,15 +154,18 @@ class Selection:
         return other if other.best.evidence > 0.0 else selected
 
     def _strained(self, rival: Rival) -> list[Term]:
-        """Laws that stand at a physical bound and leave their joint far from explained: something
-        else is at work there.
+        """Laws that stand at a physical bound and leave their joint far from explained, and those
+        that are beyond physics: something else is at work there.
         """
         problem, hypothesis = self.problem, rival.hypothesis
         left = in_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
         return [
             t for t in hypothesis.terms
-            if hypothesis.at_bound(t)
-            and (left.max() if t.joint < 0 else left[t.joint]) > LEFT_FLOORS
+            if problem.less_than_none(hypothesis, t)
+            or (
+                hypothesis.at_bound(t)
+                and (left.max() if t.joint < 0 else left[t.joint]) > LEFT_FLOORS
+            )
         ]  # fmt: skip
 
     def _spent(self, best: Rival) -> bool:
