@@ -158,11 +158,9 @@ def _windows(
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
     # A cubic says little of a velocity where its samples lie on one side.
-    between = time >= time[0] + width / 2
-    if (clear & between).sum() >= _FEWEST_SAMPLES:
-        clear = clear & between
+    between = clear & (time >= time[0] + width / 2)
     spans = []
-    for run in runs(clear):
+    for run in runs(between):
         edges = edges_of(time[run], (position - smooth)[run], max(window, width))
         every = [
             (float(start), (time >= start) & (time <= end))
