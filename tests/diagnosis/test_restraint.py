@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search import contest
 from pytest_twin.diagnosis.search.restraint import (
     _as_good_as_rigid,
+    _far_from_explained,
     _in_doubt,
     _less_than_none,
     _misshapen,
@@ -422,6 +423,27 @@ def test_several_names_at_a_joint_have_to_explain_more(tmp_path: Path) -> None:
     assert left(tenth, several=True) == pytest.approx(0.1, rel=0.01)
     # A fiftieth is what two right ones may leave of so much.
     assert left(400.0 * np.sqrt(0.02), several=True) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "stays"),
+    [
+        pytest.param(2.5, 1.9, True, id="at the floor with the model as it came"),
+        pytest.param(25.0, 19.0, False, id="far above it"),
+    ],
+)
+def test_recordings_that_hardly_show_it_do_not_judge_it(
+    tmp_path: Path, before: float, after: float, stays: bool
+) -> None:
+    """A tip that touches a table once where nothing is fitted: what was fitted tells, then."""
+    prepared, _ = bench(tmp_path, viscous=0.6)
+    problem, term = prepared.problem, Term("viscous_friction", 0)
+    found = chosen(prepared, term, 0.5).best.fitted
+    floors = (np.array([level, 1.0]) for level in (before, after, before))
+    whole, base, rest = floors
+    weights = 1.0 / problem.signal_floor
+    tested = _Tested(problem, found, {}, whole, base, [found], [rest], weights)
+    assert bool(_far_from_explained(tested)) is not stays
 
 
 @pytest.mark.parametrize(("lag", "stays"), [(0.001, False), (0.002, True)])

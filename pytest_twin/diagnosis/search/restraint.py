@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import Fitted, fit
@@ -16,7 +17,7 @@ from pytest_twin.diagnosis.locate import missing_force
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.smoothing import derivatives
-from pytest_twin.diagnosis.verdict import LEFT, STANDS_OUT, JointError, worth_a_name
+from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT, STANDS_OUT, JointError, worth_a_name
 
 _REFIT = 4
 # A finding takes some signal down by this factor at least.
@@ -129,7 +130,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     judged = False
     fitted = selected.best.fitted
     problem.refine_at(EMPTY)
-    (before,) = _levels(problem, [EMPTY])
+    (before,) = _levels(problem, [EMPTY], problem.tested)
     while fitted.hypothesis.terms:
         refitted, weights, base, levels = _without_each(problem, fitted)
         tested = _Tested(
@@ -319,7 +320,7 @@ def _far_from_explained(tested: _Tested) -> _Gone:
     gone = {}
     for k, t in enumerate(tested.terms):
         share = _too_little(
-            tested.problem, t, tested.before, tested.base,
+            tested.problem, t, *_shown(tested, t),
             several=sum(other.joint == t.joint >= 0 for other in tested.terms) > 1,
             sure=tested.chance(t) >= _SURE and not tested.fitted.hypothesis.at_bound(t),
         )  # fmt: skip
@@ -329,6 +330,22 @@ def _far_from_explained(tested: _Tested) -> _Gone:
                 f"{100 * share:.0f} % of the squared mismatch is left there; it is not claimed"
             )
     return gone
+
+
+def _shown(tested: _Tested, term: Term) -> tuple[FloatArray, FloatArray]:
+    """(signals,) floors that the model as it came leaves and that the fit does, of recordings that
+    show the mismatch where a term acts: of all, where those that no fit has seen are at the floor
+    with the model as it came. What they leave of so little is no share to judge by.
+    """
+    problem = tested.problem
+    hardly = tested.before[_columns(problem, term)].max() <= AT_FLOOR
+    if not hardly or not len(problem.held_out):
+        return tested.before, tested.base
+    problem.refine_at(EMPTY)
+    (before,) = _levels(problem, [EMPTY], problem.everywhere)
+    problem.refine_at(tested.fitted.hypothesis)
+    (base,) = _levels(problem, [tested.fitted.hypothesis], problem.everywhere)
+    return before, base
 
 
 def as_named(problem: Problem, fitted: Fitted) -> Pruned:
@@ -348,9 +365,11 @@ def as_named(problem: Problem, fitted: Fitted) -> Pruned:
         fitted = refitted[least]
 
 
-def _levels(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
-    """What each leaves of the tested recordings, (signals,) in floors."""
-    residuals = problem.residuals(hypotheses, problem.tested)
+def _levels(
+    problem: Problem, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
+) -> list[FloatArray]:
+    """What each leaves of some recordings, (signals,) in floors."""
+    residuals = problem.residuals(hypotheses, segments)
     return [in_floors(residual, problem.signal_floor) for residual in residuals]
 
 
@@ -364,7 +383,8 @@ def _without_each(
     weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
     starts = [fitted.hypothesis.without(t) for t in fitted.hypothesis.terms]
     refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
-    base, *levels = _levels(problem, [fitted.hypothesis, *(f.hypothesis for f in refitted)])
+    each = [fitted.hypothesis, *(f.hypothesis for f in refitted)]
+    base, *levels = _levels(problem, each, problem.tested)
     return refitted, weights, base, levels
 
 
