@@ -24,12 +24,14 @@ class Cost:
         wall_seconds: from reading to the last number.
         engine_seconds: for the same number of steps of the model as it came, rolled out by MuJoCo
             in batches on the same threads, without anything of this package between steps.
-        steps: of simulation, in millions.
+        steps: of simulations that the search asked for, in millions.
+        repeated: of these, what it had asked for before and was not stepped again, in millions.
     """
 
     wall_seconds: float
     engine_seconds: float
     steps: float
+    repeated: float
 
     def to_json(self) -> dict[str, float]:
         """As ``diagnosis.json`` has it."""
@@ -39,6 +41,7 @@ class Cost:
             "engine_seconds": round(self.engine_seconds, 2),
             "wall_per_engine": round(ratio, 2),
             "million_steps": round(self.steps, 3),
+            "million_steps_repeated": round(self.repeated, 3),
         }
 
 
@@ -58,4 +61,5 @@ def cost(problems: Sequence[Problem], since: float) -> Cost:
         simulator.trajectories(rows, {})
         seconds.append(time.perf_counter() - start)
     per_step = float(np.median(seconds)) * len(seconds) / max(simulator.stepped - before, 1)
-    return Cost(wall, per_step * stepped, stepped * 1e-6)
+    repeated = sum(p.repeated for p in problems)
+    return Cost(wall, per_step * stepped, stepped * 1e-6, repeated * 1e-6)

@@ -16,7 +16,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 
-_REMEMBERED = 4
+_REMEMBERED = 16
 REFINE = 4
 """How much finer the step is by which the error of the model's own is measured."""
 
@@ -99,8 +99,17 @@ class Problem:
 
     @property
     def stepped(self) -> int:
-        """Steps that were simulated so far."""
-        return self.simulator.stepped + (0 if self.refined is None else self.refined.stepped)
+        """Steps of simulations that were asked for so far."""
+        return sum(simulator.stepped for simulator in self._simulators)
+
+    @property
+    def repeated(self) -> int:
+        """Of these, what had been simulated before."""
+        return sum(simulator.repeated for simulator in self._simulators)
+
+    @property
+    def _simulators(self) -> list[RowSimulator]:
+        return [s for s in (self.simulator, self.refined) if s is not None]
 
     def out_of_shape(self, hypothesis: Hypothesis, term: Term) -> bool:
         """Whether a law stands for something else, as :meth:`Hypothesis.out_of_shape` has it.
@@ -218,7 +227,7 @@ class Problem:
 
     def _start_at(self, starts: Starts) -> None:
         self.starts = starts.free
-        for simulator in filter(None, (self.simulator, self.refined)):
+        for simulator in self._simulators:
             for i, s in enumerate(simulator.segments):
                 shift = starts.motor_shifts.get(i)
                 if s.motor_shift is not shift:

@@ -24,6 +24,7 @@ from pytest_twin.effects.acting import (
 )
 from pytest_twin.effects.base import Effect, Values, World
 from pytest_twin.effects.held_commands import HeldCommands
+from pytest_twin.effects.known_rows import KnownRows, row_keys
 from pytest_twin.effects.layout import Layout
 from pytest_twin.effects.parts import Part, parts, worth_forks
 from pytest_twin.effects.roll_in import (
@@ -79,7 +80,10 @@ class RowSimulator:
         )
         self.fixed: EffectValues = fixed or {}
         self.stepped = 0
-        """Rows times steps so far: what the engine alone would have had to step."""
+        """Rows times steps that were asked for so far: what the engine alone would have stepped."""
+        self.repeated = 0
+        """Of these, what had been simulated before."""
+        self._known = KnownRows()
         idle = np.array([self._holding(s) for s in self.segments])
         self._held = HeldCommands(self.segments, self.timestep, idle)
 
@@ -92,8 +96,27 @@ class RowSimulator:
         return np.where(servo, told / self.layout.scale, 0.0)
 
     def simulate(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
-        """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i."""
+        """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i.
+
+        What was simulated before is not simulated again, and counts as stepped all the same.
+        """
         values = with_fixed(values, self.fixed, len(rows))
+        keys = row_keys([self.segments[r] for r in rows], values)
+        found = {key: self._known.get(key) for key in keys}
+        first = {key: i for i, key in reversed(list(enumerate(keys)))}
+        new = np.array(sorted(first[k] for k, known in found.items() if known is None), dtype=int)
+        steps = self.steps[rows]
+        self.stepped += int(steps.sum())
+        self.repeated += int(steps.sum() - steps[new].sum())
+        if new.size:
+            some = {e: {n: v[new] for n, v in vs.items()} for e, vs in values.items()}
+            for i, predicted in zip(new, self._simulated(rows[new], some), strict=True):
+                segment = self.segments[rows[i]]
+                found[keys[i]] = self._known.keep(keys[i], segment, predicted)
+        return [p for key in keys if (p := found[key]) is not None]
+
+    def _simulated(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
+        """What rows come to, none of them simulated before, effects that are fixed included."""
         laws = between_steps(values, len(rows))
         cores = free_cores(self.threads)
         divided = parts(self.steps[rows], laws, len(self.joints), cores)
@@ -113,7 +136,6 @@ class RowSimulator:
         each = in_forks([partial(work, p) for p in divided], cores)
         found: dict[int, Predicted] = {}
         for part, predicted in zip(divided, each, strict=True):
-            self._count(rows[part.rows])
             found.update(zip(part.rows.tolist(), predicted, strict=True))
         return [found[i] for i in range(len(rows))]
 
@@ -158,8 +180,8 @@ class RowSimulator:
         return self.models.written(rows, effects, threads_here(self.threads))
 
     def _count(self, rows: NDArray[np.int64]) -> None:
-        """Count what rows of one batch took."""
-        self.stepped += len(rows) * int(self.steps[rows].max())
+        """Count what rows of one batch take."""
+        self.stepped += int(self.steps[rows].sum())
 
     def commands(
         self,
