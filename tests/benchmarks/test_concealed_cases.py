@@ -167,6 +167,17 @@ def test_a_window_counts_where_the_force_acted() -> None:
     assert not score.outside_right(case)["window"]
 
 
+def test_wall_time_is_held_against_all_simulations_and_against_each_once() -> None:
+    case = _case([], [])
+    case.said = {"cost": {"wall_seconds": 6.0, "engine_seconds": 4.0, "million_steps": 2.0}}
+    again = _case([], [])
+    again.said = {"cost": {**case.said["cost"], "million_steps_repeated": 1.0}}
+    _, _, of_all, *_ = score.cost([case, again])
+    assert of_all.endswith("| 1.50 (median 1.50 of 2) | 2.00 (median 2.25 of 2) |")
+    case.said = None
+    assert "1.50 (median 1.50 of 1) | 3.00" in score.cost([case, again])[2]
+
+
 def test_a_truth_that_was_changed_is_seen(tmp_path: Path) -> None:
     truth, committed = tmp_path / "truth", tmp_path / "digests.json"
     truth.mkdir()
