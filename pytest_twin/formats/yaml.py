@@ -54,6 +54,8 @@ _UNPRINTABLE = re.compile(
     r"|\r(?!\n)"
 )
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*(?: [A-Za-z0-9_/.+()-]+)*")
+# What libyaml says at its own bound, which its look ahead may meet before ours is.
+_TOO_DEEP = "exceeded maximum nesting depth"
 _LINE_WIDTH = 100
 
 
@@ -117,6 +119,8 @@ def loads(text: str, path: Path) -> Document:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         problem = " ".join(part for part in (error.context, error.problem) if part)
+        if _TOO_DEEP in problem:
+            raise _too_deep(path, mark) from None
         raise FormatError(
             f"not YAML: {problem}",
             path=path,
@@ -126,9 +130,19 @@ def loads(text: str, path: Path) -> Document:
     except yaml.YAMLError as error:
         raise FormatError(f"not YAML: {error}", path=path) from None
     except RecursionError:
-        raise LimitError("nested too deep", path=path) from None
+        raise _too_deep(path, None) from None
     finally:
         reader.parser.dispose()
+
+
+def _too_deep(path: Path, mark: Any) -> LimitError:
+    return LimitError(
+        "nested too deep",
+        path=path,
+        line=None if mark is None else mark.line + 1,
+        column=None if mark is None else mark.column + 1,
+        expected=f"at most {limits.YAML.depth_levels} levels",
+    )
 
 
 class _Reader:
@@ -180,14 +194,7 @@ class _Reader:
             text: str = event.value
             return text if event.style else self.plain(event, text)
         if depth >= limits.YAML.depth_levels:
-            mark = event.start_mark
-            raise LimitError(
-                "nested too deep",
-                path=self.path,
-                line=mark.line + 1,
-                column=mark.column + 1,
-                expected=f"at most {limits.YAML.depth_levels} levels",
-            )
+            raise _too_deep(self.path, event.start_mark)
         if at not in self.lines:
             self.lines[at] = event.start_mark.line + 1
         prefix = at + "." if at else ""
