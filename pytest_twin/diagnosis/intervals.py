@@ -162,6 +162,7 @@ def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatAr
         if problem.effort_floor is not None and segment.effort is not None:
             columns.append(problem.trusted(int(s), add.effort))
         parts.append(np.concatenate(columns, axis=1))
-    change = problem.step_left * np.nan_to_num(np.concatenate(parts))
+    left = problem.weighed(np.nan_to_num(np.concatenate(parts)), problem.fit)
+    change = problem.step_left * left
     pull: FloatArray = np.einsum("tsp,ts->p", jacobian, change * weight)
     return pull

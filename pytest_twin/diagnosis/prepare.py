@@ -24,6 +24,7 @@ from pytest_twin.diagnosis.problem import (
 from pytest_twin.diagnosis.start import Starts, free_starts
 from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
 from pytest_twin.diagnosis.windows import WINDOW, segments_of
+from pytest_twin.diagnosis.yielding import yielding_trust
 from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.contact_geoms import NEAR, ContactGeoms
 from pytest_twin.effects.rows import RowSimulator
@@ -39,6 +40,8 @@ _UNSIGNED = 0.05
 _WILD, _WILD_SHARE, _FEWEST = 30.0, 0.002, 20
 NOISE = "sensor noise and quantization"
 STEP = "discretization of the simulator"
+# Times that the floor and what is trusted are told by each other.
+_PASSES = 3
 # Share of a joint's floor below which it was set far too high.
 _FAR_LOWER = 0.5
 # As measured on an arm whose tip taps on a table, and on arms whose drives are sent efforts:
@@ -79,7 +82,7 @@ class Prepared:
         if len(problem.defect) < len(problem.simulator.segments):
             return False
         noise = self.floor_parts[NOISE]
-        steps = discretization(problem.defect, len(problem.joints))
+        steps = discretization(problem)
         floor = _floor(noise, problem, steps)
         before = _floor(noise, problem, self.floor_parts[STEP])
         # A floor that is not what its parts add up to is of a joint whose encoder says nothing.
@@ -153,9 +156,9 @@ def prepare(
         effort_floor = effort_noise(segments, nominal, owner)
     scales = joint_scales(simulator, nominal)
     defect = step_errors(nominal, nominal_replay(refined))
-    steps = discretization(defect, len(joints))
     allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
-    if window in (None, WINDOW) and _too_wild(segments, steps, allowed):
+    changed = _rms([add.position for add in defect.values()], len(joints))
+    if window in (None, WINDOW) and _too_wild(segments, changed, allowed):
         return prepare(
             realization, fit, held_out,
             threads=threads, window=0.5 * WINDOW, coldness=coldness, fixed=fixed,
@@ -182,7 +185,12 @@ def prepare(
         problem.step_left = _LEFT_OF_JUMPS
     elif simulator.models.contact.world.size:
         problem.step_left = _LEFT_OF_IMPACTS
-    problem.floor = _floor(noise, problem, steps)
+    for _ in range(_PASSES if segments[0].mode == "effort" else 1):
+        # How far a segment is trusted is told in floors, and the floor by what is trusted.
+        steps = discretization(problem)
+        problem.floor = _floor(noise, problem, steps)
+        if segments[0].mode == "effort":
+            problem.trust = yielding_trust(problem)
     if effort_floor is not None and problem.defect:
         if segments[0].mode == "effort":
             # An effort drive gives what it is sent: only when is open, by a sample.
@@ -228,13 +236,28 @@ def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArra
     return segments[0].amid and enough and bool((steps > allowed).any())
 
 
-def discretization(defect: Mapping[int, Predicted], joints: int) -> FloatArray:
-    """(joints,) root mean square of what the model's own step changes, rad or m."""
-    changes = [add.position for add in defect.values()]
+def discretization(problem: Problem) -> FloatArray:
+    """(joints,) root mean square of what the model's own step changes, rad or m; under effort
+    commands, where a start is as open as that changes it, of what a shifted start leaves of it, as
+    far as each segment is trusted.
+    """
+    changes = []
+    for i, add in problem.defect.items():
+        change = add.position
+        if problem.simulator.segments[i].mode == "effort":
+            start = problem.starts.get(i)
+            change = change if start is None else start.freed(change)
+            change = change * problem.trust.get(i, 1.0)
+        changes.append(change)
+    return _rms(changes, len(problem.joints))
+
+
+def _rms(changes: Sequence[FloatArray], joints: int) -> FloatArray:
+    """(joints,) of all samples; 0 without any."""
     if not changes:
         return np.zeros(joints)
-    error: FloatArray = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0))
-    return error
+    found: FloatArray = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0))
+    return found
 
 
 def _floor(noise: FloatArray, problem: Problem, steps: FloatArray) -> FloatArray:

@@ -60,6 +60,9 @@ class Problem:
         floor: (joints,) standard deviation of what no model can explain, rad or m.
         scales: of the joints' parameters.
         effort_floor: the same of measured efforts, where these take part.
+        trust: segment -> (joints,) weights of its positions, whose mean square is 1, less where dry
+            friction may do otherwise before it slides; all residuals and responses of positions are
+            multiplied by it.
         effort_trust: segment -> (samples, joints) weights, 1 where a measured effort has its own
             noise alone and less where the model's step leaves more than that; all residuals and
             responses of efforts are multiplied by it.
@@ -81,6 +84,7 @@ class Problem:
     floor: FloatArray
     scales: Scales
     effort_floor: FloatArray | None = None
+    trust: dict[int, FloatArray] = field(default_factory=dict)
     effort_trust: dict[int, FloatArray] = field(default_factory=dict)
     refined: RowSimulator | None = None
     defect: dict[int, Predicted] = field(default_factory=dict)
@@ -236,6 +240,12 @@ class Problem:
     def residuals(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
     ) -> list[FloatArray]:
+        """Measured minus predicted, as far as it is trusted: (samples, signals) each."""
+        return [self.weighed(errors, segments) for errors in self.errors(hypotheses, segments)]
+
+    def errors(
+        self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
+    ) -> list[FloatArray]:
         """Measured minus predicted, stacked over segments: (samples, signals) each.
 
         Signals are the joints' positions, then their efforts where these take part.
@@ -253,6 +263,21 @@ class Problem:
                 parts.append(np.concatenate(columns, axis=1))
             out.append(np.concatenate(parts))
         return out
+
+    def weighed(self, stacked: FloatArray, segments: NDArray[np.int64]) -> FloatArray:
+        """(samples, signals, ...) of segments, positions by how far each segment is trusted."""
+        if not self.trust:
+            return stacked
+        weights = self.trust_of(segments, self.lengths(segments))
+        out = stacked.copy()
+        out[:, : len(self.joints)] *= weights.reshape(*weights.shape, *[1] * (stacked.ndim - 2))
+        return out
+
+    def trust_of(self, segments: NDArray[np.int64], lengths: Sequence[int]) -> FloatArray:
+        """(samples, joints) weights of positions, so many samples of each segment."""
+        each = np.array([self.trust[int(s)] for s in segments])
+        weights: FloatArray = np.repeat(each, lengths, axis=0)
+        return weights
 
     def trusted(self, segment: int, effort: FloatArray) -> FloatArray:
         """(samples, joints, ...) differences of efforts, by how far each sample is trusted."""

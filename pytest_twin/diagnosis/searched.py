@@ -267,7 +267,22 @@ def _taken_for_granted(
         "where it starts, and nothing is held against it"
         for joint in idle
     ]
-    return notes
+    return notes + _half_trusted(problem)
+
+
+def _half_trusted(problem: Problem) -> list[str]:
+    """A line for each joint of which some windows count by less than half of the others."""
+    if not problem.trust:
+        return []
+    weights = np.array(list(problem.trust.values()))
+    few = (weights < 0.5 * weights.max(axis=0)).sum(axis=0)
+    return [
+        f"joint {joint!r}: {few[j]} of {len(weights)} windows count by less than half of the "
+        "others, in errors too: its dry friction sticks, slips or turns around there, and what it "
+        "does before it slides is in no data sheet"
+        for j, joint in enumerate(problem.joints)
+        if few[j]
+    ]
 
 
 def _idle(realization: Realization, problem: Problem) -> list[str]:

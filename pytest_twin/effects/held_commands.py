@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,24 @@ class HeldCommands:
         segments: whose commands; all of the same joints.
         timestep: s, of the steps that are asked for most.
         idle: (segments, joints) what holds where a joint is not commanded.
+        least, greatest: (segments, joints) commands that drives heed. In a step in which a command
+            changes they give the mean of what they heed, not what they heed of the mean.
     """
 
-    def __init__(self, segments: Sequence[Segment], timestep: float, idle: FloatArray) -> None:
+    def __init__(
+        self,
+        segments: Sequence[Segment],
+        timestep: float,
+        idle: FloatArray,
+        least: FloatArray,
+        greatest: FloatArray,
+    ) -> None:
         self.segments = segments
         self.timestep = timestep
         self.idle = idle
+        self.least, self.greatest = least, greatest
         self._prompt: dict[int, FloatArray] = {}
-        self._areas: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
+        self._held: dict[int, _Held] = {}
 
     def means(
         self,
@@ -61,25 +72,62 @@ class HeldCommands:
         if prompt and segment in self._prompt and self._prompt[segment].shape[1] >= steps:
             return self._prompt[segment][:, :steps]
         s = self.segments[segment]
-        at = s.start - delay + timestep * np.arange(steps + 1)
-        far, area, command = self._area(segment)
-        last = np.clip(np.searchsorted(far, at, side="right") - 1, 0, len(command) - 1)
-        # Before the first stamp the first command holds.
-        summed = area[:, last] + command[last].T * (at - far[last])
-        mean: FloatArray = np.diff(summed, axis=1) / timestep
+        at = np.asarray(s.start - delay + timestep * np.arange(steps + 1), dtype=np.float64)
+        held = self._held_of(segment)
+        last = held.last(at)
+        mean = held.integrals(at, last, held.command, held.area) / timestep
+        if held.heeded is not None:
+            change = np.diff(last) > 0
+            heeded = held.integrals(at, last, *held.heeded) / timestep
+            mean = np.where(change, heeded, mean)
         if prompt:
             self._prompt[segment] = mean
         return mean
 
-    def _area(self, segment: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(stamps + 1,) s, (joints, stamps + 1) integral of the held command up to there, and
-        (stamps, joints) that command.
-        """
-        if segment not in self._areas:
+    def _held_of(self, segment: int) -> _Held:
+        if segment not in self._held:
             s = self.segments[segment]
             far = np.append(s.command_time, s.command_time[-1] + 1e6)
             command = np.where(np.isnan(s.command), self.idle[segment], s.command)
-            area = np.zeros((command.shape[1], len(far)))
-            np.cumsum((np.diff(far)[:, None] * command).T, axis=1, out=area[:, 1:])
-            self._areas[segment] = far, area, command
-        return self._areas[segment]
+            within = np.clip(command, self.least[segment], self.greatest[segment])
+            heeded = None
+            if not np.array_equal(within, command):
+                heeded = within, _area(far, within)
+            self._held[segment] = _Held(far, command, _area(far, command), heeded)
+        return self._held[segment]
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """Commands of one segment.
+
+    Attributes:
+        far: (stamps + 1,) s.
+        command: (stamps, joints) from each stamp on.
+        area: (joints, stamps + 1) its integral up to there.
+        heeded: both of what drives heed of it; None where that is all.
+    """
+
+    far: FloatArray
+    command: FloatArray
+    area: FloatArray
+    heeded: tuple[FloatArray, FloatArray] | None
+
+    def last(self, at: FloatArray) -> NDArray[np.int64]:
+        """The latest stamp at each time; before the first the first command holds."""
+        last = np.searchsorted(self.far, at, side="right") - 1
+        return np.clip(last, 0, len(self.command) - 1)
+
+    def integrals(
+        self, at: FloatArray, last: NDArray[np.int64], command: FloatArray, area: FloatArray
+    ) -> FloatArray:
+        """(joints, steps) integrals from each time to the next."""
+        summed = area[:, last] + command[last].T * (at - self.far[last])
+        return np.diff(summed, axis=1)
+
+
+def _area(far: FloatArray, command: FloatArray) -> FloatArray:
+    """(joints, stamps + 1) integral of a held command up to each stamp."""
+    area = np.zeros((command.shape[1], len(far)))
+    np.cumsum((np.diff(far)[:, None] * command).T, axis=1, out=area[:, 1:])
+    return area

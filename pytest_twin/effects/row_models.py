@@ -192,6 +192,21 @@ class RowModels:
             setattr(world, name, getattr(world, name)[of])
         return world
 
+    def heeded(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """(rows, joints) least and greatest effort commands that the model's drives heed; any
+        command of other drives.
+        """
+        world, layout = self.world(rows), self.layout
+        effort = (layout.servo == "effort") & (world.gain > 0.0)
+        gain = np.where(effort, world.gain, 1.0)
+        least, greatest = ((b - world.offset) / gain for b in (world.lower, world.upper))
+        model, driven = self.segments[0].model, layout.driven
+        limited = driven[model.actuator_ctrllimited[layout.actuator[driven]] != 0]
+        ends = model.actuator_ctrlrange[layout.actuator[limited]].T / layout.scale[limited]
+        least[:, limited] = np.maximum(least[:, limited], ends.min(axis=0))
+        greatest[:, limited] = np.minimum(greatest[:, limited], ends.max(axis=0))
+        return np.where(effort, least, -np.inf), np.where(effort, greatest, np.inf)
+
     def written(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], threads: int
     ) -> Rows:

@@ -85,7 +85,8 @@ class RowSimulator:
         """Of these, what had been simulated before."""
         self._known = KnownRows()
         idle = np.array([self._holding(s) for s in self.segments])
-        self._held = HeldCommands(self.segments, self.timestep, idle)
+        heeded = self.models.heeded(np.arange(len(self.segments)))
+        self._held = HeldCommands(self.segments, self.timestep, idle, *heeded)
 
     def _holding(self, segment: Segment) -> FloatArray:
         """(joints,) commands by which position servos hold what nobody commands; 0 elsewhere."""

@@ -63,6 +63,9 @@ class Readings:
         self._mean = _means(bins, int(self._stamps[-1]))
         at = sparse.block_diag(self._at, format="csr")
         self._position = sparse.csr_array(self._mean @ at)
+        self._position_trust: FloatArray | None = None
+        if problem.trust:
+            self._position_trust = problem.trust_of(along.segments, bins.lengths)
         self._trust: FloatArray | None = None
         self._efforts = [self._position] * self.joints
         if problem.effort_floor is not None and problem.effort_trust:
@@ -137,6 +140,8 @@ class Readings:
             if c.direct is not None:
                 binned[:, :, k] += means[id(c.direct)]
         self._take_starts_off(binned, columns, moved)
+        if self._position_trust is not None:
+            binned[:, :joints] *= self._position_trust[..., None]
         out = binned.astype(np.float32)
         return [np.asarray(out[:, :, k]) for k in range(count)]
 

@@ -253,15 +253,17 @@ class Linear:
         self.readings.free(self.starts)
 
     def residual(self, residual: FloatArray) -> FloatArray:
-        """(bins, signals) of (samples, signals), freed of shifted starts as responses are."""
+        """(bins, signals) of (samples, signals), freed of shifted starts and trusted as responses
+        are.
+        """
         joints = len(self.problem.joints)
         out, at = residual.copy(), 0
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
             n = len(segment.time)
             if i in self.starts:
-                off = segment.position - self.along.reading[i]
-                out[at : at + n, :joints] = self.starts[i].freed(off)
+                off = self.starts[i].freed(segment.position - self.along.reading[i])
+                out[at : at + n, :joints] = off * self.problem.trust.get(int(s), 1.0)
             at += n
         return self.bins.mean(out)
 
