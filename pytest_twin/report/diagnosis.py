@@ -54,8 +54,8 @@ _SURE = 0.9
 def finding_sentence(finding: Mapping[str, Any]) -> str:
     """One sentence: what, where, how much, how surely, what it buys."""
     values = ", ".join(
-        f"{key.replace('_', ' ')} {quantity(p['value'], p['unit'])} "
-        f"({number(p['ci95'][0])} to {number(p['ci95'][1])})"
+        f"{key.replace('_', ' ')} {quantity(p['value'], p['unit'])}"
+        + (f" ({interval})" if (interval := _interval(p["ci95"])) else "")
         for key, p in finding["parameters"].items()
     )
     text = (
@@ -133,6 +133,12 @@ def spans_said(windows: Sequence[Sequence[float]]) -> str:
     return f"{said} s, and {more} shorter" if more else f"{said} s"
 
 
+def _interval(ci95: Sequence[float]) -> str:
+    """From where to where; nothing of a choice, which is one of a few values and never between."""
+    low, high = ci95
+    return "" if low == high else f"{number(low)} to {number(high)}"
+
+
 def _data_uri(svg: bytes) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
 
@@ -151,5 +157,7 @@ def _template() -> jinja2.Template:
         lstrip_blocks=True,
         loader=jinja2.PackageLoader("pytest_twin.report", "."),
     )
-    environment.filters.update(number=number, quantity=quantity, percent=_percent, spans=spans_said)
+    environment.filters.update(
+        number=number, quantity=quantity, interval=_interval, percent=_percent, spans=spans_said
+    )
     return environment.get_template("diagnosis.html.j2")
