@@ -58,8 +58,9 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
         + (f" ({interval})" if (interval := _interval(p["ci95"])) else "")
         for key, p in finding["parameters"].items()
     )
+    name = _name(finding)
     text = (
-        f"{_name(finding).capitalize()}: {values}; confidence {_percent(finding['confidence'])}, "
+        f"{name[:1].upper()}{name[1:]}: {values}; confidence {_percent(finding['confidence'])}, "
         f"takes {_percent(finding['held_out_gain'])} off the error that stands without it."
     )
     rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - _SURE]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pytest_twin.report.diagnosis import finding_sentence
 
 
-def test_a_number_has_its_interval_and_a_choice_has_none() -> None:
+def test_joints_are_named_as_they_are_numbers_have_intervals_and_choices_none() -> None:
     finding = {
         "effect": "actuator_lag",
-        "joint": "elbow",
+        "joint": "Elbow_J2",
         "confidence": 1.0,
         "parameters": {
             "time_constant": {"value": 0.025, "unit": "s", "ci95": [0.024, 0.026]},
@@ -18,6 +18,6 @@ def test_a_number_has_its_interval_and_a_choice_has_none() -> None:
         "alternatives": [],
     }
     assert finding_sentence(finding) == (
-        "Actuator lag at elbow: time constant 0.025 s (0.024 to 0.026), of setpoint 1; confidence "
-        "100 %, takes 99.5 % off the error that stands without it."
+        "Actuator lag at Elbow_J2: time constant 0.025 s (0.024 to 0.026), of setpoint 1; "
+        "confidence 100 %, takes 99.5 % off the error that stands without it."
     )
