@@ -34,6 +34,8 @@ def worth_a_name(
 ) -> bool:
     """Whether some signal falls by enough for a name to have made it fall.
 
+    Not by what would not stand out of the floor alone: no name is claimed for that in the end.
+
     Args:
         floor: (signals,) deviations that need no explanation.
         before, after: (signals,) mean squares without the name and with it.
@@ -43,7 +45,9 @@ def worth_a_name(
     gone = before - after
     rest = np.maximum(before - square, 0.2 * square)
     all_of_it = np.clip(whole - square, 0.2 * square, _MOST_FLOORS**2 * square)
-    return bool(((gone >= _SHARE_OF_REST * rest) & (gone >= _SHARE_OF_ALL * all_of_it)).any())
+    least = (STANDS_OUT**2 - 1.0) * square
+    least = np.maximum(least, np.maximum(_SHARE_OF_REST * rest, _SHARE_OF_ALL * all_of_it))
+    return bool((gone >= least).any())
 
 
 @dataclass(frozen=True, slots=True)
