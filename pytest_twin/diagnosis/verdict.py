@@ -45,8 +45,8 @@ def worth_a_name(
     gone = before - after
     rest = np.maximum(before - square, 0.2 * square)
     all_of_it = np.clip(whole - square, 0.2 * square, _MOST_FLOORS**2 * square)
-    least = (STANDS_OUT**2 - 1.0) * square
-    least = np.maximum(least, np.maximum(_SHARE_OF_REST * rest, _SHARE_OF_ALL * all_of_it))
+    alone = (STANDS_OUT**2 - 1.0) * square
+    least = np.maximum.reduce([alone, _SHARE_OF_REST * rest, _SHARE_OF_ALL * all_of_it])
     return bool((gone >= least).any())
 
 
