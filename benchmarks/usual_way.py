@@ -45,6 +45,9 @@ from pytest_twin.realization import load
 
 Modifier = Callable[[mujoco.MjSpec, sysid.Parameter], None]
 
+# Least share of a drive's gain: one without any takes no commands, and is no servo.
+_LEAST = 1e-6
+
 
 # -- mujoco.sysid on a case
 
@@ -114,8 +117,8 @@ def free_parameters(problem: Problem, model: mujoco.MjModel, *, gains: bool) -> 
     """Damping, armature, dry friction and gains of every joint, bounded by the joint's scales."""
     params = sysid.ParameterDict()
 
-    def add(name: str, value: float, upper: float, write: Modifier) -> None:
-        params.add(sysid.Parameter(name, value, 0.0, max(upper, 3.0 * value), modifier=write))
+    def add(name: str, value: float, upper: float, write: Modifier, lower: float = 0.0) -> None:
+        params.add(sysid.Parameter(name, value, lower, max(upper, 3.0 * value), modifier=write))
 
     scales = problem.scales.of
     for j, joint in enumerate(problem.joints):
@@ -133,14 +136,16 @@ def free_parameters(problem: Problem, model: mujoco.MjModel, *, gains: bool) -> 
         mode = problem.simulator.layout.servo[problem.joints.index(joint)]
         stiffness, damping = -model.actuator_biasprm[i, 1], -model.actuator_biasprm[i, 2]
         if mode == "position":
-            add(f"{joint} kp", stiffness, 3.0 * stiffness, set_gain(name, mode, "kp"))
+            add(f"{joint} kp", stiffness, 3.0 * stiffness, set_gain(name, mode, "kp"),
+                _LEAST * stiffness)  # fmt: skip
             add(f"{joint} kv", damping, 3.0 * damping + 0.1 * stiffness,
                 set_gain(name, mode, "kv"))  # fmt: skip
         elif mode == "velocity":
-            add(f"{joint} kv", damping, 3.0 * damping, set_gain(name, mode, "kv"))
+            add(f"{joint} kv", damping, 3.0 * damping, set_gain(name, mode, "kv"),
+                _LEAST * damping)  # fmt: skip
         else:
             gain = float(model.actuator_gainprm[i, 0])
-            add(f"{joint} gain", gain, 3.0 * gain, set_gain(name, mode, "gain"))
+            add(f"{joint} gain", gain, 3.0 * gain, set_gain(name, mode, "gain"), _LEAST * gain)
     return params
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,10 +11,11 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.cost import Cost, cost
+from pytest_twin.diagnosis.creep import CREEPS, found_so, posed
 from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
+from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
-from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Selected
@@ -27,7 +28,6 @@ from pytest_twin.diagnosis.searched import (
     pose,
     search,
 )
-from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
 from pytest_twin.diagnosis.verdict import JointError, Verdict
@@ -145,11 +145,9 @@ def diagnose(
     """
     since = time.perf_counter()
     notes = list(trials.notes)
-    beside = stepped_beside(realization, inherited)
-    realization = without_delays(realization)
-    coldness = {} if inherited is None else inherited.coldness
+    given = Given.of(realization, inherited, threads)
     progress(0.02)
-    prepared, trials = pose(realization, trials, beside, coldness, threads, notes)
+    given, prepared, trials = posed(given, trials, notes)
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
@@ -165,9 +163,9 @@ def diagnose(
     # Candidates that run away overflow; what is not finite is ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         contact = prepared.problem.simulator.models.contact
-        problems, near, clear, start = [prepared.problem], (prepared, trials), EMPTY, EMPTY
+        problems, clear, start = [prepared.problem], EMPTY, EMPTY
         if contact.world.size:
-            away = _posed_away(realization, trials, beside, coldness, threads, contact)
+            away = _posed_away(given, trials, contact)
             if away is not None:
                 problems.append(away[0].problem)
                 clear = _found_away(*away, say)
@@ -175,8 +173,10 @@ def diagnose(
         found = search(prepared, trials, Selection(prepared.problem, say), start)
         if found.astray and contact.world.size:
             found = _once_more(found, say)
+        given, found = found_so(found, given, problems, say)
+        near = found.prepared, found.trials
         if found.astray and (clear.terms or not contact.world.size):
-            near = pose(realization, trials, beside, coldness, threads, [], window=WINDOW)
+            near = pose(given, trials, [], window=WINDOW)
             problems.append(near[0].problem)
             if contact.world.size:
                 # What acts in the air is known from there.
@@ -186,6 +186,8 @@ def diagnose(
         if found.verdict in ("improved", "unexplained"):
             left = unexplained(found, *near)
     progress(0.9)
+    if given.creeps:
+        notes.append(CREEPS)
     notes += found.explained.notes
     if not len(prepared.problem.held_out):
         notes.append("errors and gains are of the recordings that were fitted")
@@ -197,18 +199,11 @@ def diagnose(
 
 
 def _posed_away(
-    realization: Realization,
-    trials: TrialSet,
-    beside: Sequence[AppliedEffect],
-    coldness: Coldness,
-    threads: int,
-    contact: ContactGeoms,
+    given: Given, trials: TrialSet, contact: ContactGeoms
 ) -> tuple[Prepared, TrialSet] | None:
     """The problem in windows that are far from what the robot meets, None without any."""
     try:
-        return pose(
-            realization, trials, beside, coldness, threads, [], window=WINDOW, contact=contact
-        )
+        return pose(given, trials, [], window=WINDOW, contact=contact)
     except RecordingError:
         return None
 

@@ -18,9 +18,9 @@ from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.responses import responses
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View, candidates
 from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import MissingForce, Where, missing_force, motions, place_of
-from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.replay import fixed_values, replay_whole
 from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare, shared_joints
@@ -167,10 +167,11 @@ def _worst_part(
 def _prepared(
     realization: Realization, fit: Sequence[Trial], aside: Sequence[Trial], patched: Patched | None
 ) -> Prepared:
-    beside = stepped_beside(realization, patched)
-    fixed = fixed_values(beside, shared_joints(realization, [*fit, *aside]), 1)
-    coldness = {} if patched is None else patched.coldness
-    return prepare(without_delays(realization), fit, aside, coldness=coldness, fixed=fixed)
+    given = Given.of(realization, patched)
+    fixed = fixed_values(given.beside, shared_joints(realization, [*fit, *aside]), 1)
+    return prepare(
+        given.realization, fit, aside, coldness=given.coldness, fixed=fixed, creeps=given.creeps
+    )
 
 
 def _causes(force: MissingForce, size: FloatArray) -> list[int]:

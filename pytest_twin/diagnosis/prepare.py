@@ -102,6 +102,7 @@ def prepare(
     coldness: Coldness = MappingProxyType({}),
     fixed: EffectValues | None = None,
     contact: ContactGeoms | None = None,
+    creeps: bool = False,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
@@ -114,6 +115,7 @@ def prepare(
         coldness: by temperature, as an earlier diagnosis had it; by default the trials tell.
         fixed: effects beside the model, (1, joints) of :func:`shared_joints`.
         contact: what the robot meets, if windows are to lie where it is far from that.
+        creeps: whether dry friction does, as MuJoCo's default constraint has it.
 
     Raises:
         RecordingError: no joint that the model and every recording share; or nothing to fit that is
@@ -129,14 +131,16 @@ def prepare(
     for i, trial in enumerate(trials):
         cold = coldness_in(coldness, trial)
         made = segments_of(
-            realization, trial, i, joints, window, cold, commanded=True, contact=contact
-        )
+            realization, trial, i, joints, window, cold, commanded=True, contact=contact,
+            creeps=creeps,
+        )  # fmt: skip
         if not made:
             continue
         if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
             (moving[len(segments)],) = segments_of(
-                realization, trial, i, joints, window, cold, moving=True, commanded=True
-            )
+                realization, trial, i, joints, window, cold, moving=True, commanded=True,
+                creeps=creeps,
+            )  # fmt: skip
         segments += made
         owner += [i] * len(made)
     is_fit = np.array(owner) < len(fit)
@@ -162,7 +166,7 @@ def prepare(
         return prepare(
             realization, fit, held_out,
             threads=threads, window=0.5 * WINDOW, coldness=coldness, fixed=fixed,
-            contact=contact,
+            contact=contact, creeps=creeps,
         )  # fmt: skip
     problem = Problem(
         simulator,

@@ -9,6 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
+from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.patched.replay import fixed_values
@@ -19,7 +20,6 @@ from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.seek import sought
 from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
 from pytest_twin.effects.contact_geoms import ContactGeoms
@@ -104,12 +104,13 @@ def search(
     """Search a problem, from the model as it came or from what was found elsewhere, and judge what
     is found.
     """
-    return _concluded(prepared, trials, selection, from_start(selection, start))
+    return concluded(prepared, trials, selection, from_start(selection, start))
 
 
-def _concluded(
+def concluded(
     prepared: Prepared, trials: TrialSet, selection: Selection, selected: Selected
 ) -> Searched:
+    """What a search chose, gone on with where the floor falls, judged."""
     selected = _to_the_floor(prepared, selection, selected)
     return _searched(prepared, trials, selected, prune(prepared.problem, selected))
 
@@ -143,7 +144,7 @@ def confirmed(
     before, after = (left_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
     if not all(e.explained for e in _errors(prepared, before, after).values()):
         return None
-    found = _concluded(prepared, trials, selection, selection.run(rival))
+    found = concluded(prepared, trials, selection, selection.run(rival))
     return found if found.verdict == "explained" else None
 
 
@@ -177,11 +178,8 @@ def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: 
 
 
 def pose(
-    realization: Realization,
+    given: Given,
     trials: TrialSet,
-    beside: Sequence[AppliedEffect],
-    coldness: Coldness,
-    threads: int,
     notes: list[str],
     window: float | None = None,
     contact: ContactGeoms | None = None,
@@ -189,11 +187,8 @@ def pose(
     """The problem, without recordings on which the model itself diverges.
 
     Args:
-        realization: the model as it came.
+        given: the model, and how it is stepped.
         trials: what was recorded.
-        beside: effects beside the model.
-        coldness: as an earlier diagnosis had it, empty where the trials tell.
-        threads: of the batches, 0 for all cores.
         notes: gets what was left out.
         window, contact: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
 
@@ -202,10 +197,11 @@ def pose(
     """
     while True:
         everything = (*trials.fit, *trials.held_out)
-        fixed = fixed_values(beside, shared_joints(realization, everything), 1)
+        fixed = fixed_values(given.beside, shared_joints(given.realization, everything), 1)
         prepared = prepare(
-            realization, trials.fit, trials.held_out,
-            threads=threads, window=window, coldness=coldness, fixed=fixed, contact=contact,
+            given.realization, trials.fit, trials.held_out,
+            threads=given.threads, window=window, coldness=given.coldness, fixed=fixed,
+            contact=contact, creeps=given.creeps,
         )  # fmt: skip
         problem = prepared.problem
         predicted = problem.predict([EMPTY], problem.everywhere)[0]
@@ -215,8 +211,8 @@ def pose(
             if not np.isfinite(p.position).all()
         }
         if not lost:
-            idle = _idle(realization, problem)
-            notes += _taken_for_granted(prepared, everything, beside, idle)
+            idle = _idle(given.realization, problem)
+            notes += _taken_for_granted(prepared, everything, given.beside, idle)
             for joint in {*trials.unseen, *idle}:
                 # So far off the floor nothing stands out of it, and no fit heeds it.
                 problem.floor[problem.joints.index(joint)] = _UNSEEN

@@ -19,6 +19,8 @@ _ONE_HELD_OUT_OF = 4
 _FOLLOWS = 0.9
 _LIKE = 0.15
 _COUNTS = 100.0
+# All within this of one end of its range, rad or m, a joint is held there by its stop.
+_AT_STOP = 0.05
 # An encoder that stands still for this share of a recording under a moving command is stuck.
 _STUCK_SHARE = 0.6
 # Friction holds a joint at rest only so far: a setpoint that sweeps, seen from the encoder, this
@@ -75,7 +77,7 @@ def read_trials(
         try:
             known[path] = make_trial(read(path, topics), structure)
             _refuse_too_few(known[path])
-            _refuse_other_unit(known[path])
+            _refuse_other_unit(known[path], structure)
         except TwinError as error:
             known.pop(path, None)
             first_error = first_error or error
@@ -233,8 +235,18 @@ def _refuse_too_few(trial: Trial) -> None:
         )
 
 
-def _refuse_other_unit(trial: Trial) -> None:
-    """Positions many times what is commanded, in a constant ratio, are in another unit.
+def _held_by_its_stop(trial: Trial, joint: str, structure: Structure) -> bool:
+    """Whether a joint stands at one end of its range: its servo then hardly moves it."""
+    ends = structure.joint_range.get(joint)
+    if ends is None:
+        return False
+    position = trial.position[:, trial.joints.index(joint)]
+    return bool((position < ends[0] + _AT_STOP).all() or (position > ends[1] - _AT_STOP).all())
+
+
+def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
+    """Positions that follow what is commanded in a constant ratio, far from one, are in another
+    unit; not so those of a joint that its stop holds.
 
     Raises:
         RecordingError: the ratio is that of degrees, or far from one.
@@ -242,7 +254,7 @@ def _refuse_other_unit(trial: Trial) -> None:
     if trial.command_mode != "position":
         return
     for column, joint in enumerate(trial.joints):
-        if joint not in trial.command_joints:
+        if joint not in trial.command_joints or _held_by_its_stop(trial, joint, structure):
             continue
         sent = trial.command[:, trial.command_joints.index(joint)]
         held = np.searchsorted(trial.command_time, trial.time, side="right") - 1

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import weakref
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -46,6 +47,7 @@ def segments_of(
     moving: bool = False,
     commanded: bool = False,
     contact: ContactGeoms | None = None,
+    creeps: bool = False,
 ) -> list[Segment]:
     """A trial in the model's terms: one segment, or short windows.
 
@@ -62,11 +64,12 @@ def segments_of(
             told until then is in no recording.
         contact: what the robot meets, if its windows are to lie where it is far from that; a trial
             may have none.
+        creeps: whether dry friction does, as MuJoCo's default constraint has it.
 
     Raises:
         SpecError: a controller or payload that the model lacks.
     """
-    recorded = _recorded(realization, trial, index, joints, coldness)
+    recorded = replace(_recorded(realization, trial, index, joints, coldness), creeps=creeps)
     first = _first_commanded(recorded) if commanded else 0
     if window is None and trial.command_mode != "effort":
         return [_whole(recorded, joints, first, moving)]

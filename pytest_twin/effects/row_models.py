@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.acting import BETWEEN_STEPS, any_hook
 from pytest_twin.effects.base import Effect, ModelFields, Values, World, moving_apart
+from pytest_twin.effects.constraint import hold
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
 from pytest_twin.effects.layout import Layout
 from pytest_twin.effects.link_inertia import link_inertia
@@ -108,19 +109,17 @@ class RowModels:
 
     def bounded(self, segment: int) -> mujoco.MjModel:
         """The segment's model with every force range in force, so that rows can narrow it."""
-        key = id(self.segments[segment].model)
-        if key not in self._bounded:
-            model = copy.copy(self.segments[segment].model)
+        of = self.segments[segment]
+        if id(of.model) not in self._bounded:
+            model = copy.copy(of.model)
             free = model.actuator_forcelimited == 0
             model.actuator_forcelimited[free] = 1
             model.actuator_forcerange[free] = (-_UNBOUNDED, _UNBOUNDED)
             model.opt.timestep = self.timestep
-            # MuJoCo's default friction constraint creeps under load (some 0.03 rad/s for half the
-            # level on a small servo); dry friction holds. Stiff, it creeps 500 times less.
-            model.dof_solref[self.layout.dof_index] = (2.0 * self.timestep, 1.0)
-            model.dof_solimp[self.layout.dof_index, :3] = (0.999, 0.9999, 0.001)
-            self._bounded[key] = model
-        return self._bounded[key]
+            if not of.creeps:
+                hold(model, self.layout.dof_index, float(of.model.opt.timestep))
+            self._bounded[id(of.model)] = model
+        return self._bounded[id(of.model)]
 
     def link_inertia(self, rows: NDArray[np.int64]) -> FloatArray:
         """(rows, joints) the least inertia that links put against their gears along a segment,

@@ -52,6 +52,7 @@ class Segment:
         motor_shift: (joints,) rad or m by which motors behind gears that give start elsewhere than
             where they would carry their links at rest, or where their windows' lead brought them.
         coldness: 1 in the coldest trial, 0 in the warmest; 1 where nobody says.
+        creeps: whether dry friction gives way under load as MuJoCo's default constraint has it.
         unrecorded: the rest of the model, by default at its reference without commands.
     """
 
@@ -70,6 +71,7 @@ class Segment:
     history: tuple[FloatArray, FloatArray, FloatArray] | None = None
     motor_shift: FloatArray | None = None
     coldness: float = 1.0
+    creeps: bool = False
     unrecorded: Unrecorded | None = None
 
     @property

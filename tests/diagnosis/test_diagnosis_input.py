@@ -134,6 +134,21 @@ def test_another_unit_is_not_taken_for_physics(bench: Bench, factor: float, word
     assert names(bench.read(bench.put("a.mcap"), odd).fit) == ["a.mcap"]
 
 
+@pytest.mark.parametrize("end", [0.3, None], ids=["at its stop", "nowhere near one"])
+def test_a_joint_at_its_stop_is_in_no_other_unit(bench: Bench, end: float | None) -> None:
+    bench.sent = bench.sent + 2.0
+    held = bench.seen.copy()
+    held[:, 0] = (0.0 if end is None else end) + 0.003 * bench.seen[:, 0]
+    path = bench.put("a.mcap", seen=held)
+    structure = bench.loaded.realization.structure
+    bounded = replace(structure, joint_range={**structure.joint_range, "left": (-2.0, 0.3)})
+    if end is None:
+        with pytest.raises(RecordingError, match="as if in encoder counts"):
+            read_trials([path], (), bench.loaded.topics, bounded)
+    else:
+        assert names(read_trials([path], (), bench.loaded.topics, bounded).fit) == ["a.mcap"]
+
+
 def test_a_held_out_recording_of_another_mode_is_left_out(bench: Bench) -> None:
     """Also where all that is fitted is of one mode."""
     a, b = bench.put("a.mcap"), bench.put("b.mcap")

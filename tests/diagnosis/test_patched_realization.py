@@ -12,8 +12,8 @@ from test_first_order import carried, link
 from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.patched.delays import stepped_beside
 from pytest_twin.diagnosis.patched.model import read_effects
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
@@ -160,8 +160,8 @@ def test_a_diagnosis_goes_on_from_the_step_error_of_what_was_found_before(
         tmp_path / "realization", load_model(folder / "model.xml").realization, problem, found
     )
     loaded = load_model(find_model(tmp_path))
-    beside = stepped_beside(loaded.realization, loaded.patched)
-    again, _ = pose(loaded.realization, TrialSet((trial,), (), ()), beside, {}, 1, [])
+    given = Given.of(loaded.realization, loaded.patched, threads=1)
+    again, _ = pose(given, TrialSet((trial,), (), ()), [])
     (later,) = again.problem.predict([EMPTY], np.array([0]))[0]
     assert np.abs(later.position - first.position).max() < 1e-8
     assert np.abs(later.position - uncorrected).max() > 1e-5
@@ -187,8 +187,8 @@ def test_an_effect_of_a_joint_that_no_recording_has_is_left_out_and_said(
             fields[name] = fields[name][:, :1]
     alone = Trial(**{**fields, "joints": JOINTS[:1]})
     notes: list[str] = []
-    beside = stepped_beside(loaded.realization, loaded.patched)
-    again, _ = pose(loaded.realization, TrialSet((alone,), (), ()), beside, {}, 1, notes)
+    given = Given.of(loaded.realization, loaded.patched, threads=1)
+    again, _ = pose(given, TrialSet((alone,), (), ()), notes)
     assert again.problem.joints == JOINTS[:1]
     assert notes == [f"rate_limit of joint {JOINTS[1]!r} is left out: no motion of it"]
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.search.contest import Contest
@@ -79,8 +80,9 @@ def test_a_cable_under_a_velocity_servo_is_found_where_it_pulls(tmp_path: Path) 
     realization = load(tmp_path / "arm.xml")
     recordings = [read_recording(recorded(tmp_path, seed)) for seed in (1, 2)]
     fit, held_out = (make_trial(r, realization.structure) for r in recordings)
-    whole, trials = pose(realization, TrialSet((fit,), (held_out,), ()), (), {}, 1, [])
-    cut, kept = pose(realization, trials, (), {}, 1, [], window=0.5)
+    given = Given(realization, threads=1)
+    whole, trials = pose(given, TrialSet((fit,), (held_out,), ()), [])
+    cut, kept = pose(given, trials, [], window=0.5)
     found = unnamed(whole, trials)
     place = unexplained(found, cut, kept)["lift"].where
     low, high = (float(x) for x in place.summary.split(" rad:")[0].split()[1::2])

@@ -17,6 +17,7 @@ from pytest_twin.realization import Realization
 MODEL_FILE = "model.xml"
 _MAX_EFFECTS = 256
 _MAX_BYTES = 1 << 20
+_CREEPS = "creeps"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +46,13 @@ class Patched:
         joints: columns that laws act on, in order.
         effects: all, those in the model too.
         coldness: of trials by their temperature, where an effect asks for it.
+        creeps: whether dry friction does, as MuJoCo's default constraint has it.
     """
 
     joints: tuple[str, ...]
     effects: tuple[AppliedEffect, ...] = field(default=())
     coldness: Coldness = field(default_factory=dict)
+    creeps: bool = False
 
     @property
     def beside(self) -> tuple[AppliedEffect, ...]:
@@ -74,6 +77,7 @@ def effects_json(patched: Patched) -> dict[str, Any]:
         "schema": 1,
         "joints": list(patched.joints),
         **({"coldness": dict(patched.coldness)} if patched.coldness else {}),
+        **({"dry_friction": _CREEPS} if patched.creeps else {}),
         "effects": [
             {
                 "effect": e.effect,
@@ -119,6 +123,8 @@ def read_effects(path: Path) -> Patched:
     for temperature, value in coldness.items():
         need(_finite(value), f"coldness.{temperature}", "a finite number", value)
     need(not coldness or len(set(coldness.values())) > 1, "coldness", "temperatures that differ")
+    dry = data.get("dry_friction")
+    need(dry in (None, _CREEPS), "dry_friction", _CREEPS, dry)
     listed = data.get("effects")
     need(isinstance(listed, list) and len(listed) <= _MAX_EFFECTS, "effects", "a list")
     found = []
@@ -140,7 +146,9 @@ def read_effects(path: Path) -> Patched:
         found.append(
             AppliedEffect(name, joint, {k: float(v) for k, v in values.items()}, item["in_model"])
         )
-    return Patched(tuple(joints), tuple(found), {k: float(v) for k, v in coldness.items()})
+    return Patched(
+        tuple(joints), tuple(found), {k: float(v) for k, v in coldness.items()}, dry is not None
+    )
 
 
 def _finite(value: object) -> bool:

@@ -67,14 +67,14 @@ class NativeWriter:
         return out
 
     def settle(self) -> None:
-        """State the solver settings under which the findings hold."""
-        timestep = float(self.model.opt.timestep)
+        """State the solver settings under which the findings hold: those that were stepped."""
         by_name = {j.name: j for j in self.spec.joints}
-        for name in self.problem.joints:
-            # As the row simulator has them: MuJoCo's default lets dry friction creep under load.
+        stepped = self.simulator.models.bounded(0)
+        dofs = self.simulator.layout.dof_index
+        for name, dof in zip(self.problem.joints, dofs, strict=True):
             joint = by_name[name]
-            joint.solref_friction[:] = (2.0 * timestep, 1.0)
-            joint.solimp_friction[:3] = (0.999, 0.9999, 0.001)
+            joint.solref_friction[:] = stepped.dof_solref[dof]
+            joint.solimp_friction[:] = stepped.dof_solimp[dof]
         self.model = compiled(self.spec)[0]
 
     def text(self) -> str:

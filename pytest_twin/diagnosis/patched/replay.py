@@ -83,7 +83,7 @@ def replay_patched(
                 expected=", ".join(patched.joints),
             )
         cold = coldness_in(patched.coldness, trial)
-        segment = whole_segment(stepped, trial, patched.joints, cold)
+        segment = whole_segment(stepped, trial, patched.joints, cold, creeps=patched.creeps)
         predicted = _predict(segment, patched.joints, values, threads)
         if not np.isfinite(predicted.position).all():
             raise SimulationError("the simulation diverged", path=trial.path)
@@ -163,10 +163,15 @@ def _as_measured(
 
 
 def whole_segment(
-    realization: Realization, trial: Trial, joints: Sequence[str], coldness: float
+    realization: Realization,
+    trial: Trial,
+    joints: Sequence[str],
+    coldness: float,
+    *,
+    creeps: bool = False,
 ) -> Segment:
     """One segment from the first state of a trial to its last."""
-    parts = segments_of(realization, trial, 0, joints, coldness=coldness)
+    parts = segments_of(realization, trial, 0, joints, coldness=coldness, creeps=creeps)
     if len(parts) == 1:
         return parts[0]
     kept = [np.concatenate([[True], np.diff(p.time) > 0]) for p in parts]

@@ -56,7 +56,12 @@ def write_realization(
         }
         effects += writer.take(term, values)
     asked = any(catalogue()[e.effect].asks_temperature for e in effects)
-    patched = Patched(problem.joints, tuple(effects), coldness if asked else {})
+    patched = Patched(
+        problem.joints,
+        tuple(effects),
+        coldness if asked else {},
+        problem.simulator.segments[0].creeps,
+    )
     writer.settle()
     text = writer.text()
     if realization.source.kind == "mjcf":

@@ -1,0 +1,115 @@
+"""Whether dry friction holds or creeps, by what the recordings say.
+
+A joint at rest under its friction stays where it is. In MuJoCo's default constraint it creeps, and
+so does what MuJoCo recorded: less than any effect has a name for, and above the floor where little
+noise is. The recordings are asked, where dry friction is in the model or was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.searched import Searched, concluded, left_everywhere, pose
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.verdict import LEFT_FLOORS, STANDS_OUT
+from pytest_twin.effects.rows import RowSimulator
+
+CREEPS = (
+    "dry friction creeps under load, as MuJoCo's default friction constraint has it: with friction "
+    "that holds more is left"
+)
+# Share of what stands above the floor that may be left where the other way is right, and before
+# anything is fitted to it.
+_LEFT, _UNFITTED = 0.5, 0.8
+
+
+def above_floor(problem: Problem, left: FloatArray) -> float:
+    """What (samples, signals) residuals of positions leave above the floor, squared floors summed
+    over joints.
+    """
+    squares = np.mean((left[:, : len(problem.joints)] / problem.floor) ** 2, axis=0)
+    return float(np.maximum(squares - 1.0, 0.0).sum())
+
+
+def posed(given: Given, trials: TrialSet, notes: list[str]) -> tuple[Given, Prepared, TrialSet]:
+    """The problem, with dry friction the way that leaves less where a model is nearly right as it
+    came.
+
+    Raises:
+        SimulationError: as :func:`~pytest_twin.diagnosis.searched.pose`.
+    """
+    prepared, kept = pose(given, trials, notes)
+    problem = prepared.problem
+    left = left_everywhere(problem, EMPTY)
+    near = STANDS_OUT < _greatest(problem, left) < LEFT_FLOORS
+    if near and _asked(problem, EMPTY) and _leaves_less(problem, _otherwise(problem, EMPTY), left):
+        given = replace(given, creeps=not given.creeps)
+        prepared, _ = pose(given, kept, [])
+    return given, prepared, kept
+
+
+def found_so(
+    found: Searched, given: Given, problems: list[Problem], say: Callable[[str], None]
+) -> tuple[Given, Searched]:
+    """What was found, fitted with dry friction the other way, where that leaves far less.
+
+    Args:
+        found: with dry friction as ``given``.
+        given: the model.
+        problems: gets the one that was tried, if one was.
+        say: told what is considered.
+    """
+    before, start = found.prepared.problem, found.explained.hypothesis
+    if not _asked(before, start) or _greatest(before, found.after) <= STANDS_OUT:
+        return given, found
+    if not _leaves_less(before, _otherwise(before, start), found.after, _UNFITTED):
+        return given, found
+    otherwise = replace(given, creeps=not given.creeps)
+    prepared, trials = pose(otherwise, found.trials, [])
+    problems.append(prepared.problem)
+    selection = Selection(prepared.problem, say)
+    contest = selection.contest
+    rival = contest.settled(contest.as_it_is(start)) if start.terms else None
+    fitted = start if rival is None else rival.hypothesis
+    if not _leaves_less(before, left_everywhere(prepared.problem, fitted), found.after):
+        return given, found
+    return otherwise, concluded(prepared, trials, selection, selection.run(rival))
+
+
+def _asked(problem: Problem, hypothesis: Hypothesis) -> bool:
+    """Whether dry friction is in the model, or was found."""
+    layout, models = problem.simulator.layout, {s.model for s in problem.simulator.segments}
+    own = any(m.dof_frictionloss[layout.dof_index].any() for m in models)
+    return own or any(t.dry_level is not None for t in hypothesis.terms)
+
+
+def _otherwise(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
+    """(samples, signals) residuals with dry friction the other way, the error of the step as it
+    was measured.
+    """
+    stepped = problem.simulator
+    segments = [replace(s, creeps=not s.creeps) for s in stepped.segments]
+    other = RowSimulator(segments, problem.joints, threads=stepped.threads, fixed=stepped.fixed)
+    posed_so = replace(problem, simulator=other, refined=None)
+    return posed_so.residuals([hypothesis], problem.everywhere)[0]
+
+
+def _greatest(problem: Problem, left: FloatArray) -> float:
+    """Root mean square, in floors, at the joint that shows most."""
+    squares = np.mean((left[:, : len(problem.joints)] / problem.floor) ** 2, axis=0)
+    return float(np.sqrt(squares.max()))
+
+
+def _leaves_less(
+    problem: Problem, left: FloatArray, than: FloatArray, share: float = _LEFT
+) -> bool:
+    return above_floor(problem, left) <= share * above_floor(problem, than)

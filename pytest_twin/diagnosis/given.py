@@ -1,0 +1,39 @@
+"""What a diagnosis is given beside recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.temperature import Coldness
+from pytest_twin.realization import Realization
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """A model, and how it is stepped.
+
+    Attributes:
+        realization: the model as it came, without delay lines.
+        beside: effects that are stepped beside it.
+        coldness: of trials by their temperature as an earlier diagnosis had it; empty where the
+            trials tell.
+        creeps: whether dry friction does, as MuJoCo's default constraint has it.
+        threads: of the batches, 0 for all cores.
+    """
+
+    realization: Realization
+    beside: tuple[AppliedEffect, ...] = ()
+    coldness: Mapping[str, float] = field(default_factory=dict)
+    creeps: bool = False
+    threads: int = 0
+
+    @classmethod
+    def of(cls, realization: Realization, inherited: Patched | None, threads: int = 0) -> Given:
+        """A realization as it came, by an earlier diagnosis or not."""
+        coldness: Coldness = {} if inherited is None else inherited.coldness
+        creeps = inherited is not None and inherited.creeps
+        beside = stepped_beside(realization, inherited)
+        return cls(without_delays(realization), beside, coldness, creeps, threads)

@@ -1,0 +1,136 @@
+"""Dry friction that creeps: an arm that MuJoCo stepped is what its own model says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.creep import CREEPS
+from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.patched.write import write_realization
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.effects.constraint import hold, stiff
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.mcap import JointSeries, write_recording
+from pytest_twin.realization import Realization
+
+STEP, SECONDS, NOISE = 2e-4, 4.0, 2e-6
+ARM = """
+<mujoco model="arm"><compiler angle="radian"/>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body name="upper">
+    <inertial pos="0 0 -0.2" mass="2" diaginertia="0.03 0.03 0.002"/>
+    <joint name="lift" axis="0 1 0" damping="0.3" armature="0.05" frictionloss="1.2" {friction}/>
+    <body name="fore" pos="0 0 -0.4">
+      <inertial pos="0 0 -0.15" mass="1" diaginertia="0.01 0.01 0.001"/>
+      <joint name="bend" axis="0 1 0" damping="0.1" armature="0.02" frictionloss="0.5" {friction}/>
+    </body></body></worldbody>
+  <actuator><position name="lift" joint="lift" kp="60" kv="6"/>
+    <position name="bend" joint="bend" kp="20" kv="2"/></actuator>
+</mujoco>
+"""
+
+
+def recorded(folder: Path, seed: int, role: str, *, delay: float, holds: bool) -> Path:
+    """The arm as MuJoCo steps it, ten times finer."""
+    model = mujoco.MjModel.from_xml_string(ARM.format(friction=""))
+    model.opt.timestep = STEP
+    if holds:
+        model.dof_solref[:], model.dof_solimp[:] = stiff(STEP)
+    data = mujoco.MjData(model)
+    random = np.random.default_rng(seed)
+    time = np.arange(round(SECONDS / STEP)) * STEP
+    wave = [
+        0.4 * np.sin(2 * np.pi * f * time + p) * np.minimum(time, 1.0)
+        for f, p in zip(random.uniform(0.2, 0.8, 2), random.uniform(0, 6, 2), strict=True)
+    ]
+    held = (np.arange(len(time)) // 50) * 50
+    sent = np.array(wave).T[held]
+    position = np.empty_like(sent)
+    for k, at in enumerate(time):
+        position[k] = data.qpos
+        data.ctrl[:] = sent[max(round((at - delay) / STEP), 0), 0], sent[k, 1]
+        mujoco.mj_step(model, data)
+    start = 1_700_000_000_000_000_000
+    seen, told = np.arange(0, len(time), 25), np.arange(0, len(time), 50)
+    stamps = [start + np.rint(time[k] * 1e9).astype(np.int64) for k in (seen, told)]
+    noisy = position[seen] + NOISE * random.standard_normal((len(seen), 2))
+    names = ("lift", "bend")
+    series = [
+        JointSeries("/joint_states", names, stamps[0], stamps[0], noisy, None, None),
+        JointSeries("/joint_commands", names, stamps[1], stamps[1], sent[told], None, None),
+    ]
+    path = folder / f"{role}{seed}.mcap"
+    write_recording(path, series, {"role": role})
+    return path
+
+
+def diagnosed(
+    folder: Path, *, delay: float = 0.0, holds: bool = False
+) -> tuple[Realization, Diagnosis]:
+    (folder / "model.xml").write_text(ARM.format(friction=""))
+    loaded = load_model(folder / "model.xml")
+    files = [
+        recorded(folder, seed, role, delay=delay, holds=holds)
+        for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
+    ]
+    trials = read_trials(files, (), loaded.topics, loaded.realization.structure)
+    return loaded.realization, diagnose(loaded.realization, trials, threads=1)
+
+
+@pytest.mark.parametrize("holds", [False, True], ids=["creeps", "holds"])
+def test_an_arm_as_its_model_says_shows_nothing(tmp_path: Path, holds: bool) -> None:
+    """Whichever way its dry friction is stepped."""
+    _, found = diagnosed(tmp_path, holds=holds)
+    assert found.verdict == "no_mismatch"
+    assert (CREEPS in found.notes) is not holds
+    for error in found.errors.values():
+        assert error.before < 1.5 * error.floor
+
+
+def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: Path) -> None:
+    """The mismatch is a hundred times what creeping makes of it."""
+    realization, found = diagnosed(tmp_path, delay=0.012)
+    assert found.verdict == "explained"
+    assert [(f.effect, f.joint) for f in found.explained.findings] == [("command_delay", "lift")]
+    assert CREEPS in found.notes
+    assert found.errors["lift"].before > 50.0 * found.errors["lift"].floor
+    for error in found.errors.values():
+        assert error.after < 1.5 * error.floor
+
+    folder = tmp_path / "realization"
+    folder.mkdir()
+    problem, hypothesis = found.prepared.problem, found.explained.hypothesis
+    write_realization(folder, realization, problem, hypothesis)
+    model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    np.testing.assert_allclose(model.dof_solref, [[0.02, 1.0]] * 2)
+    again = load_model(find_model(tmp_path))
+    assert again.patched is not None
+    assert again.patched.creeps
+    (trial,) = found.trials.held_out
+    (predicted,) = replay_patched(again.realization, again.patched, [trial], threads=1)
+    off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
+    assert (off < 1.5 * problem.floor).all()
+
+    effects = json.loads((folder / "effects.json").read_text())
+    (folder / "effects.json").write_text(json.dumps({**effects, "dry_friction": "melts"}))
+    with pytest.raises(SpecError, match=r"dry_friction.*expected creeps"):
+        load_model(find_model(tmp_path))
+
+
+def test_a_model_that_sets_its_friction_constraint_is_taken_at_its_word() -> None:
+    own = ARM.replace("{friction}", 'solreffriction="0.01 0.8"', 1).format(friction="")
+    model = mujoco.MjModel.from_xml_string(own)
+    hold(model, [0, 1], 0.002)
+    np.testing.assert_allclose(model.dof_solref[0], [0.01, 0.8])
+    np.testing.assert_allclose(model.dof_solref[1], [0.004, 1.0])
+    # What is as stiff as a step allows is so at a finer one.
+    model.opt.timestep = 0.0005
+    hold(model, [0, 1], 0.002)
+    np.testing.assert_allclose(model.dof_solref, [[0.01, 0.8], [0.001, 1.0]])
