@@ -7,7 +7,7 @@ deviations, and held against what the sensors' noise alone would give.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -299,12 +299,27 @@ def _conditions(paths: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
         values = {v for v in given if v is not None}
         if len(set(given)) < 2 or len(values) > _MOST_VALUES:
             continue
+        words = _shortened(values)
         for value in sorted(values):
             mask = np.concatenate(
                 [np.full(len(m.time), m.conditions.get(key) == value) for m in paths]
             )
-            found.append((f"{key} {value}", mask))
+            found.append((f"{key} {words[value]}", mask))
     return found
+
+
+def _shortened(values: Collection[str]) -> dict[str, str]:
+    """Values as people read them: measured ones to four digits, as far as these tell them apart."""
+    short = {v: _four_digits(v) for v in values}
+    return short if len({*short.values()}) == len(short) else {v: v for v in values}
+
+
+def _four_digits(value: str) -> str:
+    try:
+        number = float(value)
+    except ValueError:
+        return value
+    return min(value, f"{number:.4g}", key=len)
 
 
 def _near_reversal(m: Motion, joint: int) -> NDArray[np.bool_]:

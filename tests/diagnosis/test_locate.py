@@ -172,6 +172,17 @@ def test_recordings_are_sliced_by_what_they_say_of_themselves() -> None:
     )
 
 
+def test_measured_conditions_are_told_in_four_digits_where_these_tell_them_apart() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    said = ({"volts": "7.28959306204136", "run": "1.00001"}, {"volts": "7.4", "run": "1.00002"})
+    paths = [
+        replace(motion(time, 0.2 * np.sin(5.0 * time + k), f"{k}.mcap"), conditions=conditions)
+        for k, conditions in enumerate(said)
+    ]
+    told = {text for text, _ in regimes(paths, 0, "rad") if text.startswith(("volts", "run"))}
+    assert told == {"volts 7.29", "volts 7.4", "run 1.00001", "run 1.00002"}
+
+
 @pytest.mark.parametrize("irregular", [False, True])
 def test_what_is_left_at_one_frequency_is_said_to_be_there(irregular: bool) -> None:
     rng = np.random.default_rng(1)
