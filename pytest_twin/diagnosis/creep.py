@@ -32,14 +32,6 @@ CREEPS = (
 _LEFT, _UNFITTED = 0.5, 0.8
 
 
-def above_floor(problem: Problem, left: FloatArray) -> float:
-    """What (samples, signals) residuals of positions leave above the floor, squared floors summed
-    over joints.
-    """
-    squares = np.mean((left[:, : len(problem.joints)] / problem.floor) ** 2, axis=0)
-    return float(np.maximum(squares - 1.0, 0.0).sum())
-
-
 def posed(given: Given, trials: TrialSet, notes: list[str]) -> tuple[Given, Prepared, TrialSet]:
     """The problem, with dry friction the way that leaves less where a model is nearly right as it
     came.
@@ -49,9 +41,11 @@ def posed(given: Given, trials: TrialSet, notes: list[str]) -> tuple[Given, Prep
     """
     prepared, kept = pose(given, trials, notes)
     problem = prepared.problem
+    if not _asked(problem, EMPTY):
+        return given, prepared, kept
     left = left_everywhere(problem, EMPTY)
     near = STANDS_OUT < _greatest(problem, left) < LEFT_FLOORS
-    if near and _asked(problem, EMPTY) and _leaves_less(problem, _otherwise(problem, EMPTY), left):
+    if near and _leaves_less(problem, _otherwise(problem, EMPTY), left):
         given = replace(given, creeps=not given.creeps)
         prepared, _ = pose(given, kept, [])
     return given, prepared, kept
@@ -78,9 +72,8 @@ def found_so(
     problems.append(prepared.problem)
     selection = Selection(prepared.problem, say)
     contest = selection.contest
-    rival = contest.settled(contest.as_it_is(start)) if start.terms else None
-    fitted = start if rival is None else rival.hypothesis
-    if not _leaves_less(before, left_everywhere(prepared.problem, fitted), found.after):
+    rival = contest.settled(contest.as_it_is(start)) if start.terms else contest.nominal
+    if not _leaves_less(before, left_everywhere(prepared.problem, rival.hypothesis), found.after):
         return given, found
     return otherwise, concluded(prepared, trials, selection, selection.run(rival))
 
@@ -103,13 +96,20 @@ def _otherwise(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     return posed_so.residuals([hypothesis], problem.everywhere)[0]
 
 
+def _squares(problem: Problem, left: FloatArray) -> FloatArray:
+    """(joints,) mean squares, in floors, of the positions of (samples, signals) residuals."""
+    squares: FloatArray = np.mean((left[:, : len(problem.joints)] / problem.floor) ** 2, axis=0)
+    return squares
+
+
 def _greatest(problem: Problem, left: FloatArray) -> float:
     """Root mean square, in floors, at the joint that shows most."""
-    squares = np.mean((left[:, : len(problem.joints)] / problem.floor) ** 2, axis=0)
-    return float(np.sqrt(squares.max()))
+    return float(np.sqrt(_squares(problem, left).max()))
 
 
 def _leaves_less(
     problem: Problem, left: FloatArray, than: FloatArray, share: float = _LEFT
 ) -> bool:
-    return above_floor(problem, left) <= share * above_floor(problem, than)
+    """Whether so little stands above the floor, summed over joints."""
+    here, there = (np.maximum(_squares(problem, x) - 1.0, 0.0).sum() for x in (left, than))
+    return bool(here <= share * there)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.replay import fixed_values
+from pytest_twin.diagnosis.prepare import Prepared, prepare, shared_joints
 from pytest_twin.diagnosis.temperature import Coldness
+from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.realization import Realization
+from pytest_twin.trial import Trial
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +30,31 @@ class Given:
 
     realization: Realization
     beside: tuple[AppliedEffect, ...] = ()
-    coldness: Mapping[str, float] = field(default_factory=dict)
+    coldness: Coldness = field(default_factory=dict)
     creeps: bool = False
     threads: int = 0
 
     @classmethod
     def of(cls, realization: Realization, inherited: Patched | None, threads: int = 0) -> Given:
         """A realization as it came, by an earlier diagnosis or not."""
-        coldness: Coldness = {} if inherited is None else inherited.coldness
+        coldness = {} if inherited is None else inherited.coldness
         creeps = inherited is not None and inherited.creeps
         beside = stepped_beside(realization, inherited)
         return cls(without_delays(realization), beside, coldness, creeps, threads)
+
+    def prepared(
+        self,
+        fit: Sequence[Trial],
+        held_out: Sequence[Trial],
+        window: float | None = None,
+        contact: ContactGeoms | None = None,
+    ) -> Prepared:
+        """The problem of explaining ``fit`` and predicting ``held_out``; arguments and errors as
+        :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
+        """
+        joints = shared_joints(self.realization, (*fit, *held_out))
+        return prepare(
+            self.realization, fit, held_out,
+            threads=self.threads, window=window, coldness=self.coldness,
+            fixed=fixed_values(self.beside, joints, 1), contact=contact, creeps=self.creeps,
+        )  # fmt: skip

@@ -22,8 +22,8 @@ from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import MissingForce, Where, missing_force, motions, place_of
 from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.patched.replay import fixed_values, replay_whole
-from pytest_twin.diagnosis.prepare import NOISE, Prepared, prepare, shared_joints
+from pytest_twin.diagnosis.patched.replay import replay_whole
+from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import smooth_state
 from pytest_twin.diagnosis.verdict import AT_FLOOR
@@ -167,11 +167,7 @@ def _worst_part(
 def _prepared(
     realization: Realization, fit: Sequence[Trial], aside: Sequence[Trial], patched: Patched | None
 ) -> Prepared:
-    given = Given.of(realization, patched)
-    fixed = fixed_values(given.beside, shared_joints(realization, [*fit, *aside]), 1)
-    return prepare(
-        given.realization, fit, aside, coldness=given.coldness, fixed=fixed, creeps=given.creeps
-    )
+    return Given.of(realization, patched).prepared(fit, aside)
 
 
 def _causes(force: MissingForce, size: FloatArray) -> list[int]:

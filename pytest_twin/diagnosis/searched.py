@@ -12,8 +12,7 @@ from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.patched.model import AppliedEffect
-from pytest_twin.diagnosis.patched.replay import fixed_values
-from pytest_twin.diagnosis.prepare import Prepared, prepare, shared_joints
+from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
@@ -197,12 +196,7 @@ def pose(
     """
     while True:
         everything = (*trials.fit, *trials.held_out)
-        fixed = fixed_values(given.beside, shared_joints(given.realization, everything), 1)
-        prepared = prepare(
-            given.realization, trials.fit, trials.held_out,
-            threads=given.threads, window=window, coldness=given.coldness, fixed=fixed,
-            contact=contact, creeps=given.creeps,
-        )  # fmt: skip
+        prepared = given.prepared(trials.fit, trials.held_out, window, contact)
         problem = prepared.problem
         predicted = problem.predict([EMPTY], problem.everywhere)[0]
         lost = {

@@ -26,7 +26,7 @@ def stiff(timestep: float) -> tuple[FloatArray, FloatArray]:
     return np.array([2.0 * timestep, 1.0]), impedance
 
 
-def free_to_choose(solref: FloatArray, solimp: FloatArray, timestep: float) -> bool:
+def _free_to_choose(solref: FloatArray, solimp: FloatArray, timestep: float) -> bool:
     """Whether a friction constraint is MuJoCo's default, or already as stiff as a step in s
     allows: such a one becomes stiffer with a finer step.
     """
@@ -47,5 +47,5 @@ def hold(model: mujoco.MjModel, dofs: Sequence[int] | NDArray[np.int64], timeste
     """
     solref, solimp = stiff(float(model.opt.timestep))
     for dof in dofs:
-        if free_to_choose(model.dof_solref[dof], model.dof_solimp[dof], timestep):
+        if _free_to_choose(model.dof_solref[dof], model.dof_solimp[dof], timestep):
             model.dof_solref[dof], model.dof_solimp[dof] = solref, solimp
