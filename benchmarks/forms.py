@@ -134,6 +134,24 @@ class FourWaves(Form):
         return _dry(0.4 * (1.0 + 0.8 * np.sin(4.0 * q + 0.4)), v)
 
 
+class SevenWaves(Form):
+    """Dry friction with seven crests a turn."""
+
+    named = "position_dependent_friction"
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        return _dry(0.4 * (1.0 + 0.8 * np.sin(7.0 * q + 0.4)), v)
+
+
+class ManySlots(Form):
+    """A motor whose slots pass 84 times a turn of the joint."""
+
+    named = "cogging"
+
+    def push(self, t: float, q: float, v: float, delivered: float) -> float:
+        return 0.4 * float(np.sin(84.0 * q + 0.5))
+
+
 class WarmsUp(Form):
     """Dry friction that fades in three seconds."""
 
@@ -261,7 +279,8 @@ class Shaker(Form):
 
 
 FORMS: tuple[type[Form], ...] = (
-    Smoothed, SmallEfforts, FrictionByDrive, FourWaves, WarmsUp, Grease, WheelOffItsAxis,
+    Smoothed, SmallEfforts, FrictionByDrive, FourWaves, SevenWaves, ManySlots,
+    WarmsUp, Grease, WheelOffItsAxis,
     HeavyLink, WideLink, MovedCentre, OtherLink, LoadAside,
     OtherDrive, Differential, OtherReading, Pulses, Shaker,
 )  # fmt: skip

@@ -107,7 +107,8 @@ class Parameter:
             infinity is fitted by its reciprocal.
         step: finite difference of a fit's Jacobian, in multiples of ``reference``; wide where the
             motion follows the parameter in small leaps, as impacts between steps make it.
-        choice: whether it is one of its starts, never between: no fit moves it.
+        choice: whether it is one of its starts, never between: no fit moves it. A wavenumber may be
+            any whole one within its bounds.
         reach: how far a fit tries it beside its slope, in multiples of ``reference``: where an edge
             belongs in time, the slope says no further than the drive takes to answer.
         under: name of a choice and its values in which the law has this parameter; in others it is

@@ -69,6 +69,8 @@ def _absent(parameter: Parameter) -> str:
 
 
 def _range(parameter: Parameter) -> str:
+    if parameter.choice and parameter.quantity == "wavenumber":
+        return f"a whole number, {parameter.lower:g} to {parameter.upper:g}"
     if parameter.choice:
         return _listed([f"{start:g}" for start in parameter.starts])
     of = REFERENCES[parameter.reference]

@@ -253,7 +253,9 @@ class PositionDependentFriction(_DryFriction):
         Parameter("mean", "effort", 0.0, -3.0, 5.0, (0.1,), "effort"),
         Parameter("sine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
         Parameter("cosine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
-        Parameter("harmonic", "one", None, 1.0, 8.0, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), choice=True),
+        Parameter(
+            "harmonic", "wavenumber", None, 1.0, 200.0, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), choice=True
+        ),
     )
     over_the_turn = True
     confused_with: ClassVar = {

@@ -59,6 +59,10 @@ class Response:
     change: FloatArray
 
 
+Sizes = Sequence[tuple[FloatArray, tuple[int, ...]]]
+"""Parameters of a term, and which of them switch it on there."""
+
+
 def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
     """Starting sizes of a term, of its first form first, and which of its parameters switch it on
     there.
@@ -307,10 +311,14 @@ class Linear:
 
     def _of_effect(self, terms: Sequence[Term]) -> list[Response]:
         """Those of one effect."""
+        return self.at_sizes(terms, grid(terms[0]))
+
+    def at_sizes(self, terms: Sequence[Term], sizes: Sizes) -> list[Response]:
+        """One effect's at several joints, at given sizes."""
         out: list[Response] = []
         plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
         columns: list[Column] = []
-        for term, start, switches, found in self._columns(catalogue()[terms[0].effect], terms):
+        for term, start, switches, found in self._columns(terms, sizes):
             plan.append((term, start, switches))
             columns += found
         changes = self.readings.of(columns)
@@ -323,10 +331,10 @@ class Linear:
         return out
 
     def _columns(
-        self, effect: Effect, terms: Sequence[Term]
+        self, terms: Sequence[Term], sizes: Sizes
     ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[Column]]]:
-        """Columns of one effect at all its joints: every joint has it at once."""
-        sizes = grid(terms[0])
+        """Columns of one effect at several joints: every joint has it at once."""
+        effect = terms[0].law
         rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
         values = self._values(effect, rows, terms)
         everything = {**self._wide(len(rows)), effect.id: values}

@@ -13,6 +13,7 @@ from pytest_twin.diagnosis.first_order.responses import (
     linearized,
     simulated,
 )
+from pytest_twin.diagnosis.first_order.ripple import rippled
 from pytest_twin.diagnosis.first_order.screen import Answers, View, candidates
 from pytest_twin.diagnosis.first_order.sharpen import sharpened
 from pytest_twin.diagnosis.hypothesis import Term
@@ -106,8 +107,11 @@ def _looked(
         found += [r for r in known.answers.responses if r.term in terms]
     answers = Answers(found)
     if linear is not None and known is None and found:
-        sharp = sharpened(linear, view, answers, best.hypothesis)
-        answers = Answers([*found, *sharp]) if sharp else answers
+        more = [
+            *sharpened(linear, view, answers, best.hypothesis),
+            *rippled(linear, view, new),
+        ]
+        answers = Answers([*found, *more]) if more else answers
     return Look(linear, view, answers, frozenset(terms))
 
 
