@@ -116,6 +116,18 @@ class SmallEfforts(Form):
         return float(np.sign(asked)) * max(abs(asked) - 1.0, 0.0)
 
 
+class SlewedEffort(Form):
+    """A drive whose effort changes by 40 N*m a second at most."""
+
+    named, _gives = "rate_limit", None
+
+    def delivered(self, effort: FloatArray) -> float:
+        asked, most = float(effort[HERE]), 40.0 * STEP / FINER
+        held = asked if self._gives is None else self._gives
+        self._gives = held + float(np.clip(asked - held, -most, most))
+        return self._gives
+
+
 class FrictionByDrive(Form):
     """Dry friction of a worm: a share of what the motor puts in."""
 
@@ -279,7 +291,7 @@ class Shaker(Form):
 
 
 FORMS: tuple[type[Form], ...] = (
-    Smoothed, SmallEfforts, FrictionByDrive, FourWaves, SevenWaves, ManySlots,
+    Smoothed, SmallEfforts, SlewedEffort, FrictionByDrive, FourWaves, SevenWaves, ManySlots,
     WarmsUp, Grease, WheelOffItsAxis,
     HeavyLink, WideLink, MovedCentre, OtherLink, LoadAside,
     OtherDrive, Differential, OtherReading, Pulses, Shaker,

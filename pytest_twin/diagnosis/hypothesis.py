@@ -38,6 +38,11 @@ class Term:
         choices = np.array([p.choice for p in self.parameters])
         return np.asarray(self.law.has(theta) & ~choices)
 
+    def lone(self, theta: FloatArray) -> int | None:
+        """Number of the only parameter that a fit moves in this form, None where there are more."""
+        (which,) = np.nonzero(self.movable(theta))
+        return int(which[0]) if len(which) == 1 else None
+
     @property
     def dry_level(self) -> int | None:
         """Number of the parameter that is a level of dry friction, None without one."""

@@ -362,6 +362,10 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
         inertia = np.maximum(inertia, np.diag(mass)[simulator.layout.dof_index])
     rate = rms([np.diff(s.command, axis=0) / np.maximum(np.diff(s.command_time), 1e-4)[:, None]
                 for s in segments])  # fmt: skip
+    effort_rate = rms([
+        np.diff(p.effort, axis=0) / np.maximum(np.diff(s.time), 1e-4)[:, None]
+        for s, p in zip(segments, nominal, strict=True)
+    ])  # fmt: skip
     peak = np.max([np.nanmax(np.abs(p.effort), axis=0) for p in nominal], axis=0)
     command = rms([_tracking_error(s) if s.mode == "position" else s.command for s in segments])
     # A speed that is asked for, where commands say one.
@@ -381,7 +385,9 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
             "drag": effort / velocity**2,
             "inertia": inertia,
             "compliance": position / effort,
-            "slowness": 1.0 / np.maximum(np.nan_to_num(rate), velocity),
+            "slowness": 1.0
+            / np.maximum(np.nan_to_num(rate), effort if mode == "effort" else velocity),
+            "effort_slowness": 1.0 / np.maximum(np.nan_to_num(effort_rate), effort),
             "inverse_velocity": 1.0 / np.maximum(np.nan_to_num(wanted), velocity),
             "inverse_effort": 1.0 / np.maximum(peak, 1e-4),
             "command": np.maximum(np.nan_to_num(command), 1e-4),

@@ -90,27 +90,30 @@ class _Lag:
         return mean
 
 
+_SLOWNESSES = tuple(0.15 * 1.25**k for k in range(16))
+
+
 class RateLimit(Effect):
-    """The setpoint moves no faster than a profile generator or the firmware allows."""
+    """The setpoint moves no faster than a profile generator or the firmware allows; or the effort
+    of a servo changes no faster than its current loop allows.
+    """
 
     id = "rate_limit"
     family = "actuation"
-    law = "|d(setpoint)/dt| <= rate"
+    law = "|d(setpoint)/dt| <= rate; with of_effort 1, of a servo: |d(delivered)/dt| <= effort_rate"
     source = "slew-rate limit; Klein, Rundqwist, J. Guidance 1996"
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the rate.
         Parameter(
-            "inverse_rate",
-            "one",
-            0.0,
-            0.0,
-            60.0,
-            tuple(0.15 * 1.25**k for k in range(16)),
-            "slowness",
-            ("rate", "velocity"),
+            "inverse_rate", "one", 0.0, 0.0, 60.0, _SLOWNESSES, "slowness",
+            ("rate", "command_rate"), under=("of_effort", (0.0,)),
         ),
-    )
-    modes = ("position", "velocity")
+        Parameter(
+            "inverse_effort_rate", "one", 0.0, 0.0, 60.0, _SLOWNESSES, "effort_slowness",
+            ("effort_rate", "effort_rate"), under=("of_effort", (1.0,)),
+        ),
+        Parameter("of_effort", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
+    )  # fmt: skip
     remembers = True
     confused_with: ClassVar = {
         "torque_saturation": "a load added: a rate limit does not depend on it",
@@ -119,14 +122,50 @@ class RateLimit(Effect):
     }
 
     def command(self, world: World, values: Values) -> None:
-        held, reach = world.state.get(self.id) or (
-            world.setpoint.copy(), world.timestep / np.maximum(values["inverse_rate"], 1e-9),
-        )  # fmt: skip
-        asked = world.setpoint - held
-        moved = within(asked, -reach, reach)
-        world.state[self.id] = held + moved, reach
-        # What lies in the middle of the step; without a limit, what is asked for.
-        world.setpoint = held + np.where(np.abs(asked) < reach, moved, 0.5 * moved)
+        world.setpoint = self._slews(world, values)[0].mean(world.setpoint)
+
+    def drive(self, world: World, values: Values) -> None:
+        world.delivered = self._slews(world, values)[1].mean(world.delivered)
+
+    def _slews(self, world: World, values: Values) -> tuple[_Slew, _Slew]:
+        """Of the setpoint and of the effort."""
+        slews: tuple[_Slew, _Slew] | None = world.state.get(self.id)
+        if slews is None:
+            # What an effort drive is sent is what it gives: one limit for both.
+            of_effort = values["inverse_effort_rate"] * (world.servo != "effort")
+            before = _Slew.of(values["inverse_rate"], world.timestep)
+            slews = world.state[self.id] = before, _Slew.of(of_effort, world.timestep)
+        return slews
+
+
+@dataclass(slots=True)
+class _Slew:
+    """A limit of rate, exact for an input that is held over the step.
+
+    Attributes:
+        reach: (rows, joints) most that is gone in a step.
+        acts: whether there is a limit anywhere; where there is none, what comes in goes through.
+        held: (rows, joints) where it has come to.
+    """
+
+    reach: FloatArray
+    acts: bool
+    held: FloatArray | None = None
+
+    @classmethod
+    def of(cls, inverse_rate: FloatArray, timestep: float) -> _Slew:
+        """Of (rows, joints) reciprocals of rates."""
+        return cls(timestep / np.maximum(inverse_rate, 1e-9), bool(inverse_rate.any()))
+
+    def mean(self, asked: FloatArray) -> FloatArray:
+        """(rows, joints) mean over the next step of what follows ``asked``."""
+        if not self.acts:
+            return asked
+        held = asked if self.held is None else self.held
+        moved = within(asked - held, -self.reach, self.reach)
+        self.held = held + moved
+        mean: FloatArray = held + moved * (1.0 - np.abs(moved) / (2.0 * self.reach))
+        return mean
 
 
 class TorqueConstant(Effect):

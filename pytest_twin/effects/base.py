@@ -25,7 +25,7 @@ Values = Mapping[str, FloatArray]
 Quantity = Literal[
     "one", "effort", "position", "velocity", "time", "damping", "stiffness", "inertia", "drag",
     "angle", "wavenumber", "effort_per_load", "mass", "length", "acceleration", "temperature",
-    "command",
+    "command", "command_rate", "effort_rate",
 ]  # fmt: skip
 Scope = Literal["joint", "robot"]
 MODES: tuple[CommandMode, ...] = get_args(CommandMode)
@@ -62,6 +62,16 @@ _UNITS: Mapping[str, tuple[str, str]] = {
     "length": ("m", "m"),
     "acceleration": ("m/s^2", "m/s^2"),
     "temperature": ("K", "K"),
+    "effort_rate": ("N*m/s", "N/s"),
+}
+_COMMANDED: Mapping[tuple[str, str], tuple[str, str]] = {
+    # (quantity, what is commanded) -> (unit on a hinge, unit on a slide)
+    ("command", "position"): _UNITS["position"],
+    ("command", "velocity"): _UNITS["velocity"],
+    ("command", "effort"): _UNITS["effort"],
+    ("command_rate", "position"): _UNITS["velocity"],
+    ("command_rate", "velocity"): ("rad/s^2", "m/s^2"),
+    ("command_rate", "effort"): _UNITS["effort_rate"],
 }
 
 REFERENCES: Mapping[str, str] = {
@@ -77,6 +87,7 @@ REFERENCES: Mapping[str, str] = {
     "inertia": "the inertia that the joint moves",
     "compliance": "rms effort / standard deviation of positions",
     "slowness": "the command's rms rate",
+    "effort_slowness": "the rms rate of the effort that the drive's law asks for",
     "inverse_velocity": "the rms speed that is asked for",
     "inverse_effort": "the drive's peak effort",
     "command": "the rms command (a position servo's tracking error)",
@@ -155,9 +166,9 @@ class Parameter:
             servo: what is commanded: a ``command`` quantity is in its unit.
         """
         quantity = self.quantity if self.reciprocal_of is None else self.reciprocal_of[1]
-        if quantity == "command":
-            quantity = servo if servo in ("velocity", "effort") else "position"  # type: ignore[assignment]
-        return _UNITS[quantity][1 if joint_type == "slide" else 0]
+        commanded = servo if servo in MODES else MODES[0]
+        units = _COMMANDED.get((quantity, commanded)) or _UNITS[quantity]
+        return units[1 if joint_type == "slide" else 0]
 
 
 @dataclass(slots=True)

@@ -71,6 +71,11 @@ def link(form: int, **values: float) -> dict[str, float]:
     return {**none, **values, "form": float(form)}
 
 
+def rate(**values: float) -> dict[str, float]:
+    """A limit of one rate, the other without any."""
+    return {"inverse_rate": 0.0, "inverse_effort_rate": 0.0, "of_effort": 0.0, **values}
+
+
 def carried(
     mass: float, distance: float, sideways: float = 0.0, across: float = 0.0
 ) -> dict[str, float]:
@@ -88,7 +93,8 @@ ALONE: list[tuple[str, Term, dict[str, float]]] = [
     ("position", Term("command_delay", ELBOW), {"delay": 0.02}),
     ("position", Term("actuator_lag", SHOULDER), {"time_constant": 0.02, "of_setpoint": 0.0}),
     ("position", Term("actuator_lag", SHOULDER), {"time_constant": 0.02, "of_setpoint": 1.0}),
-    ("position", Term("rate_limit", ELBOW), {"inverse_rate": 1 / 1.5}),
+    ("position", Term("rate_limit", ELBOW), rate(inverse_rate=1 / 1.5)),
+    ("effort", Term("rate_limit", CRANK_JOINT), rate(inverse_rate=1 / 6.0)),
     ("position", Term("dead_zone", ELBOW), {"width": 0.012, "of_effort": 0.0}),
     ("position", Term("dead_zone", ELBOW), {"width": 0.012, "of_effort": 1.0}),
     (

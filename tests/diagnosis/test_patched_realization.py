@@ -57,7 +57,8 @@ EFFECTS = [
     ("payload", -1, carried(0.2, 0.1, 0.12), True),
     ("payload", -1, carried(0.2, 0.1, 0.12, 0.05), True),
     ("base_tilt", -1, {"roll": 0.05, "pitch": -0.1}, True),
-    ("rate_limit", 0, {"inverse_rate": 1.0}, False),
+    ("rate_limit", 0, {"inverse_rate": 1.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}, False),
+    ("rate_limit", 1, {"inverse_rate": 0.0, "inverse_effort_rate": 0.05, "of_effort": 1.0}, False),
     ("torque_rolloff", 1, {"inverse_knee": 0.8, "back_emf": 0.05}, False),
     ("watchdog_timeout", 0, {"inverse_timeout": 140.0, "back_emf": 0.05}, False),
     (
@@ -176,7 +177,8 @@ def test_an_effect_of_a_joint_that_no_recording_has_is_left_out_and_said(
     bench: tuple[Path, Trial, Prepared], tmp_path: Path
 ) -> None:
     folder, trial, prepared = bench
-    found = hypothesis(prepared, "rate_limit", 1, {"inverse_rate": 1.0})
+    limit = {"inverse_rate": 1.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}
+    found = hypothesis(prepared, "rate_limit", 1, limit)
     (tmp_path / "realization").mkdir()
     realization = load_model(folder / "model.xml").realization
     write_realization(tmp_path / "realization", realization, prepared.problem, found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_first_order import ELBOW, SHOULDER, problem_of
+from test_first_order import ELBOW, SHOULDER, problem_of, rate
 
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.responses import linearized
@@ -23,7 +23,7 @@ from pytest_twin.effects import catalogue
 def test_a_limit_between_two_of_its_grid_answers_at_its_own_size() -> None:
     """A rate that no starting size has, on a joint that is far off because of it."""
     hidden = 1.0 / 0.75
-    problem = problem_of("position", {Term("rate_limit", ELBOW): {"inverse_rate": hidden}})
+    problem = problem_of("position", {Term("rate_limit", ELBOW): rate(inverse_rate=hidden)})
     linear = linearized(problem, problem.fit, EMPTY)
     assert linear is not None
     residual = problem.residuals([EMPTY], problem.fit)[0]
@@ -121,14 +121,14 @@ def test_a_needle_is_found_beyond_the_grid(
     monkeypatch.setattr(front, "_NEEDLES", needles)
     monkeypatch.setattr(front, "_LIMITED", limited)
     term = Term("rate_limit", ELBOW)
-    (parameter,) = term.parameters
+    parameter = term.parameters[0]
     hidden = 2.0 * parameter.starts[-1] * 1.07
     scale = problem_of("position", {}).scales.value(parameter, ELBOW)
-    problem = problem_of("position", {term: {"inverse_rate": hidden * scale}})
+    problem = problem_of("position", {term: rate(inverse_rate=hidden * scale)})
     hidden *= scale / problem.scales.value(parameter, ELBOW)
     rival = Contest(problem).rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
     look = look_around(problem, rival)
-    alone = EMPTY.with_term(term, np.array([parameter.starts[0]]))
+    alone = EMPTY.with_term(term, np.array([parameter.starts[0], 0.0, 0.0]))
     left = np.mean(rival.fitted.residual**2, axis=0)
     starts = front.front(problem, rival, look, Foremost([], left, [alone]))
     (mine,) = [h for h in starts if h.terms == (term,)]
@@ -137,6 +137,11 @@ def test_a_needle_is_found_beyond_the_grid(
 
 def test_sizes_beyond_a_grid_end_at_the_physical_bound() -> None:
     for law in catalogue().values():
-        sizes = [float(s[0]) for s in front._beyond(Term(law.id, 0))]
-        assert all(law.parameters[0].starts[-1] < s <= law.parameters[0].upper for s in sizes)
-    assert len(front._beyond(Term("rate_limit", 0))) >= 6
+        for size in front._beyond(Term(law.id, 0)):
+            lone = Term(law.id, 0).lone(size)
+            assert lone is not None
+            assert law.parameters[lone].starts[-1] < size[lone] <= law.parameters[lone].upper
+    limit = front._beyond(Term("rate_limit", 0))
+    # As many of the setpoint's rate as of the effort's.
+    assert [s[2] for s in limit] == [0.0] * (len(limit) // 2) + [1.0] * (len(limit) // 2)
+    assert len(limit) >= 12

@@ -10,8 +10,11 @@ from pytest_twin.effects import catalogue
 @pytest.mark.parametrize(
     ("path", "effects"),
     [
-        ("command", {"command_delay", "rate_limit"}),
-        ("actuator", {"torque_saturation", "watchdog_timeout", "cogging", "actuator_lag"}),
+        ("command", {"command_delay"}),
+        (
+            "actuator",
+            {"torque_saturation", "watchdog_timeout", "cogging", "actuator_lag", "rate_limit"},
+        ),
         ("transmission", {"backlash", "stribeck_friction", "joint_coupling"}),
         ("rigid body", {"payload", "armature"}),
         ("sensor", {"sensor_delay", "clock_drift", "encoder_bias", "effort_scale"}),

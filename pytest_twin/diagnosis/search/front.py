@@ -121,25 +121,40 @@ def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[H
 
 
 def _beyond(term: Term) -> list[FloatArray]:
-    """Sizes of a law with one parameter and many starting sizes, on from these to its bound."""
-    (first, *more) = term.parameters
-    if more or len(first.starts) < _MANY:
-        return []
-    ratio = first.starts[-1] / first.starts[-2]
-    count = int(np.log(first.upper / first.starts[-1]) / np.log(ratio))
-    return [np.array([first.starts[-1] * ratio ** (k + 1)]) for k in range(count)]
+    """Sizes of a law's forms with one parameter and many starting sizes, on from these to its
+    bound.
+    """
+    out = []
+    for start, _ in grid(term):
+        lone = term.lone(start)
+        if lone is None or len(term.parameters[lone].starts) < _MANY:
+            continue
+        p = term.parameters[lone]
+        if start[lone] != p.starts[-1]:
+            continue
+        ratio = p.starts[-1] / p.starts[-2]
+        for k in range(int(np.log(p.upper / p.starts[-1]) / np.log(ratio))):
+            size = start.copy()
+            size[lone] *= ratio ** (k + 1)
+            out.append(size)
+    return out
 
 
 def _about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
-    """A hypothesis, and where its last term has one parameter, its neighbours within a factor."""
+    """A hypothesis, and where a fit moves one parameter of its last term, its neighbours within a
+    factor.
+    """
     term = hypothesis.terms[-1]
-    if len(term.parameters) > 1:
+    mine = hypothesis.slice_of(term)
+    lone = term.lone(hypothesis.theta[mine])
+    if lone is None:
         return [hypothesis]
-    (p,) = term.parameters
+    p = term.parameters[lone]
+    at = mine.start + lone
     out = []
     for factor in np.geomspace(1.0 / reach, reach, _NEIGHBOURS):
         theta = hypothesis.theta.copy()
-        theta[-1] = np.clip(theta[-1] * factor, p.lower, p.upper)
+        theta[at] = np.clip(theta[at] * factor, p.lower, p.upper)
         out.append(hypothesis.with_theta(theta))
     return out
 
@@ -153,7 +168,8 @@ def _limits(problem: Problem, whole: FloatArray) -> list[Term]:
     most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > _FIRST_ORDER]
     return [
         t for t in candidates(problem)
-        if t.joint in most and len(t.parameters) == 1 and len(t.parameters[0].starts) >= _MANY
+        if t.joint in most and len(t.parameters[0].starts) >= _MANY
+        and t.lone(in_first_form(t)[0]) == 0
     ]  # fmt: skip
 
 
