@@ -29,7 +29,9 @@ class ExternalForce(Effect):
             "twelfth",
             reach=0.25,
         ),
-        Parameter("duration", "time", None, 0.02, 12.0, (0.6, 1.2, 2.4), "twelfth", reach=0.25),
+        Parameter(
+            "duration", "time", None, 0.02, 12.0, (0.6, 1.2, 2.4, 5.0, 12.0), "twelfth", reach=0.25
+        ),
     )
     confused_with: ClassVar = {"thermal_friction": "the same motion twice"}
 

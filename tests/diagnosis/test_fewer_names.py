@@ -10,7 +10,13 @@ from test_first_order import CRANK_JOINT, ELBOW, ROBOT, SHOULDER, carried, link,
 from pytest_twin.diagnosis.first_order.responses import linearized
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.fewer import in_like_forms, in_other_forms, merged, of_the_robot
+from pytest_twin.diagnosis.search.fewer import (
+    in_like_forms,
+    in_other_forms,
+    in_parts,
+    merged,
+    of_the_robot,
+)
 from pytest_twin.diagnosis.search.select import Selection
 
 LATE = [Term("command_delay", j) for j in (SHOULDER, ELBOW)]
@@ -38,6 +44,19 @@ def test_late_commands_at_every_joint_may_be_late_sensors(problem: Problem) -> N
     assert late.theta == pytest.approx([0.1, 0.025])
     # One joint whose commands are late is that joint's.
     assert of_the_robot(problem, everywhere.without(LATE[0])) == []
+
+
+def test_friction_that_takes_for_ever_to_fade_is_friction_that_stays(problem: Problem) -> None:
+    fades = Term("thermal_friction", SHOULDER)
+    longest = fades.parameters[2].upper
+    dry, viscous = Term("coulomb_friction", SHOULDER), Term("viscous_friction", SHOULDER)
+    stays = {"coulomb": 0.2, "viscous": 0.1}
+    (both,) = in_parts(problem, of((LATE[1], [0.03]), (fades, [*stays.values(), longest])))
+    assert both.terms == (LATE[1], dry, viscous)
+    assert both.theta == pytest.approx([0.03, *stays.values()])
+    assert in_parts(problem, of((fades, [*stays.values(), 0.5 * longest]))) == []
+    # What is named already is not named twice.
+    assert in_parts(problem, of((dry, [0.1]), (fades, [*stays.values(), longest]))) == []
 
 
 def test_an_elastic_gear_beside_play_is_its_teeth(problem: Problem) -> None:

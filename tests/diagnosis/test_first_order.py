@@ -235,6 +235,21 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
     return problem
 
 
+def test_a_push_that_outlasts_the_recording_answers_once() -> None:
+    problem = problem_of("position", {})
+    term = Term("external_force", ELBOW)
+    found, _ = responses(problem, [term], problem.fit)
+    changes = [r.change for r in found]
+    assert not any(np.array_equal(a, b) for i, a in enumerate(changes) for b in changes[:i])
+    # From every start one that lasts to the end.
+    whole, each = SECONDS / 12.0, {}
+    for r in found:
+        _, start, lasts = r.start * [problem.scales.value(p, ELBOW) for p in term.parameters]
+        each[start] = max(each.get(start, 0.0), start + lasts)
+    assert min(each.values()) >= SECONDS - whole
+    assert len(each) == len(term.parameters[1].starts)
+
+
 def look(problem: Problem) -> Lens:
     """Every candidate of the catalogue, around the model as it came."""
     answers, left = responses(problem, candidates(problem), problem.fit)

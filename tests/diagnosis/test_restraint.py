@@ -29,6 +29,7 @@ from pytest_twin.diagnosis.search.restraint import (
     _Tested,
     _too_little,
     _under_the_floor,
+    _within_a_step,
     as_named,
     prune,
 )
@@ -308,6 +309,31 @@ def test_a_law_that_explains_all_stays(tmp_path: Path) -> None:
     selected = chosen(prepared, Term("viscous_friction", 0), 0.1)
     found = explain(prepared, selected, prune(prepared.problem, selected), trials)
     assert [(f.effect, f.joint) for f in found.findings] == [("viscous_friction", "left")]
+
+
+@pytest.mark.parametrize(
+    ("effect", "joint", "size", "named"),
+    [
+        ("clock_drift", -1, 1.5e-4, False),
+        ("clock_drift", -1, -1.5e-4, False),
+        ("clock_drift", -1, 2e-3, True),
+        ("sensor_delay", -1, 1e-4, False),
+        ("command_delay", 0, 1e-4, False),
+        ("command_delay", 0, 1e-3, True),
+        ("viscous_friction", 0, 1e-4, True),
+    ],
+)
+def test_a_shift_of_a_small_part_of_a_step_is_no_name(
+    tmp_path: Path, effect: str, joint: int, size: float, named: bool
+) -> None:
+    """However much it takes off; a tenth of a millisecond, in steps of one or two."""
+    prepared, _ = bench(tmp_path, viscous=0.6)
+    problem, term = prepared.problem, Term(effect, joint)
+    hypothesis = with_sizes(problem, [term], [size])
+    weights = 1.0 / problem.signal_floor
+    fitted = fit(problem, [hypothesis], weights, problem.fit, iterations=0, slopes=True)[0]
+    gone = _within_a_step(of_one_term(problem, fitted, 1.0, without=50.0))
+    assert not gone if named else "small part of the simulator's step" in gone[0]
 
 
 def test_what_predicted_nothing_unseen_has_to_take_off_more(tmp_path: Path) -> None:

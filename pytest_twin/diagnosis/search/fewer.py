@@ -73,17 +73,37 @@ def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[str, f
 
 def simpler(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     """The hypothesis with one of its laws as the special case that it comes to."""
-    scales, out = problem.scales, []
+    out = []
     for term in hypothesis.terms:
-        values = _values(problem, hypothesis, term)
-        for effect, special in term.law.special_cases(values).items():
-            new = Term(effect, term.joint)
-            start = [
-                np.clip(special[p.name] / scales.value(p, term.joint), p.lower, p.upper)
-                for p in new.parameters
-            ]
-            if new not in hypothesis.terms:
-                out.append(hypothesis.without(term).with_term(new, np.array(start)))
+        bare = hypothesis.without(term)
+        cases = _special_cases(problem, hypothesis, term)
+        out += [bare.with_term(new, start) for new, start in cases.items()]
+    return out
+
+
+def in_parts(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with a law whose shape ends at its bound as all that it comes to there: what
+    takes a thousand seconds to fade is dry and viscous friction that stays.
+    """
+    out = []
+    for term in hypothesis.terms:
+        cases = _special_cases(problem, hypothesis, term)
+        if len(cases) > 1 and problem.out_of_shape(hypothesis, term):
+            out.append(hypothesis.without(term).with_terms(cases))
+    return out
+
+
+def _special_cases(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[Term, FloatArray]:
+    """Laws that a term comes to at some of its parameters and that the hypothesis has not, and
+    their own.
+    """
+    out = {}
+    for effect, special in term.law.special_cases(_values(problem, hypothesis, term)).items():
+        new = Term(effect, term.joint)
+        if new not in hypothesis.terms:
+            own = [special[p.name] / problem.scales.value(p, term.joint) for p in new.parameters]
+            bounds = zip(own, new.parameters, strict=True)
+            out[new] = np.array([np.clip(x, p.lower, p.upper) for x, p in bounds])
     return out
 
 

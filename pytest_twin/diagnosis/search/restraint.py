@@ -39,6 +39,8 @@ _UNLIKELY, _EVEN = 0.02, 0.5
 _DOUBTFUL_BAR, _DOUBTED = 2.0, 2.0
 # Share of the squared mismatch that without a name is left in addition, where it is no doubt.
 _NEEDED = 0.25
+# Of the simulator's step: shifts in time under it have no name.
+_PART_OF_A_STEP = 0.15
 # Share of the force that is missing with a law of position which goes with position once more, and
 # more than with velocity, where the law has not the shape of what acts; and stretches of either
 # that this is told by.
@@ -211,6 +213,38 @@ def _as_good_as_rigid(tested: _Tested) -> _Gone:
     return {}
 
 
+def _within_a_step(tested: _Tested) -> _Gone:
+    """A delay or a drift that shifts nothing by more than a small part of the simulator's step: how
+    far into a step a drive answers is no property of the robot.
+    """
+    problem = tested.problem
+    for k, t in enumerate(tested.terms):
+        shift = _longest_shift(problem, tested.fitted.hypothesis, t)
+        if 0.0 < shift < _PART_OF_A_STEP * problem.simulator.timestep:
+            return {
+                k: f"{tested.label(k)} shifts nothing by more than {1e3 * shift:.2g} ms, a small "
+                f"part of the simulator's step of {1e3 * problem.simulator.timestep:.2g} ms; "
+                "it is not claimed"
+            }
+    return {}
+
+
+def _longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:
+    """s by which a law of timing shifts a command or a reading at most, 0 where it is none."""
+    if term.law.family != "timing":
+        return 0.0
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    values = {
+        p.name: np.full((1, 1), x * problem.scales.value(p, term.joint))
+        for p, x in zip(term.parameters, theta, strict=True)
+    }
+    stamps = [s.time[[0, -1]] for s in problem.simulator.segments]
+    ends = np.array([min(t[0] for t in stamps), max(t[1] for t in stamps)])[None, :, None]
+    late = term.law.command_delay(values)
+    of_reading = term.law.sample_time(ends, values) - ends
+    return float(max(np.abs(of_reading).max(), 0.0 if late is None else np.abs(late).max()))
+
+
 def _idle(tested: _Tested) -> _Gone:
     """The term without which least more is left, of those that take no worthwhile share off."""
     one, levels = np.ones(len(tested.base)), tested.levels
@@ -310,7 +344,8 @@ def _shares(problem: Problem, hypothesis: Hypothesis, joint: int) -> tuple[float
 
 
 _RULES: tuple[Callable[[_Tested], _Gone], ...] = (
-    _diverging, _less_than_none, _under_the_floor, _as_good_as_rigid, _idle, _slight, _unlikely,
+    _diverging, _less_than_none, _under_the_floor, _as_good_as_rigid,
+    _within_a_step, _idle, _slight, _unlikely,
     _stretched, _misshapen,
 )  # fmt: skip
 

@@ -29,6 +29,7 @@ from pytest_twin.diagnosis.search.exchange import (
 from pytest_twin.diagnosis.search.fewer import (
     in_like_forms,
     in_other_forms,
+    in_parts,
     merged,
     of_the_robot,
     simpler,
@@ -243,6 +244,7 @@ class Selection:
             grace = self._grace(best, linear)
             doubtful = self._unclear(best, linear, fewer, grace)
             doubtful += simpler(self.problem, best.hypothesis)
+            doubtful += in_parts(self.problem, best.hypothesis)
             rivals = self._of_the_robot(best)
             if not doubtful and not rivals:
                 break
@@ -263,7 +265,8 @@ class Selection:
         """Evidence by which a hypothesis may be behind that has one of the laws at hand in a form
         with fewer parameters, or a load in its place: what a simulator does not do quite as reality
         does, a form with more to it follows a little, and that grows with what the law does. One
-        with as many has to be ahead.
+        with as many has to be ahead. A law that ends at its bound is no cheaper name than its
+        parts.
         """
         own, lost_of = best.hypothesis, dict[Term, float]()
         several = [t for t in own.terms if t.law.has_forms]
@@ -277,6 +280,8 @@ class Selection:
         def grace(other: Hypothesis) -> float:
             if other.terms == own.terms and other.free == own.free:
                 return -_LIKE
+            if len(other.terms) > len(own.terms):
+                return self.contest.name_price + _EVEN
             if len(other.terms) != len(own.terms) or other.free >= own.free:
                 return 0.0
             changed = [lost for t, lost in lost_of.items() if not _as_it_is(t, own, other)]
