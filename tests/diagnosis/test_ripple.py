@@ -60,12 +60,19 @@ def test_nothing_is_asked_under_the_floor() -> None:
 
 def test_waves_are_as_far_apart_as_the_way_tells_and_not_beside_the_grid() -> None:
     slots = COGGING.parameters[2]
-    short, long = _between(slots, np.pi / 0.5), _between(slots, np.pi / 6.0)
+    short, long = (_between(slots, np.pi / way, 200.0) for way in (0.5, 6.0))
     assert short.min() > max(slots.starts)
     assert np.diff(short).max() == pytest.approx(2.0 * np.pi)
     # Over two turns near, the grid has gaps of its own.
     assert ((long > 21.0) & (long < 23.0)).sum() >= 3
     assert min(abs(k - s) for k in long for s in slots.starts) >= np.pi / 12.0
     crests = WAVES.parameters[3]
-    whole = _between(crests, np.pi / 6.0)
+    whole = _between(crests, np.pi / 6.0, 200.0)
     assert set(whole) == set(np.arange(1.0, 200.0)) - set(crests.starts)
+
+
+def test_waves_that_are_shorter_than_what_is_left_say_nothing() -> None:
+    """Late by two hundred times the floor, some of 0.03 rad, beside slots of 0.05 rad a wave."""
+    slots = {"sine": 0.3, "cosine": 0.1, "harmonic": 118.0}
+    found, _ = _found({COGGING: slots, Term("command_delay", ELBOW): {"delay": 0.04}})
+    assert COGGING not in found or found[COGGING].start[2] < 60.0

@@ -4,6 +4,8 @@ Slots, magnets and teeth come in tens to hundreds a turn. Over a way of L a wave
 pi/L of its wavenumber: no grid of starting sizes is fine enough for all ways. What is left of the
 joint that is furthest off is held against waves all along the range (a periodogram over position
 instead of time, through the equation of small deviations), and the best of each law competes.
+Deviations are small for a wave that is longer than they are: where a motion is far from followed,
+fine ones say nothing.
 """
 
 from __future__ import annotations
@@ -44,7 +46,8 @@ def rippled(linear: Linear, view: View, terms: Sequence[Term]) -> list[Response]
         wave = _wavenumber(term)
         if term.joint != worst or wave is None:
             continue
-        best = _best_of(linear, view, term, wave, _between(term.parameters[wave], apart))
+        finest = min(term.parameters[wave].upper, 1.0 / _off(linear, worst))
+        best = _best_of(linear, view, term, wave, _between(term.parameters[wave], apart, finest))
         out += [] if best is None else [best]
     return out
 
@@ -61,13 +64,20 @@ def _way(linear: Linear, joint: int) -> float:
     return float(q.max() - q.min())
 
 
-def _between(parameter: Parameter, apart: float) -> FloatArray:
-    """Wavenumbers ``apart`` from each other, as far as the bound, that no start stands for; all
-    whole ones where no fit moves it.
+def _off(linear: Linear, joint: int) -> float:
+    """rad or m, rms, by which the prediction of a joint is off; a little at least."""
+    along = linear.along
+    off = along.position[..., joint] - along.predicted_position[..., joint]
+    return max(float(np.sqrt(np.mean(off**2))), 1e-9)
+
+
+def _between(parameter: Parameter, apart: float, finest: float) -> FloatArray:
+    """Wavenumbers ``apart`` from each other, as far as the ``finest``, that no start stands for;
+    all whole ones where no fit moves it.
     """
     if parameter.choice:
         apart = 1.0
-    found = np.arange(min(parameter.starts), parameter.upper, apart)
+    found = np.arange(min(parameter.starts), finest, apart)
     off = np.abs(found[:, None] - np.array(parameter.starts)).min(axis=1)
     kept: FloatArray = found[off >= 0.5 * apart]
     return kept
