@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.coarse_step import coarse_step
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.creep import CREEPS, found_so, posed
 from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
@@ -189,6 +190,7 @@ def diagnose(
     if given.creeps:
         notes.append(CREEPS)
     notes += found.explained.notes
+    notes += coarse_step(found.prepared.problem, found.explained.hypothesis, found.errors)
     if not len(prepared.problem.held_out):
         notes.append("errors and gains are of the recordings that were fitted")
     progress(0.94)

@@ -1,0 +1,45 @@
+"""Where what is left may be the error of the model's own step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.verdict import JointError
+
+_STANDS, _OF_IT = 2.0, 3.0
+"""Floors that are left, and times as much that the step's own error has to be."""
+
+
+def coarse_step(
+    problem: Problem, hypothesis: Hypothesis, errors: Mapping[str, JointError]
+) -> list[str]:
+    """A line for each joint where the step's own error is far more than what is left over the
+    floor.
+
+    Every prediction is corrected by that error, measured by refining the step, to first order: of a
+    gear that rings or a push that is sudden some stays, and what was found bends to it.
+
+    Args:
+        problem: what was explained.
+        hypothesis: what explains it.
+        errors: of each joint that was tested.
+    """
+    problem.refine_at(hypothesis)
+    if not hypothesis.terms or not problem.defect:
+        return []
+    off = np.concatenate([add.position for add in problem.defect.values()])
+    rms = np.sqrt(np.mean(off**2, axis=0))
+    step = 1e3 * problem.simulator.timestep
+    return [
+        f"joint {joint!r}: with what was found the simulator's step of {step:g} ms is itself "
+        f"{rms[j]:.2g} {errors[joint].unit} off, {rms[j] / errors[joint].after:.0f} times what is "
+        "left: that, and sizes, may be the step's; a smaller timestep of the model says more"
+        for j, joint in enumerate(problem.joints)
+        if joint in errors
+        and errors[joint].after > _STANDS * errors[joint].floor
+        and rms[j] > _OF_IT * errors[joint].after
+    ]

@@ -1,0 +1,56 @@
+"""What may be the step's own is said to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_first_order import ELBOW, problem_of
+
+from pytest_twin.diagnosis.coarse_step import coarse_step
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.problem import REFINE, Problem
+from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.effects.rows import RowSimulator
+
+
+@pytest.fixture(scope="module")
+def soft() -> tuple[Problem, Hypothesis]:
+    """A gear that rings at eight steps a radian."""
+    term = Term("joint_elasticity", ELBOW)
+    size = {"compliance": 1 / 60.0, "damping_time": 0.001}
+    problem = problem_of("position", {term: size})
+    segments, joints = problem.simulator.segments, problem.joints
+    problem.refined = RowSimulator(segments, joints, threads=1, refine=REFINE)
+    theta = [size[p.name] / problem.scales.value(p, ELBOW) for p in term.parameters]
+    return problem, EMPTY.with_term(term, np.array(theta))
+
+
+@pytest.mark.parametrize(
+    ("floors", "doubted"),
+    [
+        pytest.param(1.0, False, id="at the floor"),
+        pytest.param(2.5, True, id="above it"),
+        pytest.param(1e4, False, id="far more than the step can be off"),
+    ],
+)
+def test_what_is_left_above_the_floor_may_be_the_steps(
+    soft: tuple[Problem, Hypothesis], floors: float, doubted: bool
+) -> None:
+    problem, hypothesis = soft
+    problem.refine_at(hypothesis)
+    floor = 0.02 * float(abs(problem.defect[0].position[:, ELBOW]).max())
+    errors = {"elbow": JointError(1.0, floors * floor, floor, "rad")}
+    found = coarse_step(problem, hypothesis, errors)
+    assert len(found) == doubted
+    if doubted:
+        (line,) = found
+        assert "joint 'elbow'" in line
+        assert "step of 2 ms is itself" in line
+        assert "rad off" in line
+        assert "a smaller timestep of the model says more" in line
+
+
+def test_without_a_finding_nothing_bends_to_it(soft: tuple[Problem, Hypothesis]) -> None:
+    problem, _ = soft
+    errors = dict.fromkeys(("shoulder", "elbow"), JointError(1.0, 1e-3, 1e-4, "rad"))
+    assert coarse_step(problem, EMPTY, errors) == []
