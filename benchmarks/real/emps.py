@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from recorded import folder_of
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
@@ -37,9 +37,6 @@ from pytest_twin.trial import Trial, make_trial
 
 Regressor = Callable[[FloatArray, FloatArray], FloatArray]
 
-RECORDINGS = Path(
-    os.environ.get("TWIN_RECORDINGS") or Path(__file__).resolve().parents[3] / "shared/recordings"
-)
 JOINT = "slide"
 NOMINAL_MASS = 95.1
 PUBLISHED = {"mass": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}
@@ -180,9 +177,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
-    folder = RECORDINGS / "emps"
-    if not folder.is_dir():
-        raise SystemExit(f"no recordings at {folder}: the variable TWIN_RECORDINGS says where")
+    folder = folder_of("emps")
     why = args.out / "why"
     paths = sorted((folder / "recordings").glob("*.mcap"))
     if not (why / "diagnosis.json").is_file():

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from recorded import folder_of
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.patched.model import Patched
@@ -30,9 +30,6 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
 
-RECORDINGS = Path(
-    os.environ.get("TWIN_RECORDINGS") or Path(__file__).resolve().parents[3] / "shared/recordings"
-)
 # Each joint moves in one of them at least, and all of them in the first.
 FIT = ("prbs_excitation", "reach_and_return", "single_joint_wrist_pitch")
 HELD_OUT = ("multisine", "large_amplitude")
@@ -45,7 +42,7 @@ NOT_SHOWN = ("backlash", "torque_saturation")
 def excerpt(name: str, role: str, seconds: float, folder: Path) -> Path:
     """A stretch of a recording as a recording of its own."""
     path = folder / f"{role}_{name}.mcap"
-    whole = read_recording(RECORDINGS / "so101" / "recordings" / f"{name}.mcap")
+    whole = read_recording(folder_of("so101") / "recordings" / f"{name}.mcap")
     first = min(s.stamp[0] for s in whole.series.values()) + round(START * 1e9)
 
     def cut(series: JointSeries) -> JointSeries:
@@ -91,9 +88,7 @@ def main() -> None:
     parser.add_argument("--fit", nargs="+", default=list(FIT), metavar="NAME")
     parser.add_argument("--held-out", nargs="+", default=list(HELD_OUT), metavar="NAME")
     args = parser.parse_args()
-    folder = RECORDINGS / "so101"
-    if not folder.is_dir():
-        raise SystemExit(f"no recordings at {folder}: the variable TWIN_RECORDINGS says where")
+    folder = folder_of("so101")
     cuts = args.out / "excerpts"
     names = {"fit": args.fit, "held_out": args.held_out}
     chosen = [excerpt(n, role, args.seconds, cuts) for role, each in names.items() for n in each]

@@ -21,7 +21,6 @@ from __future__ import annotations
 import argparse
 import copy
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -31,6 +30,7 @@ from pathlib import Path
 import cma
 import numpy as np
 from numpy.typing import NDArray
+from recorded import folder_of
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.commands.replay import find_model, load_model
@@ -45,9 +45,6 @@ from pytest_twin.formats.mcap import read_recording
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial, make_trial
 
-RECORDINGS = Path(
-    os.environ.get("TWIN_RECORDINGS") or Path(__file__).resolve().parents[3] / "shared/recordings"
-)
 GAINS = (100, 200, 400, 800)
 STARTS = 3
 # Neighbours of what was found, and the deviation of each of their values, as a share of it.
@@ -173,7 +170,7 @@ def fit_structure(problem: Problem, generations: int, seed: int) -> Hypothesis:
 
 def recordings(realization: Realization, gains: Sequence[int]) -> list[Trial]:
     """Every log of some gains."""
-    folder = RECORDINGS / "xl330" / "recordings"
+    folder = folder_of("xl330") / "recordings"
     names = [f"kp{gain}_{log}.mcap" for gain in gains for log in LOGS]
     return [make_trial(read_recording(folder / n), realization.structure) for n in names]
 
@@ -198,7 +195,7 @@ def diagnosed(out: Path, gain: int) -> tuple[str, FloatArray, FloatArray]:
     neighbour, (neighbours, logs).
     """
     why = out / f"without_{gain}"
-    folder = RECORDINGS / "xl330"
+    folder = folder_of("xl330")
     paths = {g: [folder / "recordings" / f"kp{g}_{log}.mcap" for log in LOGS] for g in GAINS}
     if not (why / "diagnosis.json").is_file():
         command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose"]
@@ -256,10 +253,8 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=120)
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
-    if not (RECORDINGS / "xl330").is_dir():
-        raise SystemExit(f"no recordings at {RECORDINGS}: the variable TWIN_RECORDINGS says where")
     args.out.mkdir(parents=True, exist_ok=True)
-    realization = load_model(RECORDINGS / "xl330" / "twin.yaml").realization
+    realization = load_model(folder_of("xl330") / "twin.yaml").realization
     for gain in args.gains:
         fit = recordings(realization, [g for g in GAINS if g != gain])
         problem = prepare(realization, fit, recordings(realization, [gain]), threads=1).problem

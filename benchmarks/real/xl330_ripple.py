@@ -13,18 +13,14 @@ share of the ripple it takes, beside the same with rises moved.
 from __future__ import annotations
 
 import itertools
-import os
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from recorded import folder_of
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.mcap import read_recording
 
-RECORDINGS = Path(
-    os.environ.get("TWIN_RECORDINGS") or Path(__file__).resolve().parents[3] / "shared/recordings"
-)
 GAINS = (100, 200, 400, 800)
 # Log -> s of its slow rise.
 RISES = {"up_and_down": (0.3, 3.0), "sin_time_square": (0.2, 1.25)}
@@ -38,7 +34,7 @@ POSITIONS = np.arange(-0.1, 1.3, STEP)
 
 def ripple(log: str, gain: int) -> FloatArray:
     """(positions,) (rad/s)^2 of a rise, NaN where it was not."""
-    recording = read_recording(RECORDINGS / "xl330" / "recordings" / f"kp{gain}_{log}.mcap")
+    recording = read_recording(folder_of("xl330") / "recordings" / f"kp{gain}_{log}.mcap")
     state = recording.series["state"]
     assert state.position is not None
     assert state.velocity is not None
@@ -96,8 +92,6 @@ def shared(ripples: list[FloatArray], offsets: FloatArray) -> FloatArray:
 
 def main() -> None:
     """Read, compare, print."""
-    if not (RECORDINGS / "xl330").is_dir():
-        raise SystemExit(f"no recordings at {RECORDINGS}: the variable TWIN_RECORDINGS says where")
     rises = {(log, gain): ripple(log, gain) for log in RISES for gain in GAINS}
     slow = list(rises.values())
     print("| `up_and_down` at gains | correlation at the same angle |")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.prepare import discretization
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.verdict import JointError
 
@@ -28,11 +27,10 @@ def coarse_step(
         hypothesis: what explains it.
         errors: of each joint that was tested.
     """
-    problem.refine_at(hypothesis)
-    if not hypothesis.terms or not problem.defect:
+    if not hypothesis.terms:
         return []
-    off = np.concatenate([add.position for add in problem.defect.values()])
-    rms = np.sqrt(np.mean(off**2, axis=0))
+    problem.refine_at(hypothesis)
+    rms = discretization(problem)
     step = 1e3 * problem.simulator.timestep
     return [
         f"joint {joint!r}: with what was found the simulator's step of {step:g} ms is itself "

@@ -360,11 +360,9 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, mass)
         inertia = np.maximum(inertia, np.diag(mass)[simulator.layout.dof_index])
-    rate = rms([np.diff(s.command, axis=0) / np.maximum(np.diff(s.command_time), 1e-4)[:, None]
-                for s in segments])  # fmt: skip
+    rate = rms([_slope(s.command, s.command_time) for s in segments])
     effort_rate = rms([
-        np.diff(p.effort, axis=0) / np.maximum(np.diff(s.time), 1e-4)[:, None]
-        for s, p in zip(segments, nominal, strict=True)
+        _slope(p.effort, s.time) for s, p in zip(segments, nominal, strict=True)
     ])  # fmt: skip
     peak = np.max([np.nanmax(np.abs(p.effort), axis=0) for p in nominal], axis=0)
     command = rms([_tracking_error(s) if s.mode == "position" else s.command for s in segments])
@@ -397,6 +395,12 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
             "gyration": simulator.layout.gyration,
         }
     )
+
+
+def _slope(values: FloatArray, time: FloatArray) -> FloatArray:
+    """(n - 1, joints) per s, from sample to sample."""
+    slope: FloatArray = np.diff(values, axis=0) / np.maximum(np.diff(time), 1e-4)[:, None]
+    return slope
 
 
 def _tracking_error(segment: Segment) -> FloatArray:

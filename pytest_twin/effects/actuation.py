@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,36 @@ from pytest_twin.effects.base import Effect, Parameter, Values, World
 from pytest_twin.effects.within import within
 
 
-class ActuatorLag(Effect):
+class _Follower(Protocol):
+    """Something that what comes in is followed by."""
+
+    def mean(self, asked: FloatArray) -> FloatArray:
+        """(rows, joints) mean over the next step of what follows ``asked``."""
+
+
+class _Follows(Effect):
+    """The setpoint that a drive's law sees follows its command, or its effort follows its law."""
+
+    remembers = True
+
+    def memories(self, world: World, values: Values) -> tuple[_Follower, _Follower]:
+        """Of the setpoint and of the effort, as a motion begins."""
+        raise NotImplementedError
+
+    def command(self, world: World, values: Values) -> None:
+        world.setpoint = self._followers(world, values)[0].mean(world.setpoint)
+
+    def drive(self, world: World, values: Values) -> None:
+        world.delivered = self._followers(world, values)[1].mean(world.delivered)
+
+    def _followers(self, world: World, values: Values) -> tuple[_Follower, _Follower]:
+        found: tuple[_Follower, _Follower] | None = world.state.get(self.id)
+        if found is None:
+            found = world.state[self.id] = self.memories(world, values)
+        return found
+
+
+class ActuatorLag(_Follows):
     """The drive answers with a first-order lag: its effort does, or, behind a smoothed command, the
     setpoint that its law sees.
     """
@@ -33,29 +62,18 @@ class ActuatorLag(Effect):
         Parameter("time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.03, 0.08)),
         Parameter("of_setpoint", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
     )
-    remembers = True
     confused_with: ClassVar = {
         "command_delay": "steps: a lag rises at once, a delay leaves a dead time",
         "armature": "two payloads: a lag does not depend on what is carried",
     }
 
-    def command(self, world: World, values: Values) -> None:
-        world.setpoint = self._lags(world, values)[0].mean(world.setpoint)
-
-    def drive(self, world: World, values: Values) -> None:
-        world.delivered = self._lags(world, values)[1].mean(world.delivered)
-
-    def _lags(self, world: World, values: Values) -> tuple[_Lag, _Lag]:
-        """Of the setpoint and of the effort."""
-        lags: tuple[_Lag, _Lag] | None = world.state.get(self.id)
-        if lags is None:
-            # What an effort drive is sent is what it gives: its lag is that of the effort.
-            of_setpoint = values["of_setpoint"] * (world.servo != "effort")
-            of_effort = 1.0 - values["of_setpoint"]
-            each = (values["time_constant"] * share for share in (of_setpoint, of_effort))
-            before, after = (_Lag.of(lag, world.timestep) for lag in each)
-            lags = world.state[self.id] = before, after
-        return lags
+    def memories(self, world: World, values: Values) -> tuple[_Lag, _Lag]:
+        # What an effort drive is sent is what it gives: its lag is that of the effort.
+        of_setpoint = values["of_setpoint"] * (world.servo != "effort")
+        of_effort = 1.0 - values["of_setpoint"]
+        each = (values["time_constant"] * share for share in (of_setpoint, of_effort))
+        before, after = (_Lag.of(lag, world.timestep) for lag in each)
+        return before, after
 
 
 @dataclass(slots=True)
@@ -93,7 +111,7 @@ class _Lag:
 _SLOWNESSES = tuple(0.15 * 1.25**k for k in range(16))
 
 
-class RateLimit(Effect):
+class RateLimit(_Follows):
     """The setpoint moves no faster than a profile generator or the firmware allows; or the effort
     of a servo changes no faster than its current loop allows.
     """
@@ -114,28 +132,17 @@ class RateLimit(Effect):
         ),
         Parameter("of_effort", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
     )  # fmt: skip
-    remembers = True
     confused_with: ClassVar = {
         "torque_saturation": "a load added: a rate limit does not depend on it",
         "command_delay": "steps of two sizes: a delay does not grow with the step",
         "actuator_lag": "steps of two sizes: a lag scales, a rate limit does not",
     }
 
-    def command(self, world: World, values: Values) -> None:
-        world.setpoint = self._slews(world, values)[0].mean(world.setpoint)
-
-    def drive(self, world: World, values: Values) -> None:
-        world.delivered = self._slews(world, values)[1].mean(world.delivered)
-
-    def _slews(self, world: World, values: Values) -> tuple[_Slew, _Slew]:
-        """Of the setpoint and of the effort."""
-        slews: tuple[_Slew, _Slew] | None = world.state.get(self.id)
-        if slews is None:
-            # What an effort drive is sent is what it gives: one limit for both.
-            of_effort = values["inverse_effort_rate"] * (world.servo != "effort")
-            before = _Slew.of(values["inverse_rate"], world.timestep)
-            slews = world.state[self.id] = before, _Slew.of(of_effort, world.timestep)
-        return slews
+    def memories(self, world: World, values: Values) -> tuple[_Slew, _Slew]:
+        # What an effort drive is sent is what it gives: one limit for both.
+        of_effort = values["inverse_effort_rate"] * (world.servo != "effort")
+        before = _Slew.of(values["inverse_rate"], world.timestep)
+        return before, _Slew.of(of_effort, world.timestep)
 
 
 @dataclass(slots=True)

@@ -344,9 +344,8 @@ def _shares(problem: Problem, hypothesis: Hypothesis, joint: int) -> tuple[float
 
 
 _RULES: tuple[Callable[[_Tested], _Gone], ...] = (
-    _diverging, _less_than_none, _under_the_floor, _as_good_as_rigid,
-    _within_a_step, _idle, _slight, _unlikely,
-    _stretched, _misshapen,
+    _diverging, _less_than_none, _under_the_floor, _as_good_as_rigid, _within_a_step, _idle,
+    _slight, _unlikely, _stretched, _misshapen,
 )  # fmt: skip
 
 

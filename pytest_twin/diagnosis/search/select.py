@@ -282,7 +282,7 @@ class Selection:
                 return -_LIKE
             if len(other.terms) > len(own.terms):
                 return self.contest.name_price + _EVEN
-            if len(other.terms) != len(own.terms) or other.free >= own.free:
+            if len(other.terms) < len(own.terms) or other.free >= own.free:
                 return 0.0
             changed = [lost for t, lost in lost_of.items() if not _as_it_is(t, own, other)]
             return MORE_TO_IT * max(changed, default=0.0)
