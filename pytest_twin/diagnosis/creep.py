@@ -41,11 +41,11 @@ def posed(given: Given, trials: TrialSet, notes: list[str]) -> tuple[Given, Prep
     """
     prepared, kept = pose(given, trials, notes)
     problem = prepared.problem
-    if not _asked(problem, EMPTY):
+    if not has_dry_friction(problem, EMPTY):
         return given, prepared, kept
     left = left_everywhere(problem, EMPTY)
     near = STANDS_OUT < _greatest(problem, left) < LEFT_FLOORS
-    if near and _leaves_less(problem, _otherwise(problem, EMPTY), left):
+    if near and _leaves_less(problem, _left_otherwise(problem, EMPTY), left):
         given = replace(given, creeps=not given.creeps)
         prepared, _ = pose(given, kept, [])
     return given, prepared, kept
@@ -63,9 +63,9 @@ def found_so(
         say: told what is considered.
     """
     before, start = found.prepared.problem, found.explained.hypothesis
-    if not _asked(before, start) or _greatest(before, found.after) <= STANDS_OUT:
+    if not has_dry_friction(before, start) or _greatest(before, found.after) <= STANDS_OUT:
         return given, found
-    if not _leaves_less(before, _otherwise(before, start), found.after, _UNFITTED):
+    if not _leaves_less(before, _left_otherwise(before, start), found.after, _UNFITTED):
         return given, found
     otherwise = replace(given, creeps=not given.creeps)
     prepared, trials = pose(otherwise, found.trials, [])
@@ -78,22 +78,27 @@ def found_so(
     return otherwise, concluded(prepared, trials, selection, selection.run(rival))
 
 
-def _asked(problem: Problem, hypothesis: Hypothesis) -> bool:
+def has_dry_friction(problem: Problem, hypothesis: Hypothesis) -> bool:
     """Whether dry friction is in the model, or was found."""
     layout, models = problem.simulator.layout, {s.model for s in problem.simulator.segments}
     own = any(m.dof_frictionloss[layout.dof_index].any() for m in models)
     return own or any(t.dry_level is not None for t in hypothesis.terms)
 
 
-def _otherwise(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
-    """(samples, signals) residuals with dry friction the other way, the error of the step as it
-    was measured.
-    """
+def otherwise(problem: Problem) -> Problem:
+    """The same with dry friction the other way, the error of the step as it was measured."""
     stepped = problem.simulator
     segments = [replace(s, creeps=not s.creeps) for s in stepped.segments]
-    other = RowSimulator(segments, problem.joints, threads=stepped.threads, fixed=stepped.fixed)
-    posed_so = replace(problem, simulator=other, refined=None)
-    return posed_so.residuals([hypothesis], problem.everywhere)[0]
+    other = RowSimulator(
+        segments, problem.joints, threads=stepped.threads, refine=stepped.refine,
+        fixed=stepped.fixed,
+    )  # fmt: skip
+    return replace(problem, simulator=other, refined=None)
+
+
+def _left_otherwise(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
+    """(samples, signals) residuals with dry friction the other way."""
+    return otherwise(problem).residuals([hypothesis], problem.everywhere)[0]
 
 
 def _squares(problem: Problem, left: FloatArray) -> FloatArray:

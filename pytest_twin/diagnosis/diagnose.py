@@ -29,6 +29,12 @@ from pytest_twin.diagnosis.searched import (
     pose,
     search,
 )
+from pytest_twin.diagnosis.simulated import (
+    explains_more,
+    simulated_in_words,
+    simulated_so,
+    stepped_otherwise,
+)
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
 from pytest_twin.diagnosis.verdict import JointError, Verdict
@@ -162,33 +168,20 @@ def diagnose(
         progress(0.06 + 0.74 * (1.0 - 0.95**steps))
 
     # Candidates that run away overflow; what is not finite is ranked last.
+    problems: list[Problem] = []
     with np.errstate(over="ignore", invalid="ignore"):
-        contact = prepared.problem.simulator.models.contact
-        problems, clear, start = [prepared.problem], EMPTY, EMPTY
-        if contact.world.size:
-            away = _posed_away(given, trials, contact)
-            if away is not None:
-                problems.append(away[0].problem)
-                clear = _found_away(*away, say)
-                start = _with_contact(prepared.problem, clear, say)
-        found = search(prepared, trials, Selection(prepared.problem, say), start)
-        if found.astray and contact.world.size:
-            found = _once_more(found, say)
-        given, found = found_so(found, given, problems, say)
-        near = found.prepared, found.trials
-        if found.astray and (clear.terms or not contact.world.size):
-            near = pose(given, trials, [], window=WINDOW)
-            problems.append(near[0].problem)
-            if contact.world.size:
-                # What acts in the air is known from there.
-                near[0].problem.family = _CONTACT
-            found = _windowed(found, *near, clear, say, notes)
+        given, prepared, trials = simulated_so(given, prepared, trials, problems)
+        sought = _sought(given, prepared, trials, problems, say)
+        given, found = sought.given, sought.found
+        notes += sought.notes
         left = {}
         if found.verdict in ("improved", "unexplained"):
-            left = unexplained(found, *near)
+            left = unexplained(found, *sought.near)
     progress(0.9)
     if given.creeps:
         notes.append(CREEPS)
+    if given.substeps:
+        notes.append(simulated_in_words(found.prepared))
     notes += found.explained.notes
     notes += coarse_step(found.prepared.problem, found.explained.hypothesis, found.errors)
     if not len(prepared.problem.held_out):
@@ -198,6 +191,63 @@ def diagnose(
         found.verdict, found.explained, found.errors, left, tuple(notes), found.prepared,
         found.selected, found.trials, found.before, found.after, cost(problems, since),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Sought:
+    """What was found, how the model was stepped for it, the problem that says where the rest is,
+    and what a reader has to know.
+    """
+
+    given: Given
+    found: Searched
+    near: tuple[Prepared, TrialSet]
+    notes: tuple[str, ...]
+
+
+def _sought(
+    given: Given,
+    prepared: Prepared,
+    trials: TrialSet,
+    problems: list[Problem],
+    say: Callable[[str], None],
+) -> _Sought:
+    """Search whole motions, and windows of them where these tell more.
+
+    Args:
+        given: the model, and how it is stepped.
+        prepared, trials: its problem over whole motions.
+        problems: gets every problem that was searched.
+        say: told what is considered.
+    """
+    notes: list[str] = []
+    problems.append(prepared.problem)
+    contact = prepared.problem.simulator.models.contact
+    clear, start = EMPTY, EMPTY
+    if contact.world.size:
+        away = _posed_away(given, trials, contact)
+        if away is not None:
+            problems.append(away[0].problem)
+            clear = _found_away(*away, say)
+            start = _with_contact(prepared.problem, clear, say)
+    found = search(prepared, trials, Selection(prepared.problem, say), start)
+    if found.astray and contact.world.size:
+        found = _once_more(found, say)
+    given, found = found_so(found, given, problems, say)
+    stepped = stepped_otherwise(found, given)
+    if stepped is not None:
+        other = _sought(stepped, *pose(stepped, found.trials, []), problems, say)
+        if explains_more(other.found, found):
+            return other
+    near = found.prepared, found.trials
+    if found.astray and (clear.terms or not contact.world.size):
+        near = pose(given, trials, [], window=WINDOW)
+        problems.append(near[0].problem)
+        if contact.world.size:
+            # What acts in the air is known from there.
+            near[0].problem.family = _CONTACT
+        found = _windowed(found, *near, clear, say, notes)
+    return _Sought(given, found, near, tuple(notes))
 
 
 def _posed_away(

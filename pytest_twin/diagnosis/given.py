@@ -25,6 +25,8 @@ class Given:
         coldness: of trials by their temperature as an earlier diagnosis had it; empty where the
             trials tell.
         creeps: whether dry friction does, as MuJoCo's default constraint has it.
+        substeps: steps for each of the model's that a simulation took which made the recordings; 0
+            where a robot did.
         threads: of the batches, 0 for all cores.
     """
 
@@ -32,6 +34,7 @@ class Given:
     beside: tuple[AppliedEffect, ...] = ()
     coldness: Coldness = field(default_factory=dict)
     creeps: bool = False
+    substeps: int = 0
     threads: int = 0
 
     @classmethod
@@ -39,8 +42,9 @@ class Given:
         """A realization as it came, by an earlier diagnosis or not."""
         coldness = {} if inherited is None else inherited.coldness
         creeps = inherited is not None and inherited.creeps
+        substeps = 0 if inherited is None else inherited.substeps
         beside = stepped_beside(realization, inherited)
-        return cls(without_delays(realization), beside, coldness, creeps, threads)
+        return cls(without_delays(realization), beside, coldness, creeps, substeps, threads)
 
     def prepared(
         self,
@@ -57,4 +61,5 @@ class Given:
             self.realization, fit, held_out,
             threads=self.threads, window=window, coldness=self.coldness,
             fixed=fixed_values(self.beside, joints, 1), contact=contact, creeps=self.creeps,
+            substeps=self.substeps,
         )  # fmt: skip

@@ -60,12 +60,14 @@ class Prepared:
         segment_trial: trial index of each segment.
         floor_parts: name of a source -> (joints,) deviations, SI units.
         coldness: temperatures of the trials, where they tell something.
+        substeps: of the simulation that made the recordings, as :func:`prepare` takes them.
     """
 
     problem: Problem
     segment_trial: tuple[int, ...]
     floor_parts: dict[str, FloatArray]
     coldness: Coldness
+    substeps: int = 0
 
     def lowers_floor(self, hypothesis: Hypothesis) -> bool:
         """Measure the error of the simulator's step where a hypothesis is, and lower the floor
@@ -103,6 +105,7 @@ def prepare(
     fixed: EffectValues | None = None,
     contact: ContactGeoms | None = None,
     creeps: bool = False,
+    substeps: int = 0,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
@@ -116,6 +119,8 @@ def prepare(
         fixed: effects beside the model, (1, joints) of :func:`shared_joints`.
         contact: what the robot meets, if windows are to lie where it is far from that.
         creeps: whether dry friction does, as MuJoCo's default constraint has it.
+        substeps: steps for each of the model's that a simulation took which made the recordings:
+            they have its error in them; 0 where a robot did.
 
     Raises:
         RecordingError: no joint that the model and every recording share; or nothing to fit that is
@@ -152,21 +157,23 @@ def prepare(
         )
     noise = greatest_noise(segments, [s.position for s in segments], owner)
     segments = set_in_motion(segments, moving, joints, noise, threads=threads, fixed=fixed)
-    simulator = RowSimulator(segments, joints, threads=threads, fixed=fixed)
-    refined = RowSimulator(segments, joints, threads=threads, refine=REFINE, fixed=fixed)
+    simulator = RowSimulator(segments, joints, threads=threads, refine=substeps or 1, fixed=fixed)
+    refined: RowSimulator | None = None
+    if not substeps:
+        refined = RowSimulator(segments, joints, threads=threads, refine=REFINE, fixed=fixed)
     nominal = nominal_replay(simulator)
     effort_floor: FloatArray | None = None
     if _signed_efforts(segments, nominal):
         effort_floor = effort_noise(segments, nominal, owner)
     scales = joint_scales(simulator, nominal)
-    defect = step_errors(nominal, nominal_replay(refined))
+    defect = {} if refined is None else step_errors(nominal, nominal_replay(refined))
     allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
     changed = _rms([add.position for add in defect.values()], len(joints))
     if window in (None, WINDOW) and _too_wild(segments, changed, allowed):
         return prepare(
             realization, fit, held_out,
             threads=threads, window=0.5 * WINDOW, coldness=coldness, fixed=fixed,
-            contact=contact, creeps=creeps,
+            contact=contact, creeps=creeps, substeps=substeps,
         )  # fmt: skip
     problem = Problem(
         simulator,
@@ -215,7 +222,7 @@ def prepare(
         "of it, sample timing": np.minimum(timing_noise(segments, owner), noise),
         STEP: steps,
     }
-    return Prepared(problem, tuple(owner), parts, coldness)
+    return Prepared(problem, tuple(owner), parts, coldness, substeps)
 
 
 def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:

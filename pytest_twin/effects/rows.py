@@ -73,6 +73,7 @@ class RowSimulator:
         self.threads = threads or usable_cores()
         model = self.segments[0].model
         self.layout = Layout(model, self.segments, joints)
+        self.refine = refine
         self.timestep = float(model.opt.timestep) / refine
         self.models = RowModels(self.segments, self.layout, self.timestep)
         self.steps = np.array(

@@ -54,6 +54,7 @@ def write_diagnosis(
             found.explained.hypothesis,
             inherited,
             found.prepared.coldness,
+            found.prepared.substeps,
         )
     said = found.to_json(realization=f"{REALIZATION}/")
     atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")

@@ -18,6 +18,7 @@ MODEL_FILE = "model.xml"
 _MAX_EFFECTS = 256
 _MAX_BYTES = 1 << 20
 _CREEPS = "creeps"
+_MAX_SUBSTEPS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +48,15 @@ class Patched:
         effects: all, those in the model too.
         coldness: of trials by their temperature, where an effect asks for it.
         creeps: whether dry friction does, as MuJoCo's default constraint has it.
+        substeps: steps for each of the model's, whose error is left in, as the simulation took them
+            that made the recordings; 0 where a robot did.
     """
 
     joints: tuple[str, ...]
     effects: tuple[AppliedEffect, ...] = field(default=())
     coldness: Coldness = field(default_factory=dict)
     creeps: bool = False
+    substeps: int = 0
 
     @property
     def beside(self) -> tuple[AppliedEffect, ...]:
@@ -78,6 +82,7 @@ def effects_json(patched: Patched) -> dict[str, Any]:
         "joints": list(patched.joints),
         **({"coldness": dict(patched.coldness)} if patched.coldness else {}),
         **({"dry_friction": _CREEPS} if patched.creeps else {}),
+        **({"simulated_in_substeps": patched.substeps} if patched.substeps else {}),
         "effects": [
             {
                 "effect": e.effect,
@@ -125,6 +130,12 @@ def read_effects(path: Path) -> Patched:
     need(not coldness or len(set(coldness.values())) > 1, "coldness", "temperatures that differ")
     dry = data.get("dry_friction")
     need(dry in (None, _CREEPS), "dry_friction", _CREEPS, dry)
+    substeps = data.get("simulated_in_substeps", 0)
+    whole = isinstance(substeps, int) and not isinstance(substeps, bool)
+    need(
+        whole and 0 <= substeps <= _MAX_SUBSTEPS, "simulated_in_substeps",
+        f"a whole number up to {_MAX_SUBSTEPS}", substeps,
+    )  # fmt: skip
     listed = data.get("effects")
     need(isinstance(listed, list) and len(listed) <= _MAX_EFFECTS, "effects", "a list")
     found = []
@@ -147,8 +158,9 @@ def read_effects(path: Path) -> Patched:
             AppliedEffect(name, joint, {k: float(v) for k, v in values.items()}, item["in_model"])
         )
     return Patched(
-        tuple(joints), tuple(found), {k: float(v) for k, v in coldness.items()}, dry is not None
-    )
+        tuple(joints), tuple(found), {k: float(v) for k, v in coldness.items()}, dry is not None,
+        substeps,
+    )  # fmt: skip
 
 
 def _finite(value: object) -> bool:

@@ -84,7 +84,7 @@ def replay_patched(
             )
         cold = coldness_in(patched.coldness, trial)
         segment = whole_segment(stepped, trial, patched.joints, cold, creeps=patched.creeps)
-        predicted = _predict(segment, patched.joints, values, threads)
+        predicted = _predict(segment, patched, values, threads)
         if not np.isfinite(predicted.position).all():
             raise SimulationError("the simulation diverged", path=trial.path)
         out.append(_as_measured(predicted, segment, trial, realization, patched.joints))
@@ -131,15 +131,18 @@ def beside_in_words(patched: Patched) -> tuple[str, ...]:
     return (f"stepped beside the model: {text}",) if text else ()
 
 
-def _predict(
-    segment: Segment, joints: Sequence[str], values: EffectValues, threads: int
-) -> Predicted:
-    """As the diagnosis predicts: with the error of the model's own step taken out."""
-    row = np.zeros(1, dtype=np.int64)
-    coarse, fine = (
-        RowSimulator([segment], joints, threads=threads, refine=refine).simulate(row, values)[0]
-        for refine in (1, REFINE)
-    )
+def _predict(segment: Segment, patched: Patched, values: EffectValues, threads: int) -> Predicted:
+    """As the diagnosis predicts: with the error of the model's own step taken out, or left in where
+    recordings have it.
+    """
+
+    def stepped(refine: int) -> Predicted:
+        simulator = RowSimulator([segment], patched.joints, threads=threads, refine=refine)
+        return simulator.simulate(np.zeros(1, dtype=np.int64), values)[0]
+
+    if patched.substeps:
+        return stepped(patched.substeps)
+    coarse, fine = stepped(1), stepped(REFINE)
     if not np.isfinite(fine.position).all():
         return coarse
     return corrected(coarse, step_error(coarse, fine))

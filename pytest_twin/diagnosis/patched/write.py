@@ -31,6 +31,7 @@ def write_realization(
     hypothesis: Hypothesis,
     inherited: Patched | None = None,
     coldness: Coldness = MappingProxyType({}),
+    substeps: int = 0,
 ) -> Patched:
     """Write ``model.xml``, ``effects.json`` and, with controllers or payloads, ``twin.yaml``.
 
@@ -41,6 +42,7 @@ def write_realization(
         hypothesis: its findings.
         inherited: effects of the realization that was diagnosed, where it was a patched one.
         coldness: of the trials, by temperature.
+        substeps: as :class:`Patched` has them.
 
     Raises:
         PathError: the folder cannot be written.
@@ -61,6 +63,7 @@ def write_realization(
         tuple(effects),
         coldness if asked else {},
         problem.simulator.segments[0].creeps,
+        substeps,
     )
     writer.settle()
     text = writer.text()

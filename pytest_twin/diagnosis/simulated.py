@@ -1,0 +1,210 @@
+"""Whether recordings were made by a simulation, with a step of its own.
+
+A prediction has the error of the model's step taken out, for a robot has none. A simulation has:
+what MuJoCo recorded of the very same model at the very same step would be off by it, and damping
+and inertia would be found that nobody hid. The recordings are asked, where the step's error stands
+out of their noise: with it left in, all or the part that a finer step has, only noise may be left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.creep import has_dry_friction, otherwise
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.responses import grid, linearized
+from pytest_twin.diagnosis.first_order.screen import candidates
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.prepare import NOISE, Prepared, discretization
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.searched import Searched, pose
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.effects.segment import Predicted
+
+SUBSTEPS = (1, 2, 4, 5)
+"""Steps, for each of the model's, of simulations that are told from a robot: what more of them
+leave of the error is in the floor."""
+# Share of what stands above the noise that may be left where recordings were simulated, and to
+# first order for a search to be worth its time.
+_LEFT, _FAR_LESS = 0.5, 0.25
+# Floors that are left where it may be the step's.
+_STANDS = 2.0
+_SMOOTH = frozenset({
+    "armature", "base_tilt", "command_delay", "controller_gain", "coulomb_friction", "encoder_bias",
+    "inertial_parameters", "joint_spring", "payload", "torque_constant", "viscous_friction",
+})  # fmt: skip
+"""Laws whose size alone says what they do, nearly in proportion."""
+
+
+def simulated_so(
+    given: Given, prepared: Prepared, trials: TrialSet, problems: list[Problem]
+) -> tuple[Given, Prepared, TrialSet]:
+    """The problem, stepped as the recordings were simulated, where they are the model's as it came.
+
+    Args:
+        given: the model.
+        prepared, trials: the problem as a robot would have it.
+        problems: gets the one that is left behind, if one is.
+    """
+    substeps = _substeps_of(prepared)
+    if not substeps:
+        return given, prepared, trials
+    problems.append(prepared.problem)
+    given = replace(given, substeps=substeps)
+    return given, *pose(given, trials, [])
+
+
+def stepped_otherwise(found: Searched, given: Given) -> Given | None:
+    """How a simulation may have made the recordings, by what is left once something was found; None
+    where none is seen.
+
+    Held against each other to first order around what was found: its values give way, and smooth
+    laws that any joint may have take what they can, whichever way the step's error is taken. Where
+    there is dry friction it may creep as well.
+
+    Args:
+        found: with the error of the step taken out.
+        given: the model, so stepped.
+    """
+    problem, best = found.prepared.problem, found.selected.best
+    noise = found.prepared.floor_parts[NOISE]
+    if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
+        return None
+    span = _Span(problem, best)
+    before = span.left(problem, noise)
+    if (before < STANDS_OUT**2).all():
+        return None
+    ways = {}
+    for creeps, stepped in _ways(problem, best.hypothesis, given).items():
+        for k in SUBSTEPS:
+            part = _with_part(stepped, 1.0 - 1.0 / k)
+            above = np.maximum(span.left(part, noise) - 1.0, 0.0).sum()
+            ways[creeps, k] = float(above)
+    creeps, substeps = min(ways, key=lambda way: ways[way])
+    if ways[creeps, substeps] <= _FAR_LESS * float(np.maximum(before - 1.0, 0.0).sum()):
+        return replace(given, creeps=creeps, substeps=substeps)
+    return replace(given, substeps=1) if _may_be_the_steps(found) else None
+
+
+def explains_more(stepped: Searched, found: Searched) -> bool:
+    """Whether a search with the error of a simulation's step left in explains the recordings, and
+    leaves far less than one without.
+    """
+    if stepped.verdict not in ("explained", "no_mismatch"):
+        return False
+    less = [e.after / max(found.errors[j].after, 1e-12) for j, e in stepped.errors.items()]
+    return max(less) <= 1.0 and min(less) <= _LEFT
+
+
+def simulated_in_words(prepared: Prepared) -> str:
+    """One line that says how the recordings are taken to have been made."""
+    step = 1e3 * prepared.problem.simulator.timestep
+    return (
+        f"the recordings are a simulation's, with a step of {step:g} ms: predictions have the "
+        "error of that step in them, which is taken out for a robot"
+    )
+
+
+def _substeps_of(prepared: Prepared) -> int:
+    """Steps for each of the model's with which the model as it came leaves noise alone; 0 where
+    none does, or without the step's error nothing more is left.
+    """
+    problem, noise = prepared.problem, prepared.floor_parts[NOISE]
+    if not _measured(problem, EMPTY):
+        return 0
+    before = _squares(problem, EMPTY, noise)
+    left = {k: _squares(_with_part(problem, 1.0 - 1.0 / k), EMPTY, noise) for k in SUBSTEPS}
+    best = min(left, key=lambda k: float(left[k].max()))
+    only_noise = bool((left[best] < STANDS_OUT**2).all())
+    above = [float(np.maximum(x - 1.0, 0.0).sum()) for x in (left[best], before)]
+    seen = bool((before > STANDS_OUT**2).any())
+    return best if only_noise and seen and above[0] <= _LEFT * above[1] else 0
+
+
+def _measured(problem: Problem, hypothesis: Hypothesis) -> bool:
+    """Measure the error of the model's step at a hypothesis; whether it is known everywhere."""
+    problem.refine_at(hypothesis)
+    known = len(problem.defect) == len(problem.simulator.segments)
+    return problem.refined is not None and known
+
+
+def _may_be_the_steps(found: Searched) -> bool:
+    """Whether some joint has left what stands out and is no more than the error of the step: of
+    first order around a name that is wrong, nothing is told.
+    """
+    problem = found.prepared.problem
+    rms = discretization(problem)
+    return bool(found.explained.findings) and any(
+        joint in found.errors
+        and _STANDS * found.errors[joint].floor < found.errors[joint].after < rms[j]
+        for j, joint in enumerate(problem.joints)
+    )
+
+
+def _with_part(problem: Problem, share: float) -> Problem:
+    """The same with a share of the step's error taken out."""
+    part = {
+        i: Predicted(share * e.position, share * e.velocity, share * e.effort)
+        for i, e in problem.defect.items()
+    }
+    return replace(problem, refined=None, defect=part)
+
+
+def _ways(problem: Problem, hypothesis: Hypothesis, given: Given) -> dict[bool, Problem]:
+    """Whether dry friction creeps -> the problem so stepped, the other way where there is some."""
+    ways = {given.creeps: problem}
+    if has_dry_friction(problem, hypothesis):
+        ways[not given.creeps] = otherwise(problem)
+    return ways
+
+
+def _squares(problem: Problem, hypothesis: Hypothesis, noise: FloatArray) -> FloatArray:
+    """(joints,) mean squares, in those of the noise, of what is left of the fitted positions."""
+    (left,) = problem.residuals([hypothesis], problem.fit)
+    squares: FloatArray = np.mean((left[:, : len(noise)] / noise) ** 2, axis=0)
+    return squares
+
+
+class _Span:
+    """What may take a residual away to first order around a fit: its own values, and smooth laws
+    that it lacks.
+    """
+
+    def __init__(self, problem: Problem, best: Rival) -> None:
+        self.hypothesis = best.hypothesis
+        self.bins = bins(problem, problem.fit)
+        columns = []
+        if best.fitted.jacobian.shape[2]:
+            columns.append(self.bins.mean(best.fitted.jacobian))
+        linear = linearized(problem, problem.fit, best.hypothesis)
+        if linear is not None:
+            by_effect: dict[str, list[Term]] = {}
+            for term in candidates(problem):
+                if term.effect in _SMOOTH and term not in best.hypothesis.terms:
+                    by_effect.setdefault(term.effect, []).append(term)
+            for terms in by_effect.values():
+                found = linear.at_sizes(terms, grid(terms[0])[:1])
+                columns += [response.change for response in found]
+        signals = (len(self.bins.counts), len(problem.signal_floor), 0)
+        self.columns = np.concatenate([np.zeros(signals), *columns], axis=2)
+
+    def left(self, problem: Problem, noise: FloatArray) -> FloatArray:
+        """(joints,) mean squares of means over bins, in those of the noise, of what it cannot take
+        away of the positions that are fitted.
+        """
+        joints = len(noise)
+        off = noise / np.sqrt(self.bins.counts.mean())
+        (residual,) = problem.residuals([self.hypothesis], problem.fit)
+        left = self.bins.mean(residual)[:, :joints] / off
+        along = (self.columns[:, :joints] / off[:, None]).reshape(left.size, -1)
+        # What differs in size by powers of ten is solved as well as what does not.
+        along = along / np.maximum(np.linalg.norm(along, axis=0), 1e-30)
+        moved = along @ np.linalg.lstsq(along, left.ravel(), rcond=None)[0]
+        squares: FloatArray = np.mean((left - moved.reshape(left.shape)) ** 2, axis=0)
+        return squares
