@@ -38,6 +38,9 @@ _UNSIGNED = 0.05
 # Times the noise, and share of the motion, by which a finer step may change a window of usual
 # length; samples that one of half that length has to have.
 _WILD, _WILD_SHARE, _FEWEST = 30.0, 0.002, 20
+STEP_LEFT_IN = 0.01
+"""Share of the step's error by which recordings are off that were simulated with that step: stamps
+fall between steps, and numbers end."""
 NOISE = "sensor noise and quantization"
 STEP = "discretization of the simulator"
 # Times that the floor and what is trusted are told by each other.
@@ -158,15 +161,14 @@ def prepare(
     noise = greatest_noise(segments, [s.position for s in segments], owner)
     segments = set_in_motion(segments, moving, joints, noise, threads=threads, fixed=fixed)
     simulator = RowSimulator(segments, joints, threads=threads, refine=substeps or 1, fixed=fixed)
-    refined: RowSimulator | None = None
-    if not substeps:
-        refined = RowSimulator(segments, joints, threads=threads, refine=REFINE, fixed=fixed)
+    finer = (substeps or 1) * REFINE
+    refined = RowSimulator(segments, joints, threads=threads, refine=finer, fixed=fixed)
     nominal = nominal_replay(simulator)
     effort_floor: FloatArray | None = None
     if _signed_efforts(segments, nominal):
         effort_floor = effort_noise(segments, nominal, owner)
     scales = joint_scales(simulator, nominal)
-    defect = {} if refined is None else step_errors(nominal, nominal_replay(refined))
+    defect = step_errors(nominal, nominal_replay(refined))
     allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
     changed = _rms([add.position for add in defect.values()], len(joints))
     if window in (None, WINDOW) and _too_wild(segments, changed, allowed):
@@ -182,7 +184,7 @@ def prepare(
         noise,
         scales,
         effort_floor,
-        refined=refined,
+        refined=None if substeps else refined,
     )
     problem.start_noise = noise
     if any(s.amid or s.mode != "position" for s in segments):
@@ -191,14 +193,16 @@ def prepare(
             return free_starts(segments, joints, noise, threads, hypothesis, scales, fixed)
 
         problem.free = free
-    problem.as_it_came(defect)
-    if segments[0].mode == "effort":
+    problem.as_it_came({} if substeps else defect)
+    if substeps:
+        problem.step_left = STEP_LEFT_IN
+    elif segments[0].mode == "effort":
         problem.step_left = _LEFT_OF_JUMPS
     elif simulator.models.contact.world.size:
         problem.step_left = _LEFT_OF_IMPACTS
     for _ in range(_PASSES if segments[0].mode == "effort" else 1):
         # How far a segment is trusted is told in floors, and the floor by what is trusted.
-        steps = discretization(problem)
+        steps = changed if substeps else discretization(problem)
         problem.floor = _floor(noise, problem, steps)
         if segments[0].mode == "effort":
             problem.trust = yielding_trust(problem)

@@ -27,8 +27,8 @@ from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import joint_inputs
 from pytest_twin.trial import Trial
 
-# The floor, rad or m, of a joint whose encoder says nothing.
-_UNSEEN = 1e6
+UNSEEN = 1e6
+"""The floor, rad or m, of a joint whose encoder says nothing."""
 # Share of the squared mismatch that may be left where a search explains what another does not.
 _MOSTLY = 0.1
 # Share that has to be left for names from windows to be sought over whole motions.
@@ -209,7 +209,7 @@ def pose(
             notes += _taken_for_granted(prepared, everything, given.beside, idle)
             for joint in {*trials.unseen, *idle}:
                 # So far off the floor nothing stands out of it, and no fit heeds it.
-                problem.floor[problem.joints.index(joint)] = _UNSEEN
+                problem.floor[problem.joints.index(joint)] = UNSEEN
             return prepared, trials
         for i in sorted(lost):
             notes.append(f"left out: {everything[i].path}: the model as it came diverges there")
@@ -297,7 +297,7 @@ def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[s
     inside = problem.in_test
     found = {}
     for j, joint in enumerate(problem.joints):
-        if problem.floor[j] >= _UNSEEN:
+        if problem.floor[j] >= UNSEEN:
             continue
         rms = [float(np.sqrt(np.mean(r[inside, j] ** 2))) for r in (before, after)]
         floor, unit = float(problem.floor[j]), joint_unit(problem, j)

@@ -19,10 +19,16 @@ from pytest_twin.diagnosis.first_order.responses import grid, linearized
 from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.prepare import NOISE, Prepared, discretization
+from pytest_twin.diagnosis.prepare import (
+    NOISE,
+    STEP,
+    STEP_LEFT_IN,
+    Prepared,
+    discretization,
+)
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Rival
-from pytest_twin.diagnosis.searched import Searched, pose
+from pytest_twin.diagnosis.searched import UNSEEN, Searched, pose
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 from pytest_twin.effects.segment import Predicted
@@ -35,6 +41,8 @@ leave of the error is in the floor."""
 _LEFT, _FAR_LESS = 0.5, 0.25
 # Floors that are left where it may be the step's.
 _STANDS = 2.0
+# rad or m, of what neither moves nor has noise.
+_LEAST = 1e-9
 _SMOOTH = frozenset({
     "armature", "base_tilt", "command_delay", "controller_gain", "coulomb_friction", "encoder_bias",
     "inertial_parameters", "joint_spring", "payload", "torque_constant", "viscous_friction",
@@ -73,13 +81,12 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
         given: the model, so stepped.
     """
     problem, best = found.prepared.problem, found.selected.best
-    noise = found.prepared.floor_parts[NOISE]
+    noise = _noise(found.prepared)
     if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
         return None
     span = _Span(problem, best)
     before = span.left(problem, noise)
-    if (before < STANDS_OUT**2).all():
-        return None
+    seen = bool((before > STANDS_OUT**2).any())
     ways = {}
     for creeps, stepped in _ways(problem, best.hypothesis, given).items():
         for k in SUBSTEPS:
@@ -87,7 +94,8 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
             above = np.maximum(span.left(part, noise) - 1.0, 0.0).sum()
             ways[creeps, k] = float(above)
     creeps, substeps = min(ways, key=lambda way: ways[way])
-    if ways[creeps, substeps] <= _FAR_LESS * float(np.maximum(before - 1.0, 0.0).sum()):
+    most = _FAR_LESS * float(np.maximum(before - 1.0, 0.0).sum())
+    if seen and ways[creeps, substeps] <= most:
         return replace(given, creeps=creeps, substeps=substeps)
     return replace(given, substeps=1) if _may_be_the_steps(found) else None
 
@@ -115,7 +123,7 @@ def _substeps_of(prepared: Prepared) -> int:
     """Steps for each of the model's with which the model as it came leaves noise alone; 0 where
     none does, or without the step's error nothing more is left.
     """
-    problem, noise = prepared.problem, prepared.floor_parts[NOISE]
+    problem, noise = prepared.problem, _noise(prepared)
     if not _measured(problem, EMPTY):
         return 0
     before = _squares(problem, EMPTY, noise)
@@ -125,6 +133,16 @@ def _substeps_of(prepared: Prepared) -> int:
     above = [float(np.maximum(x - 1.0, 0.0).sum()) for x in (left[best], before)]
     seen = bool((before > STANDS_OUT**2).any())
     return best if only_noise and seen and above[0] <= _LEFT * above[1] else 0
+
+
+def _noise(prepared: Prepared) -> FloatArray:
+    """(joints,) deviations, rad or m, of what is told from the error of the step: that of the
+    sensors and a little of the error itself; of an encoder that says nothing, its floor.
+    """
+    floor, parts = prepared.problem.floor, prepared.floor_parts
+    noise = np.hypot(parts[NOISE], STEP_LEFT_IN * parts[STEP])
+    known: FloatArray = np.where(floor >= UNSEEN, floor, np.maximum(noise, _LEAST))
+    return known
 
 
 def _measured(problem: Problem, hypothesis: Hypothesis) -> bool:
