@@ -81,6 +81,8 @@ class DiagnosisView:
         said: ``diagnosis.json``.
         joints: pictures, the worst mismatch first.
         floor_parts: source -> joint -> deviation in the joint's unit.
+        simulated: whether the error of the step is left in predictions.
+        step_left: share of that error that is in the floor.
         native: what the patched MJCF holds, one line each; ``beside``: what is stepped beside it.
         tried: how many effects at places competed.
         laws: effect -> its law and the law's source.
@@ -93,6 +95,8 @@ class DiagnosisView:
     said: Mapping[str, Any]
     joints: tuple[JointView, ...]
     floor_parts: Mapping[str, Mapping[str, float]]
+    simulated: bool
+    step_left: float
     native: tuple[str, ...]
     beside: tuple[str, ...]
     tried: int
@@ -126,6 +130,8 @@ def view_of(
             source: dict(zip(joints, map(float, values), strict=True))
             for source, values in found.prepared.floor_parts.items()
         },
+        simulated=patched.substeps > 0,
+        step_left=found.prepared.problem.step_left,
         native=tuple(f"{_at(e)}: {e.written}" for e in patched.effects if e.written),
         beside=tuple(_at(e) for e in patched.beside),
         tried=found.selected.tried,
