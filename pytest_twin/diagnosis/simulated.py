@@ -84,6 +84,8 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
     noise = _noise(found.prepared)
     if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
         return None
+    if (discretization(problem) < STANDS_OUT * noise).all():
+        return None
     span = _Span(problem, best)
     before = span.left(problem, noise)
     seen = bool((before > STANDS_OUT**2).any())
