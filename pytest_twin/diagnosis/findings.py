@@ -17,14 +17,16 @@ from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.restraint import Pruned, in_floors, joint_name, label
 from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.verdict import UNSEEN
 from pytest_twin.effects.base import Parameter
 from pytest_twin.trial import Trial
 
 # Without recordings to predict, no name is surer than this.
 _UNTESTED = 0.8
 _CORRELATED = 0.9
-# A name whose parameter stands at its physical bound is no surer than this.
-_BOUNDED = 0.5
+# A name whose parameter stands at its physical bound, or that is told by other joints alone, is no
+# surer than this.
+_DOUBTED = 0.5
 # s from the start of a window of an effort drive, in which what a name does is measured.
 _SOON = 0.25
 # A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
@@ -142,8 +144,14 @@ def explain(
             confidence = 0.0
         if not len(problem.held_out):
             confidence = min(confidence, _UNTESTED)
+        if term.joint >= 0 and problem.floor[term.joint] >= UNSEEN:
+            confidence = min(confidence, _DOUBTED)
+            pruned.notes.append(
+                f"{label(problem, term)}: its own encoder says nothing; what it is, and where it "
+                "starts, is told by what other joints feel of it alone"
+            )
         if hypothesis.at_bound(term) or problem.out_of_shape(hypothesis, term):
-            confidence = min(confidence, _BOUNDED)
+            confidence = min(confidence, _DOUBTED)
             pruned.notes.append(
                 f"{label(problem, term)}: a parameter stands at its physical bound; something "
                 "else may be at work"

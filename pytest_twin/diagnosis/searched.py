@@ -20,15 +20,13 @@ from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.seek import sought
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import JointError, Verdict, verdict
+from pytest_twin.diagnosis.verdict import UNSEEN, JointError, Verdict, verdict
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import joint_inputs
 from pytest_twin.trial import Trial
 
-UNSEEN = 1e6
-"""The floor, rad or m, of a joint whose encoder says nothing."""
 # Share of the squared mismatch that may be left where a search explains what another does not.
 _MOSTLY = 0.1
 # Share that has to be left for names from windows to be sought over whole motions.

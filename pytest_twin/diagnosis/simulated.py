@@ -28,9 +28,9 @@ from pytest_twin.diagnosis.prepare import (
 )
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Rival
-from pytest_twin.diagnosis.searched import UNSEEN, Searched, pose
+from pytest_twin.diagnosis.searched import Searched, pose
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.diagnosis.verdict import STANDS_OUT, UNSEEN
 from pytest_twin.effects.segment import Predicted
 
 SUBSTEPS = (1, 2, 4, 5)

@@ -17,6 +17,8 @@ AT_FLOOR = 3.0
 joint's micro-slip and a simulator's contact law leave a few of it."""
 STANDS_OUT = 1.5
 """A signal up to this many floors holds nothing that could be named."""
+UNSEEN = 1e6
+"""The floor, rad or m, of a joint whose encoder says nothing."""
 LEFT = 0.02
 """Share of the squared mismatch that may be left and still count as explained, ..."""
 LEFT_FLOORS = 10.0

@@ -1,0 +1,55 @@
+"""What is named at a joint whose encoder is stuck is doubted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from test_simulated import ARM, HIDDEN, STEP, recorded
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+
+NAMES = ("shoulder", "elbow")
+
+
+def with_stuck_elbow(path: Path, role: str) -> Path:
+    """The same recording from an elbow that reads one angle."""
+    series = read_recording(path).series
+    state, command = series["state"], series["command"]
+    assert state.position is not None
+    assert command.position is not None
+    stuck = np.stack([state.position[:, 0], np.full(len(state.stamp), 0.1)], axis=1)
+    out = path.with_name(f"stuck_{path.name}")
+    write_recording(
+        out,
+        [
+            JointSeries("/joint_states", NAMES, state.stamp, state.stamp, stuck, None, None),
+            JointSeries("/joint_commands", NAMES, command.stamp, command.stamp, command.position,
+                        None, None),
+        ],
+        {"role": role},
+    )  # fmt: skip
+    return out
+
+
+def test_what_other_joints_feel_alone_is_no_sure_name(tmp_path: Path) -> None:
+    (tmp_path / "model.xml").write_text(ARM.format(step=STEP, damping=0.3))
+    loaded = load_model(tmp_path / "model.xml")
+    files = [
+        with_stuck_elbow(recorded(tmp_path, k, role, substeps=20, damping=0.3 + HIDDEN), role)
+        for k, role in ((1, "fit"), (2, "held_out"))
+    ]
+    trials = read_trials(files, (), loaded.topics, loaded.realization.structure)
+    found = diagnose(loaded.realization, trials, threads=1)
+    assert set(found.errors) == {"shoulder"}
+    there = [f for f in found.explained.findings if f.joint == "elbow"]
+    assert there
+    assert all(f.confidence <= 0.5 for f in there)
+    said = [n for n in found.notes if "its own encoder says nothing" in n]
+    assert len(said) == len(there)
+    elsewhere = [f for f in found.explained.findings if f.joint != "elbow"]
+    assert not any("shoulder" in n for n in said)
+    assert all(f.joint in ("shoulder", None) for f in elsewhere)
