@@ -13,6 +13,26 @@ _STANDS, _OF_IT = 2.0, 3.0
 """Floors that are left, and times as much that the step's own error has to be."""
 
 
+def off_by_the_step(
+    problem: Problem, errors: Mapping[str, JointError], times: float
+) -> dict[str, float]:
+    """Joint -> root mean square of the step's own error, rad or m, where more than the floor is
+    left and that error is more than so many times what is.
+
+    Args:
+        problem: refined at what explains it.
+        errors: of each joint that was tested.
+        times: how much more.
+    """
+    return {
+        joint: float(rms)
+        for joint, rms in zip(problem.joints, discretization(problem), strict=True)
+        if joint in errors
+        and errors[joint].after > _STANDS * errors[joint].floor
+        and rms > times * errors[joint].after
+    }
+
+
 def coarse_step(
     problem: Problem, hypothesis: Hypothesis, errors: Mapping[str, JointError]
 ) -> list[str]:
@@ -30,14 +50,10 @@ def coarse_step(
     if not hypothesis.terms:
         return []
     problem.refine_at(hypothesis)
-    rms = discretization(problem)
     step = 1e3 * problem.simulator.timestep
     return [
         f"joint {joint!r}: with what was found the simulator's step of {step:g} ms is itself "
-        f"{rms[j]:.2g} {errors[joint].unit} off, {rms[j] / errors[joint].after:.0f} times what is "
+        f"{rms:.2g} {errors[joint].unit} off, {rms / errors[joint].after:.0f} times what is "
         "left: that, and sizes, may be the step's; a smaller timestep of the model says more"
-        for j, joint in enumerate(problem.joints)
-        if joint in errors
-        and errors[joint].after > _STANDS * errors[joint].floor
-        and rms[j] > _OF_IT * errors[joint].after
+        for joint, rms in off_by_the_step(problem, errors, _OF_IT).items()
     ]

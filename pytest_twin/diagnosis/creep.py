@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import Searched, concluded, left_everywhere, pose
 from pytest_twin.diagnosis.trials import TrialSet
@@ -67,15 +68,15 @@ def found_so(
         return given, found
     if not _leaves_less(before, _left_otherwise(before, start), found.after, _UNFITTED):
         return given, found
-    otherwise = replace(given, creeps=not given.creeps)
-    prepared, trials = pose(otherwise, found.trials, [])
+    stepped = replace(given, creeps=not given.creeps)
+    prepared, trials = pose(stepped, found.trials, [])
     problems.append(prepared.problem)
     selection = Selection(prepared.problem, say)
     contest = selection.contest
     rival = contest.settled(contest.as_it_is(start)) if start.terms else contest.nominal
     if not _leaves_less(before, left_everywhere(prepared.problem, rival.hypothesis), found.after):
         return given, found
-    return otherwise, concluded(prepared, trials, selection, selection.run(rival))
+    return stepped, concluded(prepared, trials, selection, selection.run(rival))
 
 
 def has_dry_friction(problem: Problem, hypothesis: Hypothesis) -> bool:
@@ -103,8 +104,7 @@ def _left_otherwise(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
 
 def _squares(problem: Problem, left: FloatArray) -> FloatArray:
     """(joints,) mean squares, in floors, of the positions of (samples, signals) residuals."""
-    squares: FloatArray = np.mean((left[:, : len(problem.joints)] / problem.floor) ** 2, axis=0)
-    return squares
+    return in_floors(left[:, : len(problem.joints)], problem.floor) ** 2
 
 
 def _greatest(problem: Problem, left: FloatArray) -> float:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.coarse_step import off_by_the_step
 from pytest_twin.diagnosis.creep import has_dry_friction, otherwise
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.responses import grid, linearized
@@ -27,6 +28,7 @@ from pytest_twin.diagnosis.prepare import (
     discretization,
 )
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.searched import Searched, pose
 from pytest_twin.diagnosis.trials import TrialSet
@@ -39,8 +41,6 @@ leave of the error is in the floor."""
 # Share of what stands above the noise that may be left where recordings were simulated, and to
 # first order for a search to be worth its time.
 _LEFT, _FAR_LESS = 0.5, 0.25
-# Floors that are left where it may be the step's.
-_STANDS = 2.0
 # rad or m, of what neither moves nor has noise.
 _LEAST = 1e-9
 _SMOOTH = frozenset({
@@ -99,7 +99,10 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
     most = _FAR_LESS * float(np.maximum(before - 1.0, 0.0).sum())
     if seen and ways[creeps, substeps] <= most:
         return replace(given, creeps=creeps, substeps=substeps)
-    return replace(given, substeps=1) if _may_be_the_steps(found) else None
+    # Of first order around a name that is wrong nothing is told: what is left may be the step's.
+    named = found.explained.findings
+    may_be = named and off_by_the_step(problem, found.errors, 1.0)
+    return replace(given, substeps=1) if may_be else None
 
 
 def explains_more(stepped: Searched, found: Searched) -> bool:
@@ -154,19 +157,6 @@ def _measured(problem: Problem, hypothesis: Hypothesis) -> bool:
     return problem.refined is not None and known
 
 
-def _may_be_the_steps(found: Searched) -> bool:
-    """Whether some joint has left what stands out and is no more than the error of the step: of
-    first order around a name that is wrong, nothing is told.
-    """
-    problem = found.prepared.problem
-    rms = discretization(problem)
-    return bool(found.explained.findings) and any(
-        joint in found.errors
-        and _STANDS * found.errors[joint].floor < found.errors[joint].after < rms[j]
-        for j, joint in enumerate(problem.joints)
-    )
-
-
 def _with_part(problem: Problem, share: float) -> Problem:
     """The same with a share of the step's error taken out."""
     part = {
@@ -187,8 +177,7 @@ def _ways(problem: Problem, hypothesis: Hypothesis, given: Given) -> dict[bool, 
 def _squares(problem: Problem, hypothesis: Hypothesis, noise: FloatArray) -> FloatArray:
     """(joints,) mean squares, in those of the noise, of what is left of the fitted positions."""
     (left,) = problem.residuals([hypothesis], problem.fit)
-    squares: FloatArray = np.mean((left[:, : len(noise)] / noise) ** 2, axis=0)
-    return squares
+    return in_floors(left[:, : len(noise)], noise) ** 2
 
 
 class _Span:
@@ -226,5 +215,4 @@ class _Span:
         # What differs in size by powers of ten is solved as well as what does not.
         along = along / np.maximum(np.linalg.norm(along, axis=0), 1e-30)
         moved = along @ np.linalg.lstsq(along, left.ravel(), rcond=None)[0]
-        squares: FloatArray = np.mean((left - moved.reshape(left.shape)) ** 2, axis=0)
-        return squares
+        return in_floors(left - moved.reshape(left.shape), np.ones(joints)) ** 2

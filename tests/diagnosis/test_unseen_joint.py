@@ -50,6 +50,4 @@ def test_what_other_joints_feel_alone_is_no_sure_name(tmp_path: Path) -> None:
     assert all(f.confidence <= 0.5 for f in there)
     said = [n for n in found.notes if "its own encoder says nothing" in n]
     assert len(said) == len(there)
-    elsewhere = [f for f in found.explained.findings if f.joint != "elbow"]
     assert not any("shoulder" in n for n in said)
-    assert all(f.joint in ("shoulder", None) for f in elsewhere)
