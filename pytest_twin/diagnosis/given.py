@@ -39,12 +39,14 @@ class Given:
 
     @classmethod
     def of(cls, realization: Realization, inherited: Patched | None, threads: int = 0) -> Given:
-        """A realization as it came, by an earlier diagnosis or not."""
+        """A realization as it came, by an earlier diagnosis or not.
+
+        Whether a simulation made the recordings is not the model's: it is asked of each set anew.
+        """
         coldness = {} if inherited is None else inherited.coldness
         creeps = inherited is not None and inherited.creeps
-        substeps = 0 if inherited is None else inherited.substeps
         beside = stepped_beside(realization, inherited)
-        return cls(without_delays(realization), beside, coldness, creeps, substeps, threads)
+        return cls(without_delays(realization), beside, coldness, creeps, threads=threads)
 
     def prepared(
         self,

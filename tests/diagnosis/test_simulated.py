@@ -113,6 +113,15 @@ def test_what_is_hidden_is_found_to_the_noise_of_the_simulation(tmp_path: Path) 
     off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
     assert (off < 1.2 * NOISE).all()
 
+    # What was found on a simulation's recordings is held against a robot's as a robot's.
+    for substeps, simulated in ((1, True), (40, False)):
+        other = tmp_path / str(substeps)
+        other.mkdir()
+        _, trials = posed(other, substeps, HIDDEN)
+        found = diagnose(again.realization, trials, inherited=again.patched, threads=1)
+        assert found.verdict == "no_mismatch"
+        assert said_so(found) is simulated
+
     effects = folder / "realization/effects.json"
     kept = json.loads(effects.read_text())
     for wrong in (-1, 1000, "one", True):
