@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.search.exchange import (
 from pytest_twin.diagnosis.search.fewer import in_other_forms
 from pytest_twin.diagnosis.search.look import look_around
 from pytest_twin.diagnosis.search.rivals import Rival, Selected, quieter
-from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.search.select import Selection, _alike
 
 MASS, BODY = Term("payload", ROBOT), Term("inertial_parameters", ELBOW)
 SPRING, REFLECTED = Term("joint_spring", ELBOW), Term("armature", ELBOW)
@@ -195,6 +195,33 @@ def test_what_is_right_in_a_place_is_a_rival_though_it_is_better_beside_it_too()
     assert selection._sideways(selected)
     assert selected.best.hypothesis.terms == (DRY,)
     assert selected.confidence[DRAG] < 1e-3
+
+
+def test_two_that_are_each_taken_for_the_other_are_as_likely(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What is better in a place, and is turned back to what stood there, is neither more nor less:
+    the search ends there.
+    """
+    problem = problem_of("position", {DRAG: BRAKED[DRAG]})
+    said: list[str] = []
+    selection = Selection(problem, said.append)
+    drag = Term("quadratic_drag", DRAG.joint)
+    best = settled(selection.contest, drag)
+    selected = Selected(best, selection.contest.nominal)
+    monkeypatch.setattr(Selection, "_backward", lambda self, rival: best)
+    assert not selection._sideways(selected)
+    assert selected.best is best
+    shares = {t.effect: share for t, share in selected.alternatives[drag]}
+    (better,) = [effect for effect in shares if said[-1].startswith(f"~ {effect}")]
+    assert shares[better] == pytest.approx(selected.confidence[drag], rel=1e-9)
+    # Another form of the same law is not the same.
+    of_rate, of_effort = (
+        Hypothesis((Term("rate_limit", SHOULDER),), np.array([1.0, 1.0, choice]))
+        for choice in (0.0, 1.0)
+    )
+    assert _alike(of_rate, of_rate.with_theta(0.5 * of_rate.theta))
+    assert not _alike(of_rate, of_effort)
 
 
 def test_what_was_simulated_without_a_name_counts_in_its_place() -> None:

@@ -25,6 +25,7 @@ from pytest_twin.diagnosis.search.restraint import (
     _less_than_none,
     _misshapen,
     _perhaps_absent,
+    _slight,
     _stretched,
     _Tested,
     _too_little,
@@ -492,3 +493,27 @@ def test_a_slight_name_beside_a_strong_one_is_none(tmp_path: Path, lag: float, s
     assert pruned.fitted.hypothesis.terms == (terms if stays else terms[:1])
     idle = "actuator_lag at left takes too little of what is left without it; it is not claimed"
     assert pruned.notes == ([] if stays else [idle])
+
+
+@pytest.mark.parametrize(
+    ("without", "stays"),
+    [
+        pytest.param(21.0, True, id="most of what its own joint has to explain"),
+        pytest.param(2.0, False, id="little of it"),
+    ],
+)
+def test_a_small_mismatch_at_one_joint_is_not_slight_for_a_large_one_at_another(
+    tmp_path: Path, without: float, stays: bool
+) -> None:
+    """Twenty floors of one arm's inertia beside nine hundred of the other's drive are no chance,
+    though a link's inertia would say the same as a rotor's.
+    """
+    prepared, _ = bench(tmp_path, viscous=0.6)
+    problem, term = prepared.problem, Term("armature", 1)
+    found = chosen(prepared, term, 0.5, fitted=False).best.fitted
+    before, base, rest = (
+        np.array(floors) for floors in ([900.0, 19.0], [1.0, 1.0], [1.0, without])
+    )
+    weights = 1.0 / problem.signal_floor
+    tested = _Tested(problem, found, {term: 0.5}, before, base, [found], [rest], weights)
+    assert bool(_slight(tested)) is not stays

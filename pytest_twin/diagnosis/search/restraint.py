@@ -259,11 +259,14 @@ def _idle(tested: _Tested) -> _Gone:
 
 
 def _slight(tested: _Tested) -> _Gone:
-    """A term that hardly matters and that others could replace."""
+    """A term that hardly matters and that others could replace; not where it is most of what is to
+    be explained at its own joint, beside another that is far more at another.
+    """
     whole = float(np.sum(tested.before**2))
     for k, t in enumerate(tested.terms):
         taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
-        if tested.chance(t) < _UNSURE and taken < _SLIGHT * whole:
+        slight = taken < _SLIGHT * whole and not _needed(tested, k)
+        if slight and tested.chance(t) < _UNSURE:
             return {
                 k: f"{tested.label(k)} would take less than {100 * _SLIGHT:g} % of the squared "
                 "mismatch, and others could in its place; it is not claimed"
@@ -425,14 +428,20 @@ def _without_each(
 def _in_doubt(tested: _Tested, k: int) -> bool:
     """Whether a term is perhaps absent.
 
-    Not where without it so much more is left where it acts, refitted, that something like it is
-    there, however wide its interval: that is what small deviations say.
+    Not where it is needed there, however wide its interval: that is what small deviations say.
+    """
+    if _needed(tested, k):
+        return False
+    return _perhaps_absent(tested.fitted, tested.terms[k], tested.known, _DOUBTED)
+
+
+def _needed(tested: _Tested, k: int) -> bool:
+    """Whether without a term so much more is left where it acts, refitted, that something like it
+    is there.
     """
     columns = _columns(tested.problem, tested.terms[k])
     more = tested.levels[k][columns] ** 2 - tested.base[columns] ** 2
-    if (more > _NEEDED * tested.before[columns] ** 2).any():
-        return False
-    return _perhaps_absent(tested.fitted, tested.terms[k], tested.known, _DOUBTED)
+    return bool((more > _NEEDED * tested.before[columns] ** 2).any())
 
 
 def _columns(problem: Problem, term: Term) -> slice:

@@ -449,7 +449,17 @@ class Selection:
         if top is None:
             return False
         self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
-        selected.best = self._backward(self.contest.settled(top))
+        back = self._backward(self.contest.settled(top))
+        if _alike(back.hypothesis, best.hypothesis):
+            # Each is taken for the other: nobody knows which it is.
+            stood = set(best.hypothesis.terms) - set(top.hypothesis.terms)
+            came = set(top.hypothesis.terms) - set(best.hypothesis.terms)
+            selected.weigh({
+                (gone, new): min(e, 0.0) if new in came and set(gone) <= stood else e
+                for (gone, new), e in evidence.items()
+            })  # fmt: skip
+            return False
+        selected.best = back
         return True
 
     def _weighed(
@@ -490,6 +500,12 @@ class Selection:
         rivals = self.contest.rivals([x.hypothesis for x in bare], self.contest.weights(best), 0)
         self.contest.judge(rivals, best)
         return {x.gone: max(-r.evidence, 0.0) for x, r in zip(bare, rivals, strict=True)}
+
+
+def _alike(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two have the same terms in the same forms."""
+    same = set(one.terms) == set(other.terms)
+    return same and all(_as_it_is(t, one, other) for t in one.terms)
 
 
 def _as_it_is(term: Term, own: Hypothesis, other: Hypothesis) -> bool:
