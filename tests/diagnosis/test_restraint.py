@@ -496,14 +496,15 @@ def test_a_slight_name_beside_a_strong_one_is_none(tmp_path: Path, lag: float, s
 
 
 @pytest.mark.parametrize(
-    ("without", "stays"),
+    ("own", "without", "stays"),
     [
-        pytest.param(21.0, True, id="most of what its own joint has to explain"),
-        pytest.param(2.0, False, id="little of it"),
+        pytest.param(19.0, 21.0, True, id="all that its own joint has to explain"),
+        pytest.param(19.0, 4.0, False, id="little of it"),
+        pytest.param(2.5, 2.5, False, id="all of next to nothing"),
     ],
 )
 def test_a_small_mismatch_at_one_joint_is_not_slight_for_a_large_one_at_another(
-    tmp_path: Path, without: float, stays: bool
+    tmp_path: Path, own: float, without: float, stays: bool
 ) -> None:
     """Twenty floors of one arm's inertia beside nine hundred of the other's drive are no chance,
     though a link's inertia would say the same as a rotor's.
@@ -511,9 +512,10 @@ def test_a_small_mismatch_at_one_joint_is_not_slight_for_a_large_one_at_another(
     prepared, _ = bench(tmp_path, viscous=0.6)
     problem, term = prepared.problem, Term("armature", 1)
     found = chosen(prepared, term, 0.5, fitted=False).best.fitted
-    before, base, rest = (
-        np.array(floors) for floors in ([900.0, 19.0], [1.0, 1.0], [1.0, without])
+    floors = (
+        np.array([first, second]) for first, second in ((900.0, own), (1.0, 1.0), (1.0, without))
     )
+    before, base, rest = floors
     weights = 1.0 / problem.signal_floor
     tested = _Tested(problem, found, {term: 0.5}, before, base, [found], [rest], weights)
     assert bool(_slight(tested)) is not stays

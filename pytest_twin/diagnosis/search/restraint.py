@@ -259,13 +259,14 @@ def _idle(tested: _Tested) -> _Gone:
 
 
 def _slight(tested: _Tested) -> _Gone:
-    """A term that hardly matters and that others could replace; not where it is most of what is to
-    be explained at its own joint, beside another that is far more at another.
+    """A term that hardly matters and that others could replace; not where its own joint would stay
+    unexplained without it, beside one that is far more at another.
     """
     whole = float(np.sum(tested.before**2))
     for k, t in enumerate(tested.terms):
         taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
-        slight = taken < _SLIGHT * whole and not _needed(tested, k)
+        left = float(tested.levels[k][_columns(tested.problem, t)].max())
+        slight = taken < _SLIGHT * whole and not (_needed(tested, k) and left > AT_FLOOR)
         if slight and tested.chance(t) < _UNSURE:
             return {
                 k: f"{tested.label(k)} would take less than {100 * _SLIGHT:g} % of the squared "
