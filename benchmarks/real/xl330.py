@@ -171,10 +171,11 @@ def fit_structure(problem: Problem, generations: int, seed: int) -> Hypothesis:
 
     # Leaps of a joint that sticks or slips make valleys: the deepest of several stands.
     searches = [strategy_of(cost, free_parameters(), seed + k) for k in range(STARTS)]
+    race = min(IN_RACE, generations)
     for each in searches:
-        evolve(each, cost, IN_RACE)
+        evolve(each, cost, race)
     deepest = min(searches, key=lambda each: float(each.best.f))
-    evolve(deepest, cost, generations - IN_RACE)
+    evolve(deepest, cost, generations - race)
     return structure(problem, np.asarray(deepest.best.x))
 
 
