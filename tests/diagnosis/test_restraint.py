@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -67,12 +67,21 @@ def chosen(prepared: Prepared, term: Term, start: float, *, fitted: bool = True)
     return Selected(best, rival(EMPTY, 0), confidence={term: 1.0})
 
 
+def of_floors(
+    problem: Problem,
+    fitted: Fitted,
+    *floors: Sequence[float],
+    confidence: Mapping[Term, float] | None = None,
+) -> _Tested:
+    """A fit of one term by the floors of each joint: as the model came, with it and without."""
+    before, base, rest = (np.array(each) for each in floors)
+    weights = 1.0 / problem.signal_floor
+    return _Tested(problem, fitted, confidence or {}, before, base, [fitted], [rest], weights)
+
+
 def of_one_term(problem: Problem, fitted: Fitted, left: float, without: float) -> _Tested:
     """A fit by the floors that the first joint keeps of a hundred, with its term and without."""
-    levels = (np.array([floors, 1.0]) for floors in (100.0, left, without))
-    whole, base, rest = levels
-    weights = 1.0 / problem.signal_floor
-    return _Tested(problem, fitted, {}, whole, base, [fitted], [rest], weights)
+    return of_floors(problem, fitted, (100.0, 1.0), (left, 1.0), (without, 1.0))
 
 
 def with_sizes(problem: Problem, terms: Sequence[Term], sizes: Sequence[float]) -> Hypothesis:
@@ -466,10 +475,7 @@ def test_recordings_that_hardly_show_it_do_not_judge_it(
     prepared, _ = bench(tmp_path, viscous=0.6)
     problem, term = prepared.problem, Term("viscous_friction", 0)
     found = chosen(prepared, term, 0.5).best.fitted
-    floors = (np.array([level, 1.0]) for level in (before, after, before))
-    whole, base, rest = floors
-    weights = 1.0 / problem.signal_floor
-    tested = _Tested(problem, found, {}, whole, base, [found], [rest], weights)
+    tested = of_floors(problem, found, *((level, 1.0) for level in (before, after, before)))
     assert bool(_far_from_explained(tested)) is not stays
 
 
@@ -512,10 +518,6 @@ def test_a_small_mismatch_at_one_joint_is_not_slight_for_a_large_one_at_another(
     prepared, _ = bench(tmp_path, viscous=0.6)
     problem, term = prepared.problem, Term("armature", 1)
     found = chosen(prepared, term, 0.5, fitted=False).best.fitted
-    floors = (
-        np.array([first, second]) for first, second in ((900.0, own), (1.0, 1.0), (1.0, without))
-    )
-    before, base, rest = floors
-    weights = 1.0 / problem.signal_floor
-    tested = _Tested(problem, found, {term: 0.5}, before, base, [found], [rest], weights)
+    floors = ((900.0, own), (1.0, 1.0), (1.0, without))
+    tested = of_floors(problem, found, *floors, confidence={term: 0.5})
     assert bool(_slight(tested)) is not stays
