@@ -28,6 +28,7 @@ from pytest_twin.diagnosis.searched import (
     from_start,
     pose,
     search,
+    with_drive_of,
 )
 from pytest_twin.diagnosis.simulated import (
     explains_more,
@@ -57,6 +58,12 @@ _IN_WINDOWS = (
 _NAMED_IN_WINDOWS = (
     f"named in windows of {WINDOW:g} s that start from what was measured, fitted over whole "
     "recordings: where a joint sticks and slips, whole motions tell fewer names apart"
+)
+
+_AS_A_DRIVE = (
+    "named as a drive: all that every motor behind a gear has was fitted at once, for where a "
+    "joint sticks and slips none of it stands out alone; what else could stand in the place of one "
+    "of these names was not asked"
 )
 
 
@@ -246,7 +253,13 @@ def _sought(
         if contact.world.size:
             # What acts in the air is known from there.
             near[0].problem.family = _CONTACT
-        found = _windowed(found, *near, clear, say, notes)
+
+        def longer() -> Prepared:
+            cut, _ = pose(given, trials, [], window=_half_of(trials))
+            problems.append(cut.problem)
+            return cut
+
+        found = _windowed(found, *near, clear, say, notes, longer)
     return _Sought(given, found, near, tuple(notes))
 
 
@@ -297,6 +310,7 @@ def _windowed(
     clear: Hypothesis,
     say: Callable[[str], None],
     notes: list[str],
+    longer: Callable[[], Prepared],
 ) -> Searched:
     """What explains most: whole motions, windows of them, or whole motions by what windows found.
 
@@ -306,6 +320,7 @@ def _windowed(
         clear: what was found far from what the robot meets.
         say: told what is considered.
         notes: gets how it was named.
+        longer: poses the problem in windows that are longer.
     """
     other = confirmed(cut, kept, found, say)
     if other is None:
@@ -316,11 +331,21 @@ def _windowed(
         notes.append(_IN_WINDOWS)
         return replace(other, explained=by_whole_motions(other.explained, found.prepared.problem))
     if other.beside(found):
+        if found.slips:
+            whole = with_drive_of(found, other, longer())
+            if whole.leaves_less(found):
+                notes.append(_AS_A_DRIVE)
+                return whole
         whole = carried(found, other)
         if whole.leaves_less(found):
             notes.append(_NAMED_IN_WINDOWS)
             return whole
     return found
+
+
+def _half_of(trials: TrialSet) -> float:
+    """Half of the longest recording that is fitted, s."""
+    return 0.5 * max(float(t.time[-1] - t.time[0]) for t in trials.fit)
 
 
 def _left_out_joints(

@@ -15,12 +15,19 @@ from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.drive import together, unweighed, with_drive
 from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
 from pytest_twin.diagnosis.search.rivals import Selected
-from pytest_twin.diagnosis.search.seek import sought
+from pytest_twin.diagnosis.search.seek import first_steps, sought
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import UNSEEN, JointError, Verdict, verdict
+from pytest_twin.diagnosis.verdict import (
+    LEFT_FLOORS,
+    UNSEEN,
+    JointError,
+    Verdict,
+    verdict,
+)
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
@@ -58,6 +65,23 @@ class Searched:
     def worst(self) -> float:
         """Share of the squared mismatch that is left at the joint that keeps most."""
         return max((e.fraction for e in self.errors.values() if not e.explained), default=0.0)
+
+    @property
+    def keeps_most(self) -> int:
+        """Column of the joint that keeps most, in floors."""
+        joints = self.prepared.problem.joints
+        levels = {j: e.after / e.floor for j, e in self.errors.items()}
+        return joints.index(max(levels, key=lambda joint: levels[joint]))
+
+    @property
+    def slips(self) -> bool:
+        """Whether the joint that keeps most rubs, by what was found, and keeps a lot."""
+        joint = self.keeps_most
+        error = self.errors[self.prepared.problem.joints[joint]]
+        rubs = any(
+            t.joint == joint and t.law.family == "friction" for t in self.explained.hypothesis.terms
+        )
+        return rubs and error.after > LEFT_FLOORS * error.floor
 
     @property
     def astray(self) -> bool:
@@ -157,12 +181,44 @@ def carried(found: Searched, other: Searched) -> Searched:
     start, mine = named.best.hypothesis, found.selected.best.hypothesis
     both = start.with_values_of(mine)
     problem.refine_at(start)
-    end = sought(problem, [start, both], contest.weights(contest.nominal))
+    steps = first_steps(named.best.fitted, other.prepared.problem.signal_floor)
+    end = sought(problem, [start, both], contest.weights(contest.nominal), steps)
     best = contest.as_it_is(end, slopes=True)
     selected = Selected(
         best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
     )
     return _searched(found.prepared, found.trials, selected, as_named(problem, best.fitted))
+
+
+def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searched:
+    """What both searches named and all that every drive has, at the joint that keeps most, fitted
+    in windows, then in longer ones, then over the whole motions of the first.
+
+    A fit that starts over whole motions from what short windows say ends in any of their valleys;
+    where it comes from longer windows they lead it to the deepest.
+
+    Args:
+        found: by whole motions.
+        other: in windows.
+        longer: the problem in windows that are longer.
+    """
+    joint, short, whole = found.keeps_most, Contest(other.prepared.problem), found.prepared.problem
+    mine, others = (s.explained.hypothesis for s in (found, other))
+    both = others.without(*(t for t in others.terms if t not in mine.terms))
+    for term in mine.terms:
+        if term.joint != joint and term not in both.terms:
+            both = both.with_term_of(mine, term)
+    start = together(short, with_drive(short.problem, both, joint))
+    steps = first_steps(start.fitted, short.problem.signal_floor)
+    named = unweighed(short, start)
+    end, contest = start.hypothesis, short
+    for problem in (longer.problem, whole):
+        contest = Contest(problem)
+        problem.refine_at(end)
+        end = sought(problem, [end], contest.weights(contest.nominal), steps)
+    best = contest.as_it_is(end, slopes=True)
+    selected = replace(named, best=best, nominal=contest.nominal)
+    return _searched(found.prepared, found.trials, selected, as_named(whole, best.fitted))
 
 
 def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:

@@ -180,6 +180,7 @@ class TorqueConstant(Effect):
 
     id = "torque_constant"
     family = "actuation"
+    of_every_drive = True
     law = "delivered = (1 + relative_error) drive"
     source = "Nm per A; Siciliano et al., Robotics (2009), sec. 5.2"
     parameters = (Parameter("relative_error", "one", 0.0, -0.8, 1.5, (0.1,)),)

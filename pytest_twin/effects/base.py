@@ -286,6 +286,7 @@ class Effect:
         reads_drive: whether ``friction`` reads what the drive delivers.
         of_position: whether its effort follows from the joint's position and nothing else.
         over_the_turn: whether it is dry friction whose level varies with the joint's position.
+        of_every_drive: whether every motor behind a gear has it, more or less.
     """
 
     id: ClassVar[str]
@@ -304,6 +305,7 @@ class Effect:
     reads_drive: ClassVar[bool] = False
     of_position: ClassVar[bool] = False
     over_the_turn: ClassVar[bool] = False
+    of_every_drive: ClassVar[bool] = False
 
     @property
     def path(self) -> str:

@@ -40,6 +40,7 @@ class ViscousFriction(Effect):
 
     id = "viscous_friction"
     family = "friction"
+    of_every_drive = True
     law = "effort = -coefficient v"
     source = _SURVEY
     parameters = (Parameter("coefficient", "damping", 0.0, -5.0, 50.0, (0.2,), "damping"),)
@@ -59,6 +60,7 @@ class CoulombFriction(Effect):
 
     id = "coulomb_friction"
     family = "friction"
+    of_every_drive = True
     law = "|effort| <= level; effort = -level sign(v) in motion"
     source = _SURVEY
     parameters = (Parameter("coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort"),)
@@ -133,6 +135,7 @@ class LoadDependentFriction(Effect):
 
     id = "load_dependent_friction"
     family = "friction"
+    of_every_drive = True
     law = (
         "level = coefficient |load|, load: gravity, Coriolis and centrifugal effort; with of_drive "
         "1: level = coefficient |delivered|"

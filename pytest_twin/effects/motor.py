@@ -25,6 +25,7 @@ class TorqueRolloff(Effect):
 
     id = "torque_rolloff"
     family = "actuation"
+    of_every_drive = True
     law = (
         "ideal = drive - back_emf v; effort of the motor = ideal / (1 + |ideal| / knee); of the "
         "model's passive damping, back_emf v is in it"
@@ -111,6 +112,7 @@ class MotorLoadFriction(Effect):
 
     id = "motor_load_friction"
     family = "friction"
+    of_every_drive = True
     law = "level = (coefficient + stiction_excess exp(-|v| / stribeck_velocity)) |delivered|"
     source = (
         "Duclos et al., arXiv:2410.08650 (friction by motor and by external torque); fall with "

@@ -105,6 +105,7 @@ class Armature(Effect):
 
     id = "armature"
     family = "rigid_body"
+    of_every_drive = True
     law = "effort = -armature dv/dt; armature = rotor inertia times ratio squared"
     source = "Siciliano et al., Robotics (2009), sec. 7.2"
     parameters = (Parameter("inertia", "inertia", 0.0, -0.95, 20.0, (0.1,), "inertia"),)

@@ -15,6 +15,7 @@ class EncoderBias(Effect):
 
     id = "encoder_bias"
     family = "sensing"
+    of_every_drive = True
     law = "measured = position + bias; the servo regulates position + in_loop bias, in_loop 0 or 1"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (

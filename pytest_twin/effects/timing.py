@@ -18,6 +18,7 @@ class CommandDelay(Effect):
 
     id = "command_delay"
     family = "timing"
+    of_every_drive = True
     law = "setpoint(t) = command(t - delay)"
     source = "transport delay, e.g. Franklin, Powell, Emami-Naeini, Feedback Control, ch. 5"
     parameters = (Parameter("delay", "time", 0.0, 0.0, 0.3, (0.005, 0.015, 0.03, 0.06)),)

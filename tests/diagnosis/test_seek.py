@@ -7,11 +7,11 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.seek import deviations, sought
+from pytest_twin.diagnosis.search.seek import deviations, first_steps, sought
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import make_trial
 
@@ -35,24 +35,47 @@ def lagging(seconds: float, problem: Problem) -> Hypothesis:
     return EMPTY.with_term(LAGS, np.array([seconds / scale, 0.0]))
 
 
+def wide(start: Hypothesis) -> np.ndarray:
+    """First steps that know of nothing."""
+    return np.diag(0.3 * start.sizes[start.movable])
+
+
 def test_a_valley_is_left_that_a_fit_by_slopes_stays_in(hunting: Problem) -> None:
     start, weights = lagging(0.09, hunting), 1.0 / hunting.signal_floor
     scale = hunting.scales.value(LAGS.parameters[0], 0)
     (stuck,) = fit(hunting, [start], weights, hunting.fit, iterations=20)
     assert abs(stuck.hypothesis.theta[0] * scale - LAG) > 0.01
-    found = sought(hunting, [start], weights)
+    found = sought(hunting, [start], weights, wide(start))
     assert found.theta[0] * scale == pytest.approx(LAG, rel=0.05)
     far, near = deviations(hunting, [stuck.hypothesis, found], weights)
     assert near < 0.2 * far
 
 
-def test_of_several_ends_the_one_stands_whose_neighbours_leave_least(hunting: Problem) -> None:
+def test_of_several_ends_the_deepest_stands(hunting: Problem) -> None:
     weights = 1.0 / hunting.signal_floor
     scale = hunting.scales.value(LAGS.parameters[0], 0)
     # Next to nothing is found from where the servo does not swing at all.
-    for starts in ((0.001, 0.06), (0.06, 0.001)):
-        found = sought(hunting, [lagging(s, hunting) for s in starts], weights)
+    for order in ((0.001, 0.06), (0.06, 0.001)):
+        starts = [lagging(s, hunting) for s in order]
+        found = sought(hunting, starts, weights, wide(lagging(0.001, hunting)))
         assert found.theta[0] * scale == pytest.approx(LAG, rel=0.05)
+
+
+def test_first_steps_are_long_where_windows_tell_little() -> None:
+    """Two parameters whose sum alone is seen, and one that nothing sees."""
+    terms = tuple(Term(e, 0) for e in ("viscous_friction", "coulomb_friction", "armature"))
+    hypothesis = Hypothesis(terms, np.array([1.0, 1.0, 1.0]))
+    rng = np.random.default_rng(0)
+    seen = rng.standard_normal((4000, 1))
+    jacobian = np.stack([seen, seen, 0.0 * seen], axis=2)
+    residual, floor = 0.02 * rng.standard_normal((4000, 1)), np.array([0.001])
+    steps = first_steps(Fitted(hypothesis, residual, jacobian, 0.0), floor)
+    draws = steps @ rng.standard_normal((3, 20000))
+    total, apart, unseen = draws[0] + draws[1], draws[0] - draws[1], draws[2]
+    # Of three parameters that share half of 0.02, one is felt: 0.01 / sqrt(3).
+    assert np.std(total) == pytest.approx(0.01 / np.sqrt(3.0), rel=0.05)
+    assert np.std(apart) == pytest.approx(np.sqrt(2.0) * 0.15, rel=0.05)
+    assert np.std(unseen) == pytest.approx(0.15, rel=0.05)
 
 
 def test_values_are_taken_of_terms_that_both_have() -> None:
@@ -66,12 +89,13 @@ def test_values_are_taken_of_terms_that_both_have() -> None:
 def test_the_same_start_comes_to_the_same_end(hunting: Problem) -> None:
     weights = 1.0 / hunting.signal_floor
     np.random.seed(0)  # what others draw is left alone, and does not matter
-    first = sought(hunting, [lagging(0.03, hunting)], weights)
+    start = lagging(0.03, hunting)
+    first = sought(hunting, [start], weights, wide(start))
     untouched = np.random.get_state()[1][0]
     np.random.random()
-    assert np.array_equal(sought(hunting, [lagging(0.03, hunting)], weights).theta, first.theta)
+    assert np.array_equal(sought(hunting, [start], weights, wide(start)).theta, first.theta)
     assert untouched == 0
 
 
 def test_what_has_nothing_to_fit_stays(hunting: Problem) -> None:
-    assert sought(hunting, [EMPTY], 1.0 / hunting.signal_floor) is EMPTY
+    assert sought(hunting, [EMPTY], 1.0 / hunting.signal_floor, np.empty((0, 0))) is EMPTY

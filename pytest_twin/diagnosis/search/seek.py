@@ -3,98 +3,132 @@
 Where a joint sticks and slips, a whole motion parts from another wherever a slide ends: what a
 simulation leaves has leaps and valleys everywhere, and a fit by slopes stops in the first. An
 evolution strategy asks for values alone (covariance matrix adaptation; Hansen, The CMA Evolution
-Strategy: A Tutorial, 2016). Of the valleys that several searches end in the deepest may be a narrow
-one by chance: the one stands whose neighbourhood leaves least.
+Strategy: A Tutorial, 2016). It begins with what short windows say of the parameters, where slopes
+do lead somewhere: they are moved together as those windows can hardly tell apart, which is how
+valleys of whole motions lie. The deepest of several searches stands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 
-# Hypotheses of one generation, which are one batch, those asked in all for each parameter, and
-# searches from each start.
-_GENERATION, _ASKED, _SEARCHES = 20, 200, 2
-# First steps, as a share of what a parameter is, or of the least size that its law is asked at; the
-# share of them below which a search has come to its end; and how far, and how many, neighbours are.
-_STEP, _ENOUGH = 0.3, 1e-3
-_NEAR, _NEIGHBOURS = 0.03, 24
+if TYPE_CHECKING:
+    import cma
+
+# Searches in all, and hypotheses that each may ask, for each parameter: all of them half as many,
+# the deepest the other half.
+_SEARCHES, _ASKED = 4, 100
+# First steps: by how much of what windows leave all parameters together change what they predict,
+# and at most, as a share of what a parameter is or of the least size that its law is asked at; and
+# the share of a first step below which a search has come to its end.
+_CHANGED, _STEP, _ENOUGH = 0.5, 0.15, 1e-3
 # The cost of a simulation that diverged, in deviations.
 _DIVERGED = 1e6
 
 
-def sought(problem: Problem, starts: Sequence[Hypothesis], weights: FloatArray) -> Hypothesis:
-    """A hypothesis at its least mean absolute deviation from the recordings that are fitted; of
-    several such the one whose neighbours leave least.
+def first_steps(fitted: Fitted, floor: FloatArray) -> FloatArray:
+    """(parameters, parameters) a root of the covariance of a search's first steps, by rows; of
+    what a fit moves.
+
+    Args:
+        fitted: in windows, with slopes.
+        floor: (signals,) deviations of a sample there.
+    """
+    free = fitted.hypothesis.movable
+    slopes = (fitted.jacobian[:, :, free] / floor[:, None]).reshape(-1, int(free.sum()))
+    left = float(np.mean((fitted.residual / floor) ** 2))
+    most = _STEP * fitted.hypothesis.sizes[free]
+    changed = slopes.T @ slopes / len(slopes) / left
+    precision = changed * len(most) / _CHANGED**2 + np.diag(1.0 / most**2)
+    root: FloatArray = np.linalg.inv(np.linalg.cholesky(precision)).T
+    return root
+
+
+def sought(
+    problem: Problem, starts: Sequence[Hypothesis], weights: FloatArray, steps: FloatArray
+) -> Hypothesis:
+    """A hypothesis at its least mean absolute deviation from the recordings that are fitted.
 
     Absolute, not squared: of two slides that end apart one leaves as much as all that is followed
     well. The same starts come to the same end: draws have seeds of their own.
 
     Args:
         problem: what to explain.
-        starts: of the same terms.
+        starts: of the same terms; searches are shared out among them.
         weights: (signals,) reciprocal deviations.
+        steps: (parameters, parameters) as :func:`first_steps` has them.
     """
     if not starts[0].free:
         return starts[0]
-    ends = [_end(problem, start, weights, k) for start in starts for k in range(_SEARCHES)]
-    costs = [_around(problem, end, weights) for end in ends]
-    return ends[int(np.argmin(costs))]
+    count = _SEARCHES // len(starts)
+    searches = [_Search(problem, s, weights, steps, k) for s in starts for k in range(count)]
+    for each in searches:
+        each.go_on(_ASKED // 2)
+    deepest = min(searches, key=lambda each: each.least)
+    deepest.go_on(_ASKED - _ASKED // 2)
+    return deepest.best
 
 
-def _end(problem: Problem, start: Hypothesis, weights: FloatArray, seed: int) -> Hypothesis:
-    """Where one search from a start ends."""
-    # It brings half a second of imports, which few diagnoses need.
-    import cma
+class _Search:
+    """One evolution.
 
-    free = start.movable
-    step = _STEP * start.sizes[free]
-    lower, upper = (bound[free] / step for bound in start.bounds)
-    random = np.random.default_rng(seed)
-    strategy = cma.CMAEvolutionStrategy(
-        np.clip(start.theta[free] / step, lower, upper),
-        1.0,
-        {
-            "bounds": [list(lower), list(upper)],
-            "popsize": _GENERATION,
-            "maxfevals": _ASKED * start.free,
-            "seed": np.nan,
-            "randn": lambda *shape: random.standard_normal(shape),
-            "tolx": _ENOUGH,
-            "verbose": -9,
-        },
-    )
-    best, least = start, deviations(problem, [start], weights)[0]
-    while not strategy.stop():
-        points = strategy.ask()
-        asked = [_at(start, p * step) for p in points]
-        costs = deviations(problem, asked, weights)
-        strategy.tell(points, costs)
-        first = int(np.argmin(costs))
-        if costs[first] < least:
-            best, least = asked[first], costs[first]
-    return best
+    Attributes:
+        best, least: the hypothesis that leaves least, and how much that is.
+    """
 
+    def __init__(
+        self,
+        problem: Problem,
+        start: Hypothesis,
+        weights: FloatArray,
+        steps: FloatArray,
+        seed: int,
+    ) -> None:
+        # It brings half a second of imports, which few diagnoses need.
+        import cma
 
-def _at(start: Hypothesis, values: FloatArray) -> Hypothesis:
-    """What a start is with other values of what a fit moves, as far as its bounds go."""
-    theta = start.theta.copy()
-    theta[start.movable] = values
-    return start.with_theta(np.clip(theta, *start.bounds))
+        self._problem, self._start, self._weights, self._steps = problem, start, weights, steps
+        random = np.random.default_rng(seed)
+        size = len(steps)
+        self._strategy: cma.CMAEvolutionStrategy = cma.CMAEvolutionStrategy(
+            np.zeros(size),
+            1.0,
+            {
+                "popsize": 2 * int(np.ceil(4.0 + 3.0 * np.log(size))),
+                "seed": np.nan,
+                "randn": lambda *shape: random.standard_normal(shape),
+                "tolx": _ENOUGH,
+                "verbose": -9,
+            },
+        )
+        self.best, self.least = start, deviations(problem, [start], weights)[0]
 
+    def go_on(self, asked: int) -> None:
+        """Ask for so many more hypotheses for each parameter, until none brings anything."""
+        strategy = self._strategy
+        last = strategy.countevals + asked * len(self._steps)
+        while strategy.countevals < last and not strategy.stop():
+            points = strategy.ask()
+            found = [self._at(p) for p in points]
+            costs = deviations(self._problem, found, self._weights)
+            strategy.tell(points, costs)
+            first = int(np.argmin(costs))
+            if costs[first] < self.least:
+                self.best, self.least = found[first], costs[first]
 
-def _around(problem: Problem, end: Hypothesis, weights: FloatArray) -> float:
-    """Mean of what neighbours leave."""
-    free = end.movable
-    draws = np.random.default_rng(0).standard_normal((_NEIGHBOURS // 2, int(free.sum())))
-    reach = _NEAR * end.sizes[free]
-    near = [_at(end, end.theta[free] + reach * z) for z in (*draws, *-draws)]
-    return float(np.mean(deviations(problem, near, weights)))
+    def _at(self, point: FloatArray) -> Hypothesis:
+        """So many first steps from the start, as far as its bounds go."""
+        theta = self._start.theta.copy()
+        theta[self._start.movable] += self._steps @ point
+        return self._start.with_theta(np.clip(theta, *self._start.bounds))
 
 
 def deviations(problem: Problem, hypotheses: list[Hypothesis], weights: FloatArray) -> list[float]:

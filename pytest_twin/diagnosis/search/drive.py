@@ -1,0 +1,64 @@
+"""All that every drive has, at once.
+
+A motor behind a gear has a constant of its own, effort that falls with current, a rotor's inertia,
+dry and viscous friction, friction by its load and by its own effort, a zero, and a command that
+takes its time. Where all of them are off a little, none stands out alone, and a search that adds
+one name after another takes something else in their place. Here none is chosen: they are fitted
+together, beside what is known already.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pytest_twin.diagnosis.first_order.screen import candidates
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.contest import QUICK, Contest
+from pytest_twin.diagnosis.search.rivals import Rival, Selected
+
+# Fits to the end, one after another: the first few go by what is large.
+_ROUNDS = 3
+# Of a name of which nobody asked what else could stand in its place.
+_UNWEIGHED = 0.5
+
+
+def with_drive(problem: Problem, known: Hypothesis, joint: int) -> Hypothesis:
+    """What is known, and what every drive has at a joint, each law at nothing.
+
+    Args:
+        problem: what to explain.
+        known: stays as it is.
+        joint: column.
+    """
+    more = known
+    for term in candidates(problem):
+        if term.law.of_every_drive and term.joint == joint and term not in known.terms:
+            start = [p.starts[0] if p.neutral is None else p.neutral for p in term.parameters]
+            more = more.with_term(term, np.array(start))
+    return more
+
+
+def together(contest: Contest, start: Hypothesis) -> Rival:
+    """A hypothesis fitted, all of it."""
+    rival = contest.as_it_is(start)
+    for _ in range(_ROUNDS):
+        rival = contest.settled(rival)
+    return rival
+
+
+def unweighed(contest: Contest, best: Rival) -> Selected:
+    """A fit, each name as likely as what is left without it says, and never more than even: of
+    rivals in its place nothing is known.
+    """
+    terms = best.hypothesis.terms
+    without = [best.hypothesis.without(t) for t in terms]
+    rivals = contest.rivals(without, contest.weights(best), QUICK)
+    contest.judge(rivals, best)
+    selected = Selected(best, contest.nominal, tried=contest.tried)
+    absent: dict[tuple[tuple[Term, ...], Term | None], float]
+    absent = {((t,), None): r.evidence for t, r in zip(terms, rivals, strict=True)}
+    selected.weigh(absent)
+    for term, share in selected.confidence.items():
+        selected.confidence[term] = min(share, _UNWEIGHED)
+    return selected

@@ -1,0 +1,100 @@
+"""All that every drive has, fitted at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_windows import ONE, hunting
+
+from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.search import seek
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.drive import together, unweighed, with_drive
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.searched import search, with_drive_of
+from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.diagnosis.windows import WINDOW
+from pytest_twin.effects import catalogue
+
+DRY, VISCOUS, DELAY = 0.03, 0.04, 0.004
+RUBS = Term("coulomb_friction", 0)
+
+
+def test_every_law_of_a_drive_is_added_once_and_at_nothing(tmp_path: Path) -> None:
+    realization, trials = hunting(tmp_path)
+    problem = prepare(realization, trials.fit, trials.held_out, threads=1).problem
+    known = EMPTY.with_term(RUBS, np.array([0.3])).with_term(Term("payload", -1), np.zeros(5))
+    more = with_drive(problem, known, 0)
+    drive = {effect for effect, law in catalogue().items() if law.of_every_drive}
+    assert {t.effect for t in more.terms} == drive | {"payload"}
+    assert len(set(more.terms)) == len(more.terms)
+    assert more.theta[more.slice_of(RUBS)] == [0.3]
+    assert more.terms[:2] == known.terms
+    # Nothing that was added moves anything.
+    two = problem.residuals([known, more], problem.fit)
+    assert np.allclose(two[0], two[1], atol=1e-9)
+
+
+def test_a_drive_is_named_with_what_it_has_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Searches that named dry friction alone, on a pendulum that has two more."""
+    monkeypatch.setattr(seek, "_ASKED", 20)
+    realization, trials = hunting(tmp_path, dry=DRY, viscous=VISCOUS, delay=DELAY)
+    each = [
+        prepare(realization, trials.fit, trials.held_out, threads=1, window=window)
+        for window in (None, WINDOW, 2.0)
+    ]
+    whole, cut, longer = each
+    alone = EMPTY.with_term(RUBS, np.array([DRY / whole.problem.scales.value(
+        RUBS.parameters[0], 0)]))  # fmt: skip
+    found, other = (
+        replace(
+            search(prepared, trials, Selection(prepared.problem), alone),
+            explained=Explained((), alone),
+        )
+        for prepared in (whole, cut)
+    )
+    named = with_drive_of(found, other, longer)
+    by_effect = {f.effect: f for f in named.explained.findings}
+    assert {"coulomb_friction", "viscous_friction", "command_delay"} <= set(by_effect)
+    assert len(by_effect) <= 5
+    for effect, parameter, truth in (
+        ("coulomb_friction", "coulomb", DRY),
+        ("viscous_friction", "coefficient", VISCOUS),
+        ("command_delay", "delay", DELAY),
+    ):
+        assert by_effect[effect].parameters[parameter].value == pytest.approx(truth, rel=0.2)
+    assert named.verdict == "explained"
+    # What else could stand in the place of a name was not asked.
+    assert max(f.confidence for f in named.explained.findings) <= 0.5
+    assert named.prepared is whole
+
+
+def test_what_is_not_missed_is_less_likely_than_even(tmp_path: Path) -> None:
+    realization, trials = hunting(tmp_path, dry=DRY)
+    problem = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW).problem
+    contest = Contest(problem)
+    inert = Term("armature", 0)
+    both = Hypothesis((RUBS, inert), np.array([0.1, 0.0]))
+    selected = unweighed(contest, together(contest, both))
+    assert selected.confidence[RUBS] == 0.5
+    assert selected.confidence[inert] < 0.1
+    assert selected.alternatives == {RUBS: [], inert: []}
+
+
+def test_a_joint_slips_that_rubs_and_keeps_a_lot(tmp_path: Path) -> None:
+    realization, trials = hunting(tmp_path, dry=DRY)
+    prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
+    found = search(prepared, trials, Selection(prepared.problem))
+    assert prepared.problem.joints == ONE
+    assert not found.slips
+    for times, terms, slips in ((11.0, (RUBS,), True), (9.0, (RUBS,), False), (11.0, (), False)):
+        kept = JointError(1.0, times * 0.01, 0.01, "rad")
+        explained = Explained((), Hypothesis(terms, np.full(len(terms), 0.1)))
+        assert replace(found, errors={"left": kept}, explained=explained).slips is slips
