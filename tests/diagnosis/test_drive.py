@@ -11,18 +11,31 @@ from test_windows import ONE, hunting
 
 from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.search import seek
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.drive import together, unweighed, with_drive
+from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import search, with_drive_of
+from pytest_twin.diagnosis.searched import Searched, concluded, search, with_drive_of
+from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects import catalogue
 
 DRY, VISCOUS, DELAY = 0.03, 0.04, 0.004
 RUBS = Term("coulomb_friction", 0)
+
+
+def rubbing_alone(prepared: Prepared, trials: TrialSet) -> Searched:
+    """What a search is that named dry friction and nothing else."""
+    problem = prepared.problem
+    selection = Selection(problem)
+    size = DRY / problem.scales.value(RUBS.parameters[0], 0)
+    alone = EMPTY.with_term(RUBS, np.array([size]))
+    best = selection.contest.as_it_is(alone, slopes=True)
+    chosen = Selected(best, selection.contest.nominal)
+    return concluded(prepared, trials, selection, chosen)
 
 
 def test_every_law_of_a_drive_is_added_once_and_at_nothing(tmp_path: Path) -> None:
@@ -43,23 +56,14 @@ def test_every_law_of_a_drive_is_added_once_and_at_nothing(tmp_path: Path) -> No
 def test_a_drive_is_named_with_what_it_has_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Searches that named dry friction alone, on a pendulum that has two more."""
-    monkeypatch.setattr(seek, "_ASKED", 20)
-    realization, trials = hunting(tmp_path, dry=DRY, viscous=VISCOUS, delay=DELAY)
-    each = [
+    """Searches named dry friction alone, on a pendulum that has two more."""
+    monkeypatch.setattr(seek, "_ASKED", 16)
+    realization, trials = hunting(tmp_path, seconds=2.0, dry=DRY, viscous=VISCOUS, delay=DELAY)
+    whole, cut, longer = (
         prepare(realization, trials.fit, trials.held_out, threads=1, window=window)
-        for window in (None, WINDOW, 2.0)
-    ]
-    whole, cut, longer = each
-    alone = EMPTY.with_term(RUBS, np.array([DRY / whole.problem.scales.value(
-        RUBS.parameters[0], 0)]))  # fmt: skip
-    found, other = (
-        replace(
-            search(prepared, trials, Selection(prepared.problem), alone),
-            explained=Explained((), alone),
-        )
-        for prepared in (whole, cut)
+        for window in (None, WINDOW, 1.0)
     )
+    found, other = (rubbing_alone(prepared, trials) for prepared in (whole, cut))
     named = with_drive_of(found, other, longer)
     by_effect = {f.effect: f for f in named.explained.findings}
     assert {"coulomb_friction", "viscous_friction", "command_delay"} <= set(by_effect)

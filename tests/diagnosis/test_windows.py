@@ -29,12 +29,14 @@ LAGS = Term("actuator_lag", 0)
 ONE = ("left",)
 
 
-def hunting(folder: Path, **hidden: float) -> tuple[Realization, TrialSet]:
+def hunting(folder: Path, seconds: float = 4.0, **hidden: float) -> tuple[Realization, TrialSet]:
     """A pendulum whose servo lags, and three recordings."""
     model = folder / "model.xml"
     model.write_text(mjcf(ONE))
     files = [
-        record(folder / f"{role}{seed}.mcap", seed, role=role, seconds=4.0, joints=ONE, **hidden)
+        record(
+            folder / f"{role}{seed}.mcap", seed, role=role, seconds=seconds, joints=ONE, **hidden
+        )
         for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
     ]
     loaded = load_model(model)
