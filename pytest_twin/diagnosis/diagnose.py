@@ -62,8 +62,8 @@ _NAMED_IN_WINDOWS = (
 
 _AS_A_DRIVE = (
     "named as a drive: all that every motor behind a gear has was fitted at once, for where a "
-    "joint sticks and slips none of it stands out alone; what else could stand in the place of one "
-    "of these names was not asked"
+    "joint sticks and slips none of it stands out alone; what else could stand in the place of "
+    "those that are half sure was not asked"
 )
 
 

@@ -211,6 +211,11 @@ def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searche
     start = together(short, with_drive(short.problem, both, joint))
     steps = first_steps(start.fitted, short.problem.signal_floor)
     named = unweighed(short, start)
+    for term in both.terms:
+        # What a search named was held against its rivals there.
+        if term in other.selected.confidence:
+            named.confidence[term] = other.selected.confidence[term]
+            named.alternatives[term] = other.selected.alternatives[term]
     end, contest = start.hypothesis, short
     for problem in (longer.problem, whole):
         contest = Contest(problem)
