@@ -180,9 +180,8 @@ def carried(found: Searched, other: Searched) -> Searched:
     contest = Contest(problem)
     start, mine = named.best.hypothesis, found.selected.best.hypothesis
     both = start.with_values_of(mine)
-    problem.refine_at(start)
     steps = first_steps(named.best.fitted, other.prepared.problem.signal_floor)
-    end = sought(problem, [start, both], contest.weights(contest.nominal), steps)
+    end = _deepest(contest, [start, both], steps)
     best = contest.as_it_is(end, slopes=True)
     selected = Selected(
         best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
@@ -216,14 +215,19 @@ def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searche
         if term in other.selected.confidence:
             named.confidence[term] = other.selected.confidence[term]
             named.alternatives[term] = other.selected.alternatives[term]
-    end, contest = start.hypothesis, short
-    for problem in (longer.problem, whole):
-        contest = Contest(problem)
-        problem.refine_at(end)
-        end = sought(problem, [end], contest.weights(contest.nominal), steps)
-    best = contest.as_it_is(end, slopes=True)
-    selected = replace(named, best=best, nominal=contest.nominal)
+    end, middle, last = start.hypothesis, Contest(longer.problem), Contest(whole)
+    for contest in (middle, last):
+        end = _deepest(contest, [end], steps)
+    best = last.as_it_is(end, slopes=True)
+    selected = replace(named, best=best, nominal=last.nominal)
     return _searched(found.prepared, found.trials, selected, as_named(whole, best.fitted))
+
+
+def _deepest(contest: Contest, starts: Sequence[Hypothesis], steps: FloatArray) -> Hypothesis:
+    """Where an evolution from some starts ends, the simulator's step corrected for the first."""
+    problem = contest.problem
+    problem.refine_at(starts[0])
+    return sought(problem, starts, contest.weights(contest.nominal), steps)
 
 
 def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:

@@ -44,6 +44,8 @@ def first_steps(fitted: Fitted, floor: FloatArray) -> FloatArray:
     """
     free = fitted.hypothesis.movable
     slopes = (fitted.jacobian[:, :, free] / floor[:, None]).reshape(-1, int(free.sum()))
+    # What runs away beside the fit says nothing of how far to go.
+    slopes = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0)
     left = float(np.mean((fitted.residual / floor) ** 2))
     most = _STEP * fitted.hypothesis.sizes[free]
     changed = slopes.T @ slopes / len(slopes) / left
