@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from pytest_twin.diagnosis.first_order.screen import candidates
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import QUICK, Contest
-from pytest_twin.diagnosis.search.rivals import Rival, Selected
+from pytest_twin.diagnosis.search.rivals import Place, Rival, Selected
 
 # Fits to the end, one after another: the first few go by what is large.
 _ROUNDS = 3
@@ -34,8 +34,7 @@ def with_drive(problem: Problem, known: Hypothesis, joint: int) -> Hypothesis:
     more = known
     for term in candidates(problem):
         if term.law.of_every_drive and term.joint == joint and term not in known.terms:
-            start = [p.starts[0] if p.neutral is None else p.neutral for p in term.parameters]
-            more = more.with_term(term, np.array(start))
+            more = more.with_term(term, np.array([p.absent for p in term.parameters]))
     return more
 
 
@@ -56,8 +55,9 @@ def unweighed(contest: Contest, best: Rival) -> Selected:
     rivals = contest.rivals(without, contest.weights(best), QUICK)
     contest.judge(rivals, best)
     selected = Selected(best, contest.nominal, tried=contest.tried)
-    absent: dict[tuple[tuple[Term, ...], Term | None], float]
-    absent = {((t,), None): r.evidence for t, r in zip(terms, rivals, strict=True)}
+    absent: dict[Place, float] = {
+        ((t,), None): r.evidence for t, r in zip(terms, rivals, strict=True)
+    }
     selected.weigh(absent)
     for term, share in selected.confidence.items():
         selected.confidence[term] = min(share, _UNWEIGHED)

@@ -11,7 +11,6 @@ valleys of whole motions lie. The deepest of several searches stands.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
-
-if TYPE_CHECKING:
-    import cma
 
 # Searches in all, and hypotheses that each may ask, for each parameter: all of them half as many,
 # the deepest the other half.
@@ -100,7 +96,7 @@ class _Search:
         self._problem, self._start, self._weights, self._steps = problem, start, weights, steps
         random = np.random.default_rng(seed)
         size = len(steps)
-        self._strategy: cma.CMAEvolutionStrategy = cma.CMAEvolutionStrategy(
+        self._strategy = cma.CMAEvolutionStrategy(
             np.zeros(size),
             1.0,
             {
