@@ -333,11 +333,11 @@ def _windowed(
     if other.beside(found):
         if found.slips:
             whole = with_drive_of(found, other, longer())
-            if whole.leaves_less(found):
+            if whole.follows_better(found):
                 notes.append(_AS_A_DRIVE)
                 return whole
         whole = carried(found, other)
-        if whole.leaves_less(found):
+        if whole.follows_better(found):
             notes.append(_NAMED_IN_WINDOWS)
             return whole
     return found

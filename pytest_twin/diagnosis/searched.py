@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import laplace_log_likelihood, log_likelihood
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
@@ -113,10 +114,19 @@ class Searched:
         """Whether what stands of this is better than what stands of the other, prices paid; both of
         one problem.
         """
+        return self._evidence(other, log_likelihood) > 0.0 and self.worst < other.worst
+
+    def follows_better(self, other: Searched) -> bool:
+        """The same of whole motions that cannot be followed everywhere, by absolute deviations."""
+        return self._evidence(other, laplace_log_likelihood) > 0.0
+
+    def _evidence(
+        self, other: Searched, likelihood: Callable[[FloatArray, FloatArray, FloatArray], float]
+    ) -> float:
         contest = Contest(self.prepared.problem)
         mine, others = (contest.as_it_is(s.explained.hypothesis) for s in (self, other))
-        contest.judge([mine], others)
-        return mine.evidence > 0.0 and self.worst < other.worst
+        contest.judge([mine], others, likelihood=likelihood)
+        return mine.evidence
 
 
 def search(
@@ -186,7 +196,7 @@ def carried(found: Searched, other: Searched) -> Searched:
     selected = Selected(
         best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
     )
-    return _searched(found.prepared, found.trials, selected, as_named(problem, best.fitted))
+    return _searched(found.prepared, found.trials, selected, as_named(contest, best))
 
 
 def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searched:
@@ -220,7 +230,7 @@ def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searche
         end = _deepest(contest, [end], steps)
     best = last.as_it_is(end, slopes=True)
     selected = replace(named, best=best, nominal=last.nominal)
-    return _searched(found.prepared, found.trials, selected, as_named(whole, best.fitted))
+    return _searched(found.prepared, found.trials, selected, as_named(last, best))
 
 
 def _deepest(contest: Contest, starts: Sequence[Hypothesis], steps: FloatArray) -> Hypothesis:

@@ -61,12 +61,19 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
     name = _name(finding)
     text = (
         f"{name[:1].upper()}{name[1:]}: {values}; confidence {_percent(finding['confidence'])}, "
-        f"takes {_percent(finding['held_out_gain'])} off the error that stands without it."
+        f"{_bought(finding['held_out_gain'])}."
     )
     rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - _SURE]
     if rivals:
         text += f" The data cannot tell it from {' or '.join(_name(a) for a in rivals)}."
     return text
+
+
+def _bought(gain: float) -> str:
+    """What a finding does to the squared error; one slide that ends elsewhere may be most of it."""
+    if gain < 0.0:
+        return f"adds {_percent(-gain)} to the error that stands without it"
+    return f"takes {_percent(gain)} off the error that stands without it"
 
 
 def render(view: DiagnosisView) -> str:
@@ -100,6 +107,7 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
         **finding,
         "name": _name(finding),
         "sentence": finding_sentence(finding),
+        "bought": _bought(finding["held_out_gain"]),
         "alternatives": [{**a, "name": _name(a)} for a in finding["alternatives"]],
         "correlated": finding.get("correlated", []),
         "windows": [(n, spans_said(w)) for n, w in finding["where"]["windows"].items()],

@@ -18,6 +18,7 @@ from pytest_twin.diagnosis.intervals import Spread
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search import contest
+from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.restraint import (
     _as_good_as_rigid,
     _far_from_explained,
@@ -294,8 +295,9 @@ def test_names_that_were_judged_elsewhere_stay(tmp_path: Path) -> None:
     """The same law, though it leaves much: what windows named is not judged once more."""
     prepared, trials = bench(tmp_path, viscous=0.6)
     term = Term("coulomb_friction", 0)
-    selected = chosen(prepared, term, term.parameters[0].upper, fitted=False)
-    pruned = as_named(prepared.problem, selected.best.fitted)
+    selected = chosen(prepared, term, 0.1)
+    assert not prune(prepared.problem, selected).fitted.hypothesis.terms
+    pruned = as_named(Contest(prepared.problem), selected.best)
     assert [h.terms for h in pruned.rests] == [()]
     (found,) = explain(prepared, selected, pruned, trials).findings
     assert (found.effect, found.joint) == ("coulomb_friction", "left")
@@ -306,11 +308,14 @@ def test_a_name_that_takes_nothing_off_over_whole_motions_goes(tmp_path: Path) -
     problem = prepared.problem
     right, idle = Term("viscous_friction", 0), Term("quadratic_drag", 1)
     start = EMPTY.with_term(right, np.array([0.1])).with_term(idle, np.array([1e-3]))
-    (fitted,) = fit(problem, [start], 1.0 / problem.signal_floor, problem.fit, iterations=8)
-    pruned = as_named(problem, fitted)
+    judges = Contest(problem)
+    (best,) = judges.rivals([start], 1.0 / problem.signal_floor, 8, slopes=True)
+    pruned = as_named(judges, best)
     assert pruned.fitted.hypothesis.terms == (right,)
+    assert [h.terms for h in pruned.rests] == [()]
+    assert pruned.fitted.jacobian.shape[-1] == 1
     assert pruned.notes == [
-        "quadratic_drag at right takes nothing off over whole recordings; it is not claimed"
+        "quadratic_drag at right takes too little off over whole recordings; it is not claimed"
     ]
 
 

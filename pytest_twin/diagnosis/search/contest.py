@@ -7,7 +7,7 @@ Log-likelihood on the fit recordings less half a log of the effective samples fo
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -99,23 +99,29 @@ class Contest:
         weights = np.ones(len(self.problem.signal_floor))
         return self.rivals([hypothesis], weights, 0, slopes=slopes)[0]
 
-    def judge(self, rivals: Sequence[Rival], against: Rival, under: Rival | None = None) -> None:
+    def judge(
+        self,
+        rivals: Sequence[Rival],
+        against: Rival,
+        under: Rival | None = None,
+        likelihood: Callable[[FloatArray, FloatArray, FloatArray], float] = log_likelihood,
+    ) -> None:
         """Evidence of ``rivals`` over ``against``, by the effective samples of ``under``."""
         problem, floor = self.problem, self.problem.signal_floor
         under = against if under is None else under
         fit_n = effective_samples(under.fitted.residual, problem.lengths(problem.fit))
-        base = log_likelihood(against.fitted.residual, floor, fit_n)
+        base = likelihood(against.fitted.residual, floor, fit_n)
         cost = price(fit_n)
         if self.has_held:
             held_n = effective_samples(under.held_residual, problem.lengths(problem.held_out))
-            held_base = log_likelihood(against.held_residual, floor, held_n)
+            held_base = likelihood(against.held_residual, floor, held_n)
         for r in rivals:
             more = r.hypothesis.free - against.hypothesis.free
             names = len(r.hypothesis.terms) - len(against.hypothesis.terms)
-            r.evidence = log_likelihood(r.fitted.residual, floor, fit_n) - base
+            r.evidence = likelihood(r.fitted.residual, floor, fit_n) - base
             r.evidence -= cost * more + self.name_price * names
             if self.has_held:
-                r.held_gain = log_likelihood(r.held_residual, floor, held_n) - held_base
+                r.held_gain = likelihood(r.held_residual, floor, held_n) - held_base
                 r.evidence += r.held_gain
 
     def against(

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import laplace_log_likelihood
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.locate import missing_force
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.rivals import Rival, Selected
 from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT, STANDS_OUT, JointError, worth_a_name
 
@@ -386,21 +388,26 @@ def _shown(tested: _Tested, term: Term) -> tuple[FloatArray, FloatArray]:
     return before, base
 
 
-def as_named(problem: Problem, fitted: Fitted) -> Pruned:
-    """Names that were judged elsewhere: all of them stay that take something off here."""
+def as_named(contest: Contest, best: Rival) -> Pruned:
+    """Names that were judged elsewhere: all of them stay that pay for themselves here, by absolute
+    deviations, as whole motions of a joint that sticks and slips are fitted.
+    """
     notes: list[str] = []
-    while True:
-        refitted, _, base, levels = _without_each(problem, fitted)
-        needed = [((v > _WORSE * base) & (v > STANDS_OUT)).any() for v in levels]
-        idle = [k for k, some in enumerate(needed) if not some]
-        if not idle:
-            return Pruned(fitted, [f.hypothesis for f in refitted], notes)
-        least = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
+    while best.hypothesis.terms:
+        terms = best.hypothesis.terms
+        contest.problem.refine_at(best.hypothesis)
+        starts = [best.hypothesis.without(t) for t in terms]
+        rests = contest.rivals(starts, contest.weights(best), _REFIT)
+        contest.judge(rests, best, likelihood=laplace_log_likelihood)
+        least = max(range(len(terms)), key=lambda k: rests[k].evidence)
+        if rests[least].evidence < 0.0:
+            return Pruned(best.fitted, [r.hypothesis for r in rests], notes)
         notes.append(
-            f"{label(problem, fitted.hypothesis.terms[least])} takes nothing off over whole "
-            "recordings; it is not claimed"
+            f"{label(contest.problem, terms[least])} takes too little off over whole recordings; "
+            "it is not claimed"
         )
-        fitted = refitted[least]
+        (best,) = contest.rivals([rests[least].hypothesis], contest.weights(best), 0, slopes=True)
+    return Pruned(best.fitted, [], notes)
 
 
 def _levels(

@@ -1,0 +1,44 @@
+"""Likelihoods of what is left: of squares, and of absolute deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import laplace, norm
+
+from pytest_twin.diagnosis.evidence import laplace_log_likelihood, log_likelihood
+
+FLOOR, MANY = np.array([1e-9]), np.array([4000.0])
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_likelihoods_are_those_of_their_distributions_at_the_best_scale(scale: float) -> None:
+    """Up to what is the same of any residual: half a log of 2 pi e, and log 2 e, a sample."""
+    n = int(MANY[0])
+    left = np.random.default_rng(0).laplace(0.0, scale, (n, 1))
+    width, deviation = np.sqrt(np.mean(left**2)), np.mean(np.abs(left))
+    gaussian = norm.logpdf(left, 0.0, width).sum() + 0.5 * n * np.log(2.0 * np.pi * np.e)
+    of_laplace = laplace.logpdf(left, 0.0, deviation).sum() + n * np.log(2.0 * np.e)
+    assert log_likelihood(left, FLOOR, MANY) == pytest.approx(gaussian, rel=1e-9)
+    assert laplace_log_likelihood(left, FLOOR, MANY) == pytest.approx(of_laplace, rel=1e-9)
+
+
+def test_one_slide_that_ends_elsewhere_is_most_of_a_square_and_little_of_a_deviation() -> None:
+    followed = np.full((1000, 1), 2.0)
+    better = followed.copy()
+    better /= 2.0
+    better[:20] = 25.0
+    assert log_likelihood(better, FLOOR, MANY) < log_likelihood(followed, FLOOR, MANY)
+    assert laplace_log_likelihood(better, FLOOR, MANY) > laplace_log_likelihood(
+        followed, FLOOR, MANY
+    )
+
+
+def test_what_is_noise_earns_nothing_by_either() -> None:
+    """Noise as large as the floor, or a tenth of it: neither explains more than the other."""
+    noise = np.random.default_rng(1).normal(0.0, 1.0, (4000, 1))
+    for likelihood in (log_likelihood, laplace_log_likelihood):
+        at_floor = likelihood(0.95 * noise, np.array([1.0]), MANY)
+        assert likelihood(0.1 * noise, np.array([1.0]), MANY) == at_floor
+        assert likelihood(2.0 * noise, np.array([1.0]), MANY) < at_floor - 1000.0
+        assert likelihood(noise * np.nan, np.array([1.0]), MANY) == -np.inf
