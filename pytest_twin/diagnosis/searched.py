@@ -219,18 +219,18 @@ def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searche
             both = both.with_term_of(mine, term)
     start = together(short, with_drive(short.problem, both, joint))
     steps = first_steps(start.fitted, short.problem.signal_floor)
-    named = unweighed(short, start)
+    end, middle, last = start.hypothesis, Contest(longer.problem), Contest(whole)
+    for contest in (middle, last):
+        end = _deepest(contest, [end], steps)
+    best = last.as_it_is(end, slopes=True)
+    pruned = as_named(last, best)
+    named = unweighed(last, best, pruned.absent)
     for term in both.terms:
         # What a search named was held against its rivals there.
         if term in other.selected.confidence:
             named.confidence[term] = other.selected.confidence[term]
             named.alternatives[term] = other.selected.alternatives[term]
-    end, middle, last = start.hypothesis, Contest(longer.problem), Contest(whole)
-    for contest in (middle, last):
-        end = _deepest(contest, [end], steps)
-    best = last.as_it_is(end, slopes=True)
-    selected = replace(named, best=best, nominal=last.nominal)
-    return _searched(found.prepared, found.trials, selected, as_named(last, best))
+    return _searched(found.prepared, found.trials, named, pruned)
 
 
 def _deepest(contest: Contest, starts: Sequence[Hypothesis], steps: FloatArray) -> Hypothesis:

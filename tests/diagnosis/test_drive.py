@@ -94,9 +94,11 @@ def test_what_is_not_missed_is_less_likely_than_even(tmp_path: Path) -> None:
     contest = Contest(problem)
     inert = Term("armature", 0)
     both = Hypothesis((RUBS, inert), np.array([0.1, 0.0]))
-    selected = unweighed(contest, together(contest, both))
+    best = together(contest, both)
+    selected = unweighed(contest, best, {RUBS: -9.0, inert: 3.0})
+    assert selected.best is best
     assert selected.confidence[RUBS] == 0.5
-    assert selected.confidence[inert] < 0.1
+    assert selected.confidence[inert] == pytest.approx(1.0 / (1.0 + np.exp(3.0)))
     assert selected.alternatives == {RUBS: [], inert: []}
 
 

@@ -9,13 +9,15 @@ together, beside what is known already.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from pytest_twin.diagnosis.first_order.screen import candidates
-from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.contest import QUICK, Contest
-from pytest_twin.diagnosis.search.rivals import Place, Rival, Selected
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.rivals import Rival, Selected
 
 # Fits to the end, one after another: the first few go by what is large.
 _ROUNDS = 3
@@ -46,19 +48,17 @@ def together(contest: Contest, start: Hypothesis) -> Rival:
     return rival
 
 
-def unweighed(contest: Contest, best: Rival) -> Selected:
+def unweighed(contest: Contest, best: Rival, absent: Mapping[Term, float]) -> Selected:
     """A fit, each name as likely as what is left without it says, and never more than even: of
     rivals in its place nothing is known.
+
+    Args:
+        contest: where it was fitted.
+        best: the fit.
+        absent: evidence, over it, of what is left without each of its terms.
     """
-    terms = best.hypothesis.terms
-    without = [best.hypothesis.without(t) for t in terms]
-    rivals = contest.rivals(without, contest.weights(best), QUICK)
-    contest.judge(rivals, best)
     selected = Selected(best, contest.nominal, tried=contest.tried)
-    absent: dict[Place, float] = {
-        ((t,), None): r.evidence for t, r in zip(terms, rivals, strict=True)
-    }
-    selected.weigh(absent)
+    selected.weigh({((t,), None): evidence for t, evidence in absent.items()})
     for term, share in selected.confidence.items():
         selected.confidence[term] = min(share, _UNWEIGHED)
     return selected

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -51,11 +51,19 @@ _SAME, _STRETCHES = 0.25, 24
 
 @dataclass(slots=True)
 class Pruned:
-    """A fit, and for each of its terms the rest refitted without it."""
+    """A fit, and for each of its terms the rest refitted without it.
+
+    Attributes:
+        fitted: what stands.
+        rests: without each of its terms.
+        notes: of what was taken back.
+        absent: evidence of each rest over the fit, where names are judged by that alone.
+    """
 
     fitted: Fitted
     rests: list[Hypothesis]
     notes: list[str]
+    absent: Mapping[Term, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -401,7 +409,8 @@ def as_named(contest: Contest, best: Rival) -> Pruned:
         contest.judge(rests, best, likelihood=laplace_log_likelihood)
         least = max(range(len(terms)), key=lambda k: rests[k].evidence)
         if rests[least].evidence < 0.0:
-            return Pruned(best.fitted, [r.hypothesis for r in rests], notes)
+            absent = {t: r.evidence for t, r in zip(terms, rests, strict=True)}
+            return Pruned(best.fitted, [r.hypothesis for r in rests], notes, absent)
         notes.append(
             f"{label(contest.problem, terms[least])} takes too little off over whole recordings; "
             "it is not claimed"
