@@ -451,7 +451,7 @@ def test_the_joint_region_holds_what_normal_draws_say() -> None:
 
 
 def test_several_names_at_a_joint_have_to_explain_more(tmp_path: Path) -> None:
-    """Alone a name may leave a fifth: others may be missing. Two that leave much are two wrong."""
+    """Alone a name may leave a tenth: others may be missing. Two that leave much are two wrong."""
     prepared, _ = bench(tmp_path, viscous=0.3)
     before, term = np.array([400.0, 2.0]), Term("viscous_friction", 0)
 
@@ -464,6 +464,18 @@ def test_several_names_at_a_joint_have_to_explain_more(tmp_path: Path) -> None:
     assert left(tenth, several=True) == pytest.approx(0.1, rel=0.01)
     # A fiftieth is what two right ones may leave of so much.
     assert left(400.0 * np.sqrt(0.02), several=True) == 0.0
+
+
+@pytest.mark.parametrize(("before", "stays"), [(400.0, False), (30.0, True)])
+def test_a_name_that_leaves_many_floors_has_to_explain_more(
+    tmp_path: Path, before: float, *, stays: bool
+) -> None:
+    """A seventh of 400 floors is no law's error; of thirty, others that are missing may be it."""
+    prepared, _ = bench(tmp_path, viscous=0.3)
+    levels = np.array([before, 2.0]), np.array([before * np.sqrt(1.0 / 7.0), 2.0])
+    term = Term("viscous_friction", 0)
+    share = _too_little(prepared.problem, term, *levels, several=False, sure=True)
+    assert (share == 0.0) is stays
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,8 @@ _WORSE = 1.05
 # With more than this share of its joint's squared mismatch left a name is not given.
 _SURE = 0.9
 _LEFT_SURE, _LEFT_UNSURE = 0.25, 0.2
+# Nor, however sure, with this share and so many floors: a law that is right comes nearer.
+_LEFT_FAR, _FAR_FLOORS = 0.125, 20.0
 # Nor, with several at one joint, with this share and so many floors: they hold each other up.
 _LEFT_SEVERAL, _SEVERAL_FLOORS = 0.05, 50.0
 # A name that rivals could replace has to take this share of the mismatch; one that they would
@@ -493,7 +495,8 @@ def _too_little(
 ) -> float:
     """Share of the squared mismatch that is left where a term acts, if it is too much, else 0.
 
-    An unsure name has to explain more, and so has one of several at a joint.
+    An unsure name has to explain more, and so has one that leaves many floors, or is one of several
+    at a joint.
     """
     columns = _columns(problem, term)
     mismatch = float(np.maximum(before[columns] ** 2 - 1.0, 0.0).sum())
@@ -501,6 +504,8 @@ def _too_little(
     share = left / mismatch if mismatch > 0.0 else 0.0
     top = float(after[columns].max())
     bound = _LEFT_SURE if sure else _LEFT_UNSURE
+    if top > _FAR_FLOORS:
+        bound = _LEFT_FAR
     if several and top > _SEVERAL_FLOORS:
         bound = _LEFT_SEVERAL
     return share if share > bound and top > STANDS_OUT else 0.0
