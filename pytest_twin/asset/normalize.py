@@ -451,8 +451,15 @@ def _label(element: Any) -> str:
 
 
 def xml_numbers(text: str | None, default: tuple[float, ...]) -> Vector:
-    """Numbers of an attribute that was checked before, or the default."""
-    return np.array(default if text is None else [float(word) for word in text.split()])
+    """Numbers of an attribute, not a number for a word that is none; or the default."""
+    return np.array(default if text is None else [_number(word) for word in text.split()])
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")
 
 
 def digits(values: Any) -> str:

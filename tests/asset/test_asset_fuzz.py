@@ -6,6 +6,7 @@ import contextlib
 import tempfile
 from pathlib import Path
 
+import pytest
 from asset_robots import ARM, write_arm
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -43,3 +44,14 @@ def test_random_attributes(data: st.DataObject) -> None:
             assert made["states"]["normalized"]["files"]
         outside = {path.name for path in folder.iterdir()}
         assert outside == {"out", "arm_description"}
+
+
+@pytest.mark.parametrize("scale", ["x", "1 1", "0 1 1", "nan 1 1", ""])
+def test_a_scale_that_is_none_is_refused_with_its_line(tmp_path: Path, scale: str) -> None:
+    root = etree.fromstring(ARM)
+    next(root.iter("mesh")).set("scale", scale)
+    urdf = write_arm(tmp_path, etree.tostring(root, encoding="unicode"))
+    (tmp_path / "out").mkdir()
+    with pytest.raises(TwinError) as refused:
+        realize(str(urdf), str(tmp_path / "out"))
+    assert "scale" in str(refused.value)
