@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
 
+Likelihood = Callable[[FloatArray, FloatArray, FloatArray], float]
+"""Of a residual (samples, signals), its floor and effective samples (signals,)."""
 _OF_NOISE = math.sqrt(2.0 / math.pi)
 """Mean absolute deviation of Gaussian noise, in standard deviations."""
 

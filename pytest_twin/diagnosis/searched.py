@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import laplace_log_likelihood, log_likelihood
+from pytest_twin.diagnosis.evidence import Likelihood, laplace_log_likelihood, log_likelihood
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
@@ -120,9 +120,7 @@ class Searched:
         """The same of whole motions that cannot be followed everywhere, by absolute deviations."""
         return self._evidence(other, laplace_log_likelihood) > 0.0
 
-    def _evidence(
-        self, other: Searched, likelihood: Callable[[FloatArray, FloatArray, FloatArray], float]
-    ) -> float:
+    def _evidence(self, other: Searched, likelihood: Likelihood) -> float:
         contest = Contest(self.prepared.problem)
         mine, others = (contest.as_it_is(s.explained.hypothesis) for s in (self, other))
         contest.judge([mine], others, likelihood=likelihood)

@@ -7,12 +7,12 @@ Log-likelihood on the fit recordings less half a log of the effective samples fo
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
+from pytest_twin.diagnosis.evidence import Likelihood, effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.screen import candidates, name_price, price
 from pytest_twin.diagnosis.fit import fit, weighted_cost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
@@ -104,7 +104,7 @@ class Contest:
         rivals: Sequence[Rival],
         against: Rival,
         under: Rival | None = None,
-        likelihood: Callable[[FloatArray, FloatArray, FloatArray], float] = log_likelihood,
+        likelihood: Likelihood = log_likelihood,
     ) -> None:
         """Evidence of ``rivals`` over ``against``, by the effective samples of ``under``."""
         problem, floor = self.problem, self.problem.signal_floor
