@@ -26,10 +26,12 @@ from pytest_twin.diagnosis.searched import (
     carried,
     confirmed,
     from_start,
+    left_everywhere,
     pose,
     search,
     with_drive_of,
 )
+from pytest_twin.diagnosis.shorter import SHORTEST, stays_near, usual_length
 from pytest_twin.diagnosis.simulated import (
     explains_more,
     simulated_in_words,
@@ -240,6 +242,8 @@ def _sought(
     found = search(prepared, trials, Selection(prepared.problem, say), start)
     if found.astray and contact.world.size:
         found = _once_more(found, say)
+    elif found.far_from and not contact.world.size:
+        found = _by_shorter(found, given, problems, say)
     given, found = found_so(found, given, problems, say)
     stepped = stepped_otherwise(found, given)
     if stepped is not None:
@@ -299,6 +303,29 @@ def _once_more(found: Searched, say: Callable[[str], None]) -> Searched:
     if set(more.terms) <= set(known.terms):
         return found
     other = search(found.prepared, found.trials, Selection(problem, say), more)
+    found = found.judged_again()
+    return other if other.leaves_less(found) else found
+
+
+def _by_shorter(
+    found: Searched, given: Given, problems: list[Problem], say: Callable[[str], None]
+) -> Searched:
+    """What is found from where windows lead in which the model as it came stays near what was
+    recorded, or nearer.
+    """
+    window = usual_length(found.prepared.problem)
+    while True:
+        window *= 0.5
+        cut, kept = pose(given, found.trials, [], window=window)
+        near = stays_near(cut.problem, left_everywhere(cut.problem, EMPTY))
+        if near or window <= 2.0 * SHORTEST:
+            break
+    problems.append(cut.problem)
+    start = search(cut, kept, Selection(cut.problem, say, _CLEAR)).explained.hypothesis
+    if not start.terms:
+        return found
+    selection = Selection(found.prepared.problem, say)
+    other = search(found.prepared, found.trials, selection, start)
     found = found.judged_again()
     return other if other.leaves_less(found) else found
 

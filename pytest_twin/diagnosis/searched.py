@@ -21,6 +21,7 @@ from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.seek import first_steps, sought
 from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.shorter import stays_near
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import (
     LEFT_FLOORS,
@@ -89,6 +90,16 @@ class Searched:
         """Whether whole motions were simulated and did not come to what was recorded."""
         whole = not self.prepared.problem.simulator.segments[0].amid
         return whole and self.verdict in ("improved", "unexplained")
+
+    @property
+    def far_from(self) -> bool:
+        """Whether windows were simulated, did not come to what was recorded, and are so long that
+        the model as it came does not stay near it.
+        """
+        problem = self.prepared.problem
+        amid = problem.simulator.segments[0].amid
+        lost = self.verdict in ("improved", "unexplained")
+        return amid and lost and not stays_near(problem, self.before)
 
     def judged_again(self) -> Searched:
         """The same, held against the floor as another search of its problem may have lowered it."""

@@ -1,0 +1,122 @@
+"""Where an arm parts from its model by as much as it moves, windows are cut shorter first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_behind_gears import silent
+from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.diagnose import _by_shorter
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.searched import Searched, pose, search
+from pytest_twin.diagnosis.shorter import stays_near
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.formats.mcap import JointSeries, write_recording
+
+GRAVITY, START_NS = 9.81, 1_700_000_000_000_000_000
+NOISE = 1e-4
+MODEL = f"""
+<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body>
+    <inertial pos="0 0 {LENGTH}" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} 5e-4"/>
+    <joint name="arm" axis="0 1 0" damping="{DAMPING}" armature="{ARMATURE}"/>
+  </body></worldbody>
+  <actuator><motor name="arm" joint="arm"/></actuator>
+</mujoco>"""
+
+
+def upright(folder: Path, seed: int, role: str, load: float) -> Path:
+    """A recording of an arm that stands on its joint, balanced by a loop outside it, whose efforts
+    are the commands; ``load`` kg hang where its centre is.
+    """
+    wanted = reference(seed, 4.0, 1)[:, 0]
+    mass = MASS + load
+    inertia = INERTIA + mass * LENGTH**2 + ARMATURE
+    q = v = effort = 0.0
+    moved, sent = np.empty(len(wanted)), []
+    for k, w in enumerate(wanted):
+        moved[k] = q
+        if k % 100 == 0:
+            effort = 6.0 * (w - q) - 0.6 * v
+            sent.append(effort)
+        v += STEP * (effort + mass * GRAVITY * LENGTH * np.sin(q) - DAMPING * v) / inertia
+        q += STEP * v
+    seen = np.arange(0, len(wanted), 50)
+    noise = NOISE * np.random.default_rng([seed, 1]).standard_normal(len(seen))
+    at, told = (
+        START_NS + np.rint(1e9 * STEP * x).astype(np.int64)
+        for x in (seen, np.arange(0, len(wanted), 100))
+    )
+    path = folder / f"{role}{seed}.mcap"
+    commands = JointSeries(
+        "/joint_commands", ("arm",), told, told, None, None, np.array(sent)[:, None]
+    )
+    states = JointSeries(
+        "/joint_states", ("arm",), at, at, (moved[seen] + noise)[:, None], None, None
+    )
+    write_recording(path, [commands, states], {"role": role})
+    return path
+
+
+def given_up(folder: Path, load: float) -> tuple[Given, Searched]:
+    """A search that found nothing."""
+    model = folder / "model.xml"
+    model.write_text(MODEL)
+    loaded = load_model(model)
+    files = [upright(folder, s, r, load) for s, r in ((1, "fit"), (2, "fit"), (3, "held_out"))]
+    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
+    given = Given.of(loaded.realization, None, 1)
+    prepared, trials = pose(given, trials, [])
+    return given, search(prepared, trials, Selection(prepared.problem, silent, share_left=0.0))
+
+
+def test_a_load_that_turns_the_arm_over_is_found_from_shorter_windows(tmp_path: Path) -> None:
+    given, found = given_up(tmp_path, load=1.2)
+    assert found.verdict == "unexplained"
+    assert found.far_from
+    problems: list[Problem] = []
+    better = _by_shorter(found, given, problems, silent)
+    assert better.verdict == "explained"
+    assert {t.law.family for t in better.explained.hypothesis.terms} == {"rigid_body"}
+    (shorter,) = problems
+    lengths = [s.time[-1] - s.time[0] for s in shorter.simulator.segments]
+    assert max(lengths) < 0.3, "the model stays near within these"
+    usual = found.prepared.problem.simulator.segments
+    assert better.prepared.problem.simulator.segments is usual, "judged by the usual windows"
+
+
+def test_what_stays_near_is_searched_in_the_usual_windows_alone(tmp_path: Path) -> None:
+    _, found = given_up(tmp_path, load=0.02)
+    assert found.verdict == "unexplained"
+    assert not found.far_from
+
+
+def test_near_is_a_share_of_how_far_a_joint_moves(tmp_path: Path) -> None:
+    _, found = given_up(tmp_path, load=0.02)
+    problem = found.prepared.problem
+    travel = np.array([np.ptp(s.position) for s in problem.simulator.segments])
+    level = np.sqrt(np.mean(travel**2))
+    left = np.ones_like(found.before)
+    assert stays_near(problem, 0.24 * level * left)
+    assert not stays_near(problem, 0.26 * level * left)
+
+
+def test_what_shorter_windows_do_not_better_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, found = given_up(tmp_path, load=1.2)
+    from_where = []
+
+    def nothing(*problem: object) -> Searched:
+        from_where.append(problem[3:])
+        return found
+
+    monkeypatch.setattr("pytest_twin.diagnosis.diagnose.search", nothing)
+    assert _by_shorter(found, given, [], silent) is found
+    assert from_where == [()], "what names nothing is no start"
