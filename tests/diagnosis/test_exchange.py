@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.search.exchange import (
     beside_all,
     by_chance,
     exchanges,
+    in_place_of_several,
 )
 from pytest_twin.diagnosis.search.fewer import in_other_forms
 from pytest_twin.diagnosis.search.look import look_around
@@ -181,6 +182,36 @@ def test_what_explains_something_else_is_a_rival_of_nothing() -> None:
     assert all(
         rival.joint != SHOULDER for rival, share in selected.alternatives[DRAG] if share > 0.01
     )
+
+
+def test_what_is_better_beside_everything_is_tried_in_the_place_of_several() -> None:
+    """A drive whose effort falls with speed, as a limit and drag: in the place of both its shape is
+    what it came to beside them.
+    """
+    falls = Term("torque_speed_limit", ELBOW)
+    hidden = {"inverse_no_load_speed": 1.0 / 1.5, "stall": 2.5}
+    problem = problem_of("position", {falls: hidden})
+    contest = Contest(problem)
+    limit, drag = Term("torque_saturation", ELBOW), Term("quadratic_drag", ELBOW)
+    best = settled(contest, limit, drag)
+    look, price = look_around(problem, best), contest.name_price
+    true = with_true(problem, falls, hidden)
+    both = best.hypothesis.with_term_of(true, falls)
+    old = Exchange((limit, drag), falls, EMPTY, -85.0, False)
+    elsewhere = Exchange((limit,), DRY, EMPTY, -4.0, False)
+
+    offered = in_place_of_several(best, look, [old, elsewhere], {falls: (both, 50.0)}, price)
+    assert offered[0] is elsewhere
+    (one,) = offered[1:]
+    assert (one.gone, one.new) == ((limit, drag), falls)
+    assert one.evidence > 30.0
+    assert one.hypothesis.terms == (falls,)
+    assert one.hypothesis.theta == pytest.approx(true.theta, rel=0.05)
+    # Nothing is clearly better, or not at a joint with several names: all stays as it was.
+    assert in_place_of_several(best, look, [old], {}, price) == [old]
+    brake = Term("coulomb_friction", SHOULDER)
+    at_shoulder = best.hypothesis.with_term(brake, np.array([0.1]))
+    assert in_place_of_several(best, look, [old], {brake: (at_shoulder, 50.0)}, price) == [old]
 
 
 def test_what_is_right_in_a_place_is_a_rival_though_it_is_better_beside_it_too() -> None:

@@ -148,6 +148,48 @@ def beside_all(
     }
 
 
+def in_place_of_several(
+    best: Rival,
+    look: Look,
+    found: Sequence[Exchange],
+    beside: Mapping[Term, tuple[Hypothesis, float]],
+    name_price: float,
+) -> list[Exchange]:
+    """What is clearly better beside everything, in the place of several terms of its joint, where
+    along the motion that is better than what stands there: two wrong names may hold each other up
+    so well that neither yields to the one that is right. A grid knows little of the shape of a law
+    that bends sharply; beside everything it was fitted.
+
+    Args:
+        best: the fit at hand.
+        look: around it.
+        found: what could stand in the places of its terms.
+        beside: as :func:`beside_all` has it.
+        name_price: evidence that a name costs.
+
+    Returns:
+        ``found``, with these in the place of the same as they were before.
+    """
+    several = _together(best.hypothesis.terms)
+    places = [
+        (gone, new)
+        for new in beside
+        for gone in several
+        if new.joint < 0 or any(t.joint == new.joint for t in gone)
+    ]
+    if look.linear is None or not places:
+        return list(found)
+    rests = [beside[new][0].without(*gone) for gone, new in places]
+    fitted, evidence = against(look.linear, look.view, best, rests, name_price)
+    better = {
+        place: Exchange(*place, h, float(e), doubtful=False)
+        for place, h, e in zip(places, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True)
+        if e > 0.0
+    }
+    kept = [x for x in found if x.new is None or (x.gone, x.new) not in better]
+    return [*kept, *better.values()]
+
+
 def _worth_fitting(found: Sequence[Exchange]) -> list[int]:
     """Numbers of those that may be in front once they are fitted along the motion."""
     out = []

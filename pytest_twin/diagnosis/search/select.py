@@ -25,6 +25,7 @@ from pytest_twin.diagnosis.search.exchange import (
     beside_all,
     by_chance,
     exchanges,
+    in_place_of_several,
 )
 from pytest_twin.diagnosis.search.fewer import (
     in_like_forms,
@@ -436,6 +437,7 @@ class Selection:
             replace(x, evidence=x.evidence - beside[x.new][1]) if x.new in beside else x
             for x in found
         ]
+        found = in_place_of_several(best, look, found, beside, price)
         simulated = self._simulated(best, found, beside)
         evidence = self._weighed(best, found, simulated)
         selected.weigh(evidence)
