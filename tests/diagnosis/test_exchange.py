@@ -304,6 +304,15 @@ def test_rivals_that_hardly_lose_are_simulated(
     assert simulated(lost=-5000.0, behind=-200.0) == [DRAG]
     assert simulated(lost=-5000.0, behind=-300.0) == []
 
+    # In the place of several what is lost without the one that does most counts.
+    several = [
+        Exchange((MASS,), None, EMPTY, -5000.0, False),
+        Exchange((DRY,), None, EMPTY, -3.0, False),
+        Exchange((MASS, DRY), DRAG, with_true(loaded, DRAG, BRAKED[DRAG]), -200.0, False),
+    ]
+    assert [x.new for x, _ in selection._simulated(best, several, ())] == [DRAG]
+    assert selection._simulated(best, several[1:], ()) == []
+
 
 def at_starts(*terms: Term) -> Hypothesis:
     return EMPTY.with_terms({t: grid(t)[0][0] for t in terms})

@@ -342,8 +342,10 @@ class Selection:
                 if x.gone == place and x.new is not None
                 and not (x.new in beside and x.evidence < 0.0)
             ]  # fmt: skip
-            lost = [x.evidence for x in found if x.gone == place and x.new is None]
-            least = 0.0 if spent else min(-_CLEAR, _HARDLY * max(lost, default=0.0))
+            # Without several at least as much is lost as without the one that does most of it.
+            bare = [x for x in found if x.new is None and set(x.gone) <= set(place)]
+            lost = min((x.evidence for x in bare), default=0.0)
+            least = 0.0 if spent else min(-_CLEAR, _HARDLY * lost)
             for x in sorted(mine, key=lambda x: -x.evidence)[:_MOST_CLOSE]:
                 if x.evidence > least:
                     near.append(x)
