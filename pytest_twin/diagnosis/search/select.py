@@ -48,7 +48,7 @@ from pytest_twin.diagnosis.search.rivals import (
     quieter,
     simplest,
 )
-from pytest_twin.diagnosis.verdict import LEFT_FLOORS
+from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT_FLOORS
 
 _MAX_TERMS = 20
 _ROUNDS, _ATTEMPTS = 6, 3
@@ -332,10 +332,12 @@ class Selection:
         the nearest two that are not far behind along the motion, and those where that says nothing.
 
         Once the replays are spent, what seems better, for no name would be sure of what was not
-        seen, and what may stand for several. Never what is better ``beside`` what stands there.
+        seen, what may stand for several where nothing is said of it, and the nearest of those that
+        are not far behind in the place of several. Never what is better ``beside`` what stands
+        there.
         """
         spent = self._spent(best)
-        near, doubtful = [], []
+        near, doubtful, behind = [], [], []
         for place in dict.fromkeys(x.gone for x in found):
             mine = [
                 x for x in found
@@ -345,12 +347,15 @@ class Selection:
             # Without several at least as much is lost as without the one that does most of it.
             bare = [x for x in found if x.new is None and set(x.gone) <= set(place)]
             lost = min((x.evidence for x in bare), default=0.0)
-            least = 0.0 if spent else min(-_CLEAR, _HARDLY * lost)
+            least = min(-_CLEAR, _HARDLY * lost)
             for x in sorted(mine, key=lambda x: -x.evidence)[:_MOST_CLOSE]:
-                if x.evidence > least:
+                if x.evidence > (0.0 if spent else least):
                     near.append(x)
                 elif x.doubtful and (len(place) > 1 or not spent):
                     doubtful.append(x)
+                elif len(place) > 1 and x.evidence > least:
+                    behind.append(x)
+        near += sorted(behind, key=lambda x: -x.evidence)[:1]
         rivals = self.contest.rivals([x.hypothesis for x in near], self.contest.weights(best), FAIR)
         self.contest.judge(rivals, best)
         rivals += self.contest.against([x.hypothesis for x in doubtful], best, FAIR, QUICK)
@@ -431,7 +436,7 @@ class Selection:
         if not best.hypothesis.terms:
             selected.weigh({})
             return False
-        look = look_around(self.problem, best, self.last_look)
+        look = look_around(self.problem, best, self._known_around(best))
         price = self.contest.name_price
         found = exchanges(self.problem, best, look, self.known, price)
         beside = beside_all(best, look, found, _CLEAR, price)
@@ -465,6 +470,14 @@ class Selection:
             return False
         selected.best = back
         return True
+
+    def _known_around(self, best: Rival) -> Look | None:
+        """The last look, whose responses serve around a fit that leaves nothing above the floor:
+        what else is left, laws answer that bend where it is.
+        """
+        floor = self.problem.signal_floor
+        left = np.maximum(best.fitted.mean_square, self.contest.unseen(best))
+        return None if (left > AT_FLOOR**2 * floor**2).any() else self.last_look
 
     def _weighed(
         self, best: Rival, found: Sequence[Exchange], simulated: Sequence[tuple[Exchange, Rival]]
