@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -11,13 +12,20 @@ import pytest
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.first_order.responses import grid
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.searched import pose, search
+from pytest_twin.diagnosis.simulated import stepped_otherwise
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.gate.diagnosis_folder import write_diagnosis
 
 STEP, SECONDS, NOISE = 0.002, 4.0, 2e-5
+BACKLASH = Term("backlash", 1)
 HIDDEN = 0.8
 """N*m*s/rad that the elbow has more than its model."""
 ARM = """
@@ -128,3 +136,17 @@ def test_what_is_hidden_is_found_to_the_noise_of_the_simulation(tmp_path: Path) 
         effects.write_text(json.dumps({**kept, "simulated_in_substeps": wrong}))
         with pytest.raises(SpecError, match=r"simulated_in_substeps.*a whole number up to 100"):
             load_model(find_model(folder))
+
+
+def test_of_a_gear_that_was_found_nothing_is_asked(tmp_path: Path) -> None:
+    """A motor apart from its link is stepped in another way than one with it."""
+    realization, trials = posed(tmp_path, 1, HIDDEN)
+    given = Given.of(realization, None, 1)
+    prepared, trials = pose(given, trials, [])
+    found = search(prepared, trials, Selection(prepared.problem))
+    assert found.selected.best.hypothesis.terms
+    assert stepped_otherwise(found, given) == replace(given, substeps=1)
+    best = found.selected.best
+    geared = best.hypothesis.with_term(BACKLASH, grid(BACKLASH)[0][0])
+    found.selected.best = replace(best, fitted=replace(best.fitted, hypothesis=geared))
+    assert stepped_otherwise(found, given) is None
