@@ -214,6 +214,23 @@ def test_what_is_better_beside_everything_is_tried_in_the_place_of_several() -> 
     assert in_place_of_several(best, look, [old], {brake: (at_shoulder, 50.0)}, price) == [old]
 
 
+@pytest.mark.parametrize(
+    ("floors", "here", "anew"),
+    [(2.0, False, False), (5.0, False, True), (5.0, True, False), (20.0, False, False)],
+)
+def test_what_leaves_a_little_is_looked_at_where_it_is(
+    loaded: Problem, floors: float, here: bool, anew: bool
+) -> None:
+    """Laws that bend answer a fit elsewhere otherwise; of what is far off that is no matter."""
+    selection = Selection(loaded, silent)
+    nominal = selection.contest.nominal
+    left = np.ones_like(nominal.fitted.residual) * floors * loaded.signal_floor
+    best = replace(nominal, fitted=replace(nominal.fitted, residual=left))
+    selection.last_look = look_around(loaded, nominal)
+    selection.looked_at = best if here else nominal
+    assert (selection._known_around(best) is None) is anew
+
+
 def test_what_is_right_in_a_place_is_a_rival_though_it_is_better_beside_it_too() -> None:
     problem = problem_of("position", {DRY: BRAKED[DRY]})
     selection = Selection(problem, silent)

@@ -17,6 +17,8 @@ from pytest_twin.diagnosis.noise import timing_noise
 from pytest_twin.diagnosis.prepare import NOISE as SENSOR
 from pytest_twin.diagnosis.prepare import STEP as STEPS
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.front import _misread
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import search
 from pytest_twin.diagnosis.trials import read_trials
@@ -159,6 +161,16 @@ def test_a_scale_of_efforts_stands_out_among_jumps(
     off = problem.residuals([EMPTY], problem.fit)[0][:, 1]
     level = float(np.sqrt(np.mean(off**2))) / problem.effort_floor[0]
     assert bool(level > 2.0) is stands, level
+    # Its laws are simulated, whatever means along the motion say of them, until they are named.
+    problem.effort_floor *= level / (1.6 if stands else 1.4)
+    best = Contest(problem).nominal
+    starts = _misread(problem, best)
+    effects = {h.terms[-1].effect for h in starts}
+    assert effects == ({"effort_scale", "effort_bias"} if stands else set())
+    for start in starts:
+        named = replace(best, fitted=replace(best.fitted, hypothesis=start))
+        others = [h.terms for h in _misread(problem, named)]
+        assert [t[-1].effect for t in others] == [*(effects - {start.terms[-1].effect})]
 
 
 def test_a_sample_in_the_step_in_which_a_command_jumps_is_not_trusted(tmp_path: Path) -> None:

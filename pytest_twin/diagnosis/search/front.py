@@ -53,7 +53,25 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
         starts = _promising(tryout, best, starts)
     swinging = resonant(tryout, best.hypothesis)
     alike = {h.terms for h in swinging}
-    return [*(h for h in starts if h.terms not in alike), *swinging]
+    starts = [*(h for h in starts if h.terms not in alike), *swinging]
+    named = {t for h in starts for t in h.terms}
+    return [*starts, *(h for h in _misread(problem, best) if h.terms[-1] not in named)]
+
+
+def _misread(problem: Problem, best: Rival) -> list[Hypothesis]:
+    """Laws of the sensors of efforts that stand out: along the motion means over bins lie under the
+    floor of single samples, which all of them may stand out of together.
+    """
+    joints = len(problem.joints)
+    left = best.fitted.mean_square
+    if len(best.held_residual):
+        left = np.maximum(left, np.mean(best.held_residual**2, axis=0))
+    (out,) = np.nonzero((left > STANDS_OUT**2 * problem.signal_floor**2)[joints:])
+    return [
+        best.hypothesis.with_term(t, in_first_form(t)[0])
+        for t in candidates(problem)
+        if t.law.overrides("sense_effort") and t.joint in out and t not in best.hypothesis.terms
+    ]
 
 
 def _anchored(tryout: Tryout, best: Rival, starts: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -93,6 +93,7 @@ class Selection:
         self.regrown: tuple[Term, ...] = ()
         self.first: tuple[Term, ...] | None = None
         self.last_look: Look | None = None
+        self.looked_at: Rival | None = None
         self.known: dict[Term, list[Response]] = {}
         self.lost: dict[tuple[Term, ...], float] = {}
         """Evidence of what the best fit was simulated without: its terms, over it."""
@@ -181,6 +182,7 @@ class Selection:
         its bound: such terms leave, and the search goes on.
         """
         look = self.last_look = look_ahead(self.problem, best)
+        self.looked_at = best
         for term in look.asked:
             self.known[term] = [r for r in look.answers.responses if r.term == term]
         for _ in range(self.attempts):
@@ -472,12 +474,14 @@ class Selection:
         return True
 
     def _known_around(self, best: Rival) -> Look | None:
-        """The last look, whose responses serve around a fit that leaves nothing above the floor:
-        what else is left, laws answer that bend where it is.
+        """The last look, whose responses serve around a fit nearby; none where that look was at
+        another fit and a little is left: laws that bend answer it where it is.
         """
         floor = self.problem.signal_floor
         left = np.maximum(best.fitted.mean_square, self.contest.unseen(best))
-        return None if (left > AT_FLOOR**2 * floor**2).any() else self.last_look
+        most = float(np.sqrt(np.max(left / floor**2)))
+        anew = best is not self.looked_at and AT_FLOOR < most <= LEFT_FLOORS
+        return None if anew else self.last_look
 
     def _weighed(
         self, best: Rival, found: Sequence[Exchange], simulated: Sequence[tuple[Exchange, Rival]]
@@ -490,10 +494,15 @@ class Selection:
         chance = by_chance(best.hypothesis, found, self.contest.of_all, lost)
         evidence = as_simulated(found, [(x, r.evidence) for x, r in simulated])
         evidence = {place: e - chance[place] for place, e in evidence.items()}
+        lone = best.hypothesis.terms if len(best.hypothesis.terms) == 1 else None
         for x in found:
             without = best.hypothesis.without(*x.gone).terms
             if x.new is None and without in self.lost:
                 evidence[x.gone, None] = self.lost[without]
+            elif x.new is None and x.gone == lone:
+                bare = replace(self.contest.nominal)
+                self.contest.judge([bare], best)
+                evidence[x.gone, None] = bare.evidence
         for x, r in simulated:
             alike = len(x.gone) == 1 and not x.has_it and not x.comes_to
             if not alike or abs(r.evidence) >= _EVEN:
