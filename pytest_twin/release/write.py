@@ -77,10 +77,7 @@ def write(
         # mkdtemp makes folders that only their owner can read.
         staging.chmod(0o755)
         if not atomic.create_directory(staging, releases / f"{header.number:04d}"):
-            raise ReleaseError(
-                f"release {header.number} was written by someone else meanwhile; run again",
-                path=releases,
-            )
+            raise _meanwhile(header.number, releases)
     except OSError as error:
         raise PathError(f"cannot be written: {error.strerror or error}", path=staging) from None
     finally:
@@ -116,16 +113,27 @@ def _require_trust(root: Path, releases: Path, signer: CryptoSigner) -> bool:
     return True
 
 
+def _meanwhile(number: int, releases: Path) -> ReleaseError:
+    return ReleaseError(
+        f"release {number} was written by someone else meanwhile; run again", path=releases
+    )
+
+
 def _header(
     root: Path, releases: Path, draft: Draft, signer: CryptoSigner, now: datetime
 ) -> Header:
+    there = folders.numbered(releases)
     before = baseline(root, now=now).known
-    numbers = [number for number, _ in folders.numbered(releases)]
+    numbers = [number for number, _ in there]
     if before is None:
         series = secrets.token_hex(16)
     else:
         series = before.header.series
         numbers.append(seen.highest(series) or 0)
+    # A number beyond a release that was not looked at would follow the one before that.
+    since = folders.numbered(releases)
+    if since != there:
+        raise _meanwhile(since[0][0] if since else there[0][0], releases)
     return Header(
         twin=draft.twin,
         series=series,

@@ -218,6 +218,28 @@ def test_of_two_writers_one_wins_and_the_other_says_so(root: Path, make: MakeRel
     assert release.check(root / "releases" / "0001", now=NOW).holds
 
 
+def test_a_release_that_appears_between_two_looks_is_not_skipped(
+    root: Path, make: MakeRelease, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its successor would follow the one before it, and never hold."""
+    make()
+    signer, _ = release.signer(root)
+    looked = release.write.__globals__["baseline"]
+
+    def then_written(*args: object, **options: object) -> object:
+        found = looked(*args, **options)
+        monkeypatch.setitem(release.write.__globals__, "baseline", looked)
+        assert make().number == 2
+        return found
+
+    monkeypatch.setitem(release.write.__globals__, "baseline", then_written)
+    with pytest.raises(ReleaseError, match="release 2 was written by someone else meanwhile"):
+        release.write(root, make_draft(root), signer, html, now=NOW)
+    assert sorted(path.name for path in (root / "releases").iterdir()) == ["0001", "0002"]
+    assert make().number == 3
+    assert release.check(root / "releases" / "0003", now=NOW).holds
+
+
 def test_writers_in_parallel_never_clobber(root: Path, user: Path) -> None:
     code = f"""
 import sys
