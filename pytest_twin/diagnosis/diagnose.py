@@ -302,7 +302,13 @@ def _once_more(found: Searched, say: Callable[[str], None]) -> Searched:
     more = _with_contact(problem, known, say)
     if set(more.terms) <= set(known.terms):
         return found
-    other = search(found.prepared, found.trials, Selection(problem, say), more)
+    return _from_there(found, more, say)
+
+
+def _from_there(found: Searched, start: Hypothesis, say: Callable[[str], None]) -> Searched:
+    """What is found from a hypothesis, where that leaves less than what was found."""
+    selection = Selection(found.prepared.problem, say)
+    other = search(found.prepared, found.trials, selection, start)
     found = found.judged_again()
     return other if other.leaves_less(found) else found
 
@@ -322,12 +328,7 @@ def _by_shorter(
             break
     problems.append(cut.problem)
     start = search(cut, kept, Selection(cut.problem, say, _CLEAR)).explained.hypothesis
-    if not start.terms:
-        return found
-    selection = Selection(found.prepared.problem, say)
-    other = search(found.prepared, found.trials, selection, start)
-    found = found.judged_again()
-    return other if other.leaves_less(found) else found
+    return _from_there(found, start, say) if start.terms else found
 
 
 def _windowed(

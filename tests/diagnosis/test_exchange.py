@@ -226,8 +226,7 @@ def test_what_leaves_a_little_is_looked_at_where_it_is(
     nominal = selection.contest.nominal
     left = np.ones_like(nominal.fitted.residual) * floors * loaded.signal_floor
     best = replace(nominal, fitted=replace(nominal.fitted, residual=left))
-    selection.last_look = look_around(loaded, nominal)
-    selection.looked_at = best if here else nominal
+    selection.last_look = replace(look_around(loaded, nominal), around=best if here else nominal)
     assert (selection._known_around(best) is None) is anew
 
 

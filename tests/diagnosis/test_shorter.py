@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_behind_gears import silent
-from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference
+from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import _by_shorter
@@ -17,10 +17,8 @@ from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import Searched, pose, search
 from pytest_twin.diagnosis.shorter import stays_near
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.formats.mcap import JointSeries, write_recording
 
-GRAVITY, START_NS = 9.81, 1_700_000_000_000_000_000
-NOISE = 1e-4
+GRAVITY, NOISE = 9.81, 1e-4
 MODEL = f"""
 <mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
   <worldbody><body>
@@ -49,18 +47,11 @@ def upright(folder: Path, seed: int, role: str, load: float) -> Path:
         q += STEP * v
     seen = np.arange(0, len(wanted), 50)
     noise = NOISE * np.random.default_rng([seed, 1]).standard_normal(len(seen))
-    at, told = (
-        START_NS + np.rint(1e9 * STEP * x).astype(np.int64)
-        for x in (seen, np.arange(0, len(wanted), 100))
-    )
     path = folder / f"{role}{seed}.mcap"
-    commands = JointSeries(
-        "/joint_commands", ("arm",), told, told, None, None, np.array(sent)[:, None]
-    )
-    states = JointSeries(
-        "/joint_states", ("arm",), at, at, (moved[seen] + noise)[:, None], None, None
-    )
-    write_recording(path, [commands, states], {"role": role})
+    write(
+        path, ("arm",), STEP * np.arange(0, len(wanted), 100), np.array(sent)[:, None],
+        STEP * seen, (moved[seen] + noise)[:, None], role, mode="effort",
+    )  # fmt: skip
     return path
 
 

@@ -121,18 +121,18 @@ def write(
     role: str | None = None,
     velocity: np.ndarray | None = None,
     told: Mapping[str, str] | None = None,
+    mode: str = "position",
 ) -> None:
-    """Write commands and states, times in s."""
+    """Write commands of a mode and states, times in s."""
 
     def stamps(time: np.ndarray) -> np.ndarray:
         return START_NS + np.rint(time * 1e9).astype(np.int64)
 
+    fields = (sent if field == mode else None for field in ("position", "velocity", "effort"))
     write_recording(
         path,
         [
-            JointSeries(
-                "/joint_commands", joints, stamps(sent_at), stamps(sent_at), sent, None, None
-            ),
+            JointSeries("/joint_commands", joints, stamps(sent_at), stamps(sent_at), *fields),
             JointSeries(
                 "/joint_states", joints, stamps(seen_at), stamps(seen_at), seen, velocity, None
             ),

@@ -150,11 +150,9 @@ class Contest:
     def worth_a_search(self, rival: Rival) -> bool:
         """Whether any joint has left what would be worth a name if all of it went."""
         floor = self.problem.signal_floor**2
-        fit = rival.fitted.mean_square
-        left = np.maximum(self.unseen(rival), fit)
+        left = rival.left
         least = np.where(left > STANDS_OUT**2 * floor, floor, left)
-        whole = np.maximum(self.unseen(self.nominal), self.nominal.fitted.mean_square)
-        return self.worth_a_name(left, least, whole)
+        return self.worth_a_name(left, least, self.nominal.left)
 
     def worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:
         """Whether mean squares (signals,) fall by enough; ``whole`` of the model as it came."""

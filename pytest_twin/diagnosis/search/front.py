@@ -63,10 +63,7 @@ def _misread(problem: Problem, best: Rival) -> list[Hypothesis]:
     floor of single samples, which all of them may stand out of together.
     """
     joints = len(problem.joints)
-    left = best.fitted.mean_square
-    if len(best.held_residual):
-        left = np.maximum(left, np.mean(best.held_residual**2, axis=0))
-    (out,) = np.nonzero((left > STANDS_OUT**2 * problem.signal_floor**2)[joints:])
+    (out,) = np.nonzero((best.left > STANDS_OUT**2 * problem.signal_floor**2)[joints:])
     return [
         best.hypothesis.with_term(t, in_first_form(t)[0])
         for t in candidates(problem)

@@ -27,6 +27,7 @@ class Look:
     """A fit seen to first order.
 
     Attributes:
+        around: the fit.
         linear: laws along the measured motion; None where candidates were simulated.
         view: what is left of the fit, and what may give way.
         answers: responses of the candidates.
@@ -34,6 +35,7 @@ class Look:
         failed: candidates that were simulated and came to nothing.
     """
 
+    around: Rival
     linear: Linear | None
     view: View
     answers: Answers
@@ -62,7 +64,7 @@ def look_ahead(problem: Problem, best: Rival) -> Look:
     near = [t for t in terms if t.joint in joints]
     found = simulated(problem, near, problem.fit, best.hypothesis, left)
     answers = Answers([*look.answers.responses, *found])
-    return Look(None, view_of(problem, best, left), answers, frozenset(terms))
+    return Look(best, None, view_of(problem, best, left), answers, frozenset(terms))
 
 
 def _behind_gears(problem: Problem, best: Rival, linear: Linear) -> set[int]:
@@ -112,7 +114,7 @@ def _looked(
             *rippled(linear, view, new),
         ]
         answers = Answers([*found, *more]) if more else answers
-    return Look(linear, view, answers, frozenset(terms))
+    return Look(best, linear, view, answers, frozenset(terms))
 
 
 def view_of(problem: Problem, best: Rival, left: FloatArray) -> View:

@@ -44,6 +44,15 @@ class Rival:
         """With its fitted parameters."""
         return self.fitted.hypothesis
 
+    @property
+    def left(self) -> FloatArray:
+        """(signals,) mean square of what is fitted or of what no fit has seen, the greater."""
+        seen = self.fitted.mean_square
+        if not len(self.held_residual):
+            return seen
+        most: FloatArray = np.maximum(np.mean(self.held_residual**2, axis=0), seen)
+        return most
+
 
 @dataclass(slots=True)
 class Selected:

@@ -93,7 +93,6 @@ class Selection:
         self.regrown: tuple[Term, ...] = ()
         self.first: tuple[Term, ...] | None = None
         self.last_look: Look | None = None
-        self.looked_at: Rival | None = None
         self.known: dict[Term, list[Response]] = {}
         self.lost: dict[tuple[Term, ...], float] = {}
         """Evidence of what the best fit was simulated without: its terms, over it."""
@@ -182,7 +181,6 @@ class Selection:
         its bound: such terms leave, and the search goes on.
         """
         look = self.last_look = look_ahead(self.problem, best)
-        self.looked_at = best
         for term in look.asked:
             self.known[term] = [r for r in look.answers.responses if r.term == term]
         for _ in range(self.attempts):
@@ -477,11 +475,10 @@ class Selection:
         """The last look, whose responses serve around a fit nearby; none where that look was at
         another fit and a little is left: laws that bend answer it where it is.
         """
-        floor = self.problem.signal_floor
-        left = np.maximum(best.fitted.mean_square, self.contest.unseen(best))
-        most = float(np.sqrt(np.max(left / floor**2)))
-        anew = best is not self.looked_at and AT_FLOOR < most <= LEFT_FLOORS
-        return None if anew else self.last_look
+        look = self.last_look
+        most = float(np.sqrt(np.max(best.left / self.problem.signal_floor**2)))
+        elsewhere = look is not None and look.around is not best
+        return None if elsewhere and AT_FLOOR < most <= LEFT_FLOORS else look
 
     def _weighed(
         self, best: Rival, found: Sequence[Exchange], simulated: Sequence[tuple[Exchange, Rival]]
