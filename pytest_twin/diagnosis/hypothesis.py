@@ -115,18 +115,20 @@ class Hypothesis:
         return np.array([t not in gone for t in self.terms for _ in t.parameters], dtype=bool)
 
     def absorbed(self, gone: Term, into: Term) -> Hypothesis | None:
-        """Without ``gone``, its parameters added to those of ``into`` that are the same physics, as
-        far as their bounds go.
+        """Without ``gone``, where ``into`` does the same physics as well, as far as its bounds go;
+        None where it cannot.
         """
-        same = into.law.holds(gone.effect)
-        if not same:
+        changed = into.law.with_other(self._named(into), gone.effect, self._named(gone))
+        if not changed:
             return None
-        theta, mine, other = self.theta.copy(), self.slice_of(into), self.slice_of(gone)
-        names = [p.name for p in into.parameters]
-        for k, p in enumerate(gone.parameters):
-            if p.name in same:
-                theta[mine.start + names.index(same[p.name])] += theta[other.start + k]
+        theta, place = self.theta.copy(), self.slice_of(into)
+        theta[place] = [changed.get(name, value) for name, value in self._named(into).items()]
         return self.with_theta(np.clip(theta, *self.bounds)).without(gone)
+
+    def _named(self, term: Term) -> dict[str, float]:
+        """Parameters of a term by name, in multiples of their scales."""
+        values = self.theta[self.slice_of(term)].tolist()
+        return dict(zip((p.name for p in term.parameters), values, strict=True))
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

@@ -20,6 +20,9 @@ class _Follower(Protocol):
     def mean(self, asked: FloatArray) -> FloatArray:
         """(rows, joints) mean over the next step of what follows ``asked``."""
 
+    def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
+        """Follow (rows, joints) ``asked`` for so many steps, and fractions of them."""
+
 
 class _Follows(Effect):
     """The setpoint that a drive's law sees follows its command, or its effort follows its law."""
@@ -32,6 +35,11 @@ class _Follows(Effect):
 
     def command(self, world: World, values: Values) -> None:
         world.setpoint = self._followers(world, values)[0].mean(world.setpoint)
+
+    def follow_command(
+        self, world: World, values: Values, command: FloatArray, seconds: FloatArray
+    ) -> None:
+        self._followers(world, values)[0].live_through(command, seconds / world.timestep)
 
     def drive(self, world: World, values: Values) -> None:
         world.delivered = self._followers(world, values)[1].mean(world.delivered)
@@ -107,6 +115,11 @@ class _Lag:
         mean: FloatArray = asked + self.mean_kept * behind
         return mean
 
+    def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
+        """Follow (rows, joints) ``asked`` for so many steps, and fractions of them."""
+        behind = (asked if self.followed is None else self.followed) - asked
+        self.followed = asked + self.kept**steps * behind
+
 
 _SLOWNESSES = tuple(0.15 * 1.25**k for k in range(16))
 
@@ -173,6 +186,12 @@ class _Slew:
         self.held = held + moved
         mean: FloatArray = held + moved * (1.0 - np.abs(moved) / (2.0 * self.reach))
         return mean
+
+    def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
+        """Follow (rows, joints) ``asked`` for so many steps, and fractions of them."""
+        held = asked if self.held is None else self.held
+        reach = steps * self.reach
+        self.held = held + within(asked - held, -reach, reach)
 
 
 class TorqueConstant(Effect):
@@ -380,6 +399,15 @@ class ControllerGain(Effect):
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_constant": {"relative_error": values["stiffness_error"]}}
+
+    def with_other(
+        self, own: Mapping[str, float], effect: str, other: Mapping[str, float]
+    ) -> Mapping[str, float]:
+        """A drive's constant multiplies both gains."""
+        if effect != "torque_constant":
+            return super().with_other(own, effect, other)
+        factor = 1.0 + other["relative_error"]
+        return {name: (1.0 + value) * factor - 1.0 for name, value in own.items()}
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
         """A softer servo gives way in proportion to the reciprocal of its stiffness."""

@@ -340,6 +340,19 @@ class Effect:
         """Which parameters of this law take up another's; what is not among them is lost."""
         return {}
 
+    def with_other(
+        self, own: Mapping[str, float], effect: str, other: Mapping[str, float]
+    ) -> Mapping[str, float]:
+        """What changes of its parameters where this law does what another did beside it as well;
+        nothing where it cannot.
+
+        Args:
+            own: its parameters, in multiples of references.
+            effect: the other.
+            other: the other's parameters, in multiples of the same references.
+        """
+        return {mine: own[mine] + other[theirs] for theirs, mine in self.holds(effect).items()}
+
     def coordinates(self, parameters: FloatArray) -> FloatArray:
         """Numbers in which the motion bends less than in the parameters: a fit steps in them.
 
@@ -367,6 +380,18 @@ class Effect:
 
     def command(self, world: World, values: Values) -> None:
         """Change ``world.setpoint``: what reaches the drive."""
+
+    def follow_command(
+        self, world: World, values: Values, command: FloatArray, seconds: FloatArray
+    ) -> None:
+        """Let what remembers commands alone live through one that was held before a window begins.
+
+        Args:
+            world: rows at the start of their windows.
+            values: as in every hook.
+            command: (rows, joints) rad, m, per s, N*m or N.
+            seconds: (rows, joints) for how long it was held, s; 0 where it never came.
+        """
 
     def servo(self, world: World, values: Values) -> None:
         """Change the setpoint that the drive's law sees, and its bounds."""

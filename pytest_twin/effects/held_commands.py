@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +65,32 @@ class HeldCommands:
             segment, late = int(unlike[first, 0]), float(unlike[first, 1])
             means[first:end] = self._means(segment, late, steps, timestep)[which]
         return np.swapaxes(means[of.reshape(joints.shape)], 1, 2)
+
+    def before(
+        self, rows: NDArray[np.int64], joints: NDArray[np.int64], until: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """One command after the other from the first, and for how long each was held, s, 0 where it
+        came too late; (rows, columns) both.
+
+        Args:
+            rows: segments; joints: (rows, columns) of them.
+            until: (rows, columns) s on the clocks of their trials.
+        """
+        which, of = np.unique(rows, return_inverse=True)
+        held = [self._held_of(int(r)) for r in which]
+        latest = [float(until[of == i].max()) for i in range(len(which))]
+        counts = [int(np.searchsorted(h.far, t)) for h, t in zip(held, latest, strict=True)]
+        most = max(1, *counts)
+        stamps = np.full((most + 1, len(which)), np.inf)
+        commands = np.empty((most, len(which), held[0].command.shape[1]))
+        for i, h in enumerate(held):
+            n = min(most, len(h.command))
+            stamps[: n + 1, i] = h.far[: n + 1]
+            commands[:n, i], commands[n:, i] = h.command[:n], h.command[n - 1]
+        row = of[:, None]
+        for begun, ended, command in zip(stamps[:-1], stamps[1:], commands, strict=True):
+            seconds = np.minimum(ended[row], until) - begun[row]
+            yield command[row, joints], np.maximum(seconds, 0.0)
 
     def _means(self, segment: int, delay: float, steps: int, timestep: float) -> FloatArray:
         """(joints, steps)."""

@@ -96,6 +96,14 @@ class WatchdogTimeout(Effect):
             last = np.where(changed, world.setpoint, last)
         world.state[self.id] = (last, still)
 
+    def follow_command(
+        self, world: World, values: Values, command: FloatArray, seconds: FloatArray
+    ) -> None:
+        last, still = world.state.get(self.id, (command, np.zeros_like(command)))
+        changed = (seconds > 0.0) & (np.abs(command - last) > _SAME_COMMAND)
+        last = np.where(changed, command, last)
+        world.state[self.id] = (last, np.where(changed, 0.0, still) + seconds)
+
     def drive(self, world: World, values: Values) -> None:
         _, still = world.state[self.id]
         gone = still * values["inverse_timeout"] > 1.0

@@ -59,6 +59,19 @@ def test_one_law_takes_up_another_that_is_in_it() -> None:
     assert both.absorbed(rich, plain) is None
 
 
+def test_a_servo_takes_up_a_drive_that_gives_more() -> None:
+    """A quarter of the stiffness times twice the constant is half the stiffness: both factors."""
+    servo, drive = Term("controller_gain", SHOULDER), Term("torque_constant", SHOULDER)
+    both = Hypothesis((servo, drive), np.array([-0.75, -0.4, 1.0]))
+    one = both.absorbed(drive, servo)
+    assert one is not None
+    assert one.terms == (servo,)
+    assert one.theta == pytest.approx([-0.5, 0.2])
+    assert both.absorbed(servo, drive) is None
+    problem = problem_of("position", {servo: {"stiffness_error": -0.5, "damping_error": 0.2}})
+    assert (servo,) in [h.terms for h in merged(problem, both)]
+
+
 def test_two_terms_that_one_law_is_confused_with_are_offered_as_that() -> None:
     """A drive with less torque and more damping may be a servo with other gains."""
     problem = problem_of("position", {Term("controller_gain", SHOULDER): {

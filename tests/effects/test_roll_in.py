@@ -64,3 +64,47 @@ def test_a_window_goes_on_where_the_motion_was(law: str) -> None:
     moved = float(np.ptp(window.position))
     assert error(window) < 0.01 * moved
     assert error(replace(window, history=None)) > 5.0 * error(window)
+
+
+SERVO = MODEL.replace(
+    '<motor joint="j"/>', '<position joint="j" kp="30" kv="1" forcerange="-20 20"/>'
+)
+FOLLOWERS = {
+    # A rad in a step, and a third of a rad a second: seconds behind.
+    "a profile": ("rate_limit", {
+        "inverse_rate": 3.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}),
+    "a smoothed setpoint": ("actuator_lag", {"time_constant": 0.5, "of_setpoint": 1.0}),
+    "a watchdog": ("watchdog_timeout", {"inverse_timeout": 2.0, "back_emf": 0.0}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("law", FOLLOWERS)
+def test_what_follows_commands_alone_knows_all_that_were_sent(law: str) -> None:
+    effect, parameters = FOLLOWERS[law]
+    told = {effect: {n: np.full((1, 1), v) for n, v in parameters.items()}}
+    time: FloatArray = STEP * np.arange(3000, dtype=np.float64)
+    trial = Segment(
+        trial=0, model=mujoco.MjModel.from_xml_string(SERVO), mode="position", start=0.0,
+        time=time, position=np.zeros((3000, 1)), velocity=None, effort=None,
+        command_time=np.array([0.0, 0.1, 1.4037]), command=np.array([[0.0], [1.0], [-0.5]]),
+        initial_position=np.zeros(1), initial_velocity=np.zeros(1),
+    )  # fmt: skip
+    motion = RowSimulator([trial], ("j",), threads=1).simulate(np.array([0]), told)[0]
+    windows = [
+        replace(
+            trial, start=STEP * at, time=time[at : at + 300], position=motion.position[at:][:300],
+            initial_position=motion.position[at], initial_velocity=motion.velocity[at],
+            history=(time, motion.position, motion.velocity),
+        )
+        for at in (50, 900, 1500, 2600)
+    ]  # fmt: skip
+    cut = RowSimulator(windows, ("j",), threads=1)
+    # Rows out of order, and one of another hypothesis among them.
+    rows = np.array([3, 0, 1, 2, 3])
+    each = {effect: {n: np.repeat(v, 5, axis=0) for n, v in told[effect].items()}}
+    first = next(iter(parameters))
+    each[effect][first][0] = 0.0
+    found = cut.simulate(rows, each)
+    for r, p in zip(rows[1:], found[1:], strict=True):
+        assert p.position == pytest.approx(windows[r].position, abs=2e-3 * np.ptp(motion.position))
+    assert np.abs(found[0].position - windows[3].position).max() > 0.1
