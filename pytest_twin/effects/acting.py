@@ -56,9 +56,14 @@ def any_hook(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:
 
 
 def acting(values: EffectValues) -> list[tuple[Effect, Values]]:
-    """The effects that some row has."""
+    """The effects that some row has, in turn."""
+    return [(effect, v) for effect, v in in_turn(values) if there(effect, v).any()]
+
+
+def in_turn(values: EffectValues) -> list[tuple[Effect, Values]]:
+    """Effects in the order in which they act on a reading."""
     effects = [(catalogue()[e], v) for e, v in values.items()]
-    return [(effect, v) for effect, v in effects if there(effect, v).any()]
+    return sorted(effects, key=lambda each: each[0].reads_after)
 
 
 def there(effect: Effect, values: Values) -> NDArray[np.bool_]:

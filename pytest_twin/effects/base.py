@@ -287,6 +287,8 @@ class Effect:
         of_position: whether its effort follows from the joint's position and nothing else.
         over_the_turn: whether it is dry friction whose level varies with the joint's position.
         of_every_drive: whether every motor behind a gear has it, more or less.
+        reads_after: of a sensor's laws those with a smaller number act before it, on what is true:
+            a wheel's errors are counted, counts are scaled, and the zero is set in what comes out.
     """
 
     id: ClassVar[str]
@@ -306,6 +308,7 @@ class Effect:
     of_position: ClassVar[bool] = False
     over_the_turn: ClassVar[bool] = False
     of_every_drive: ClassVar[bool] = False
+    reads_after: ClassVar[int] = 0
 
     @property
     def path(self) -> str:

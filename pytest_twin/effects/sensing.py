@@ -15,6 +15,7 @@ class EncoderBias(Effect):
 
     id = "encoder_bias"
     family = "sensing"
+    reads_after = 2
     of_every_drive = True
     law = "measured = position + bias; the servo regulates position + in_loop bias, in_loop 0 or 1"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
@@ -47,6 +48,7 @@ class EncoderScale(Effect):
 
     id = "encoder_scale"
     family = "sensing"
+    reads_after = 1
     law = "measured = (1 + scale_error) position"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (Parameter("scale_error", "one", 0.0, -0.5, 0.5, (0.03,)),)
@@ -117,6 +119,7 @@ class EffortBias(Effect):
 
     id = "effort_bias"
     family = "sensing"
+    reads_after = 2
     law = "measured effort = effort + bias"
     source = "ISO 376; zero offset of force-proving instruments"
     parameters = (Parameter("bias", "effort", 0.0, -10.0, 10.0, (0.05,), "effort"),)
@@ -133,6 +136,7 @@ class EffortScale(Effect):
 
     id = "effort_scale"
     family = "sensing"
+    reads_after = 1
     law = "measured effort = (1 + scale_error) effort"
     source = "ISO 376; sensitivity of force-proving instruments"
     parameters = (Parameter("scale_error", "one", 0.0, -0.8, 1.5, (0.1,)),)

@@ -104,3 +104,26 @@ def test_the_other_forms_of_a_coupling_leave_readings_as_they_are() -> None:
         sensed = coupling.sense(np.zeros((1, 1, 3)), position, velocity, values)
         assert np.array_equal(sensed[0], position)
         assert np.array_equal(sensed[1], velocity)
+
+
+def test_a_reading_is_counted_then_scaled_then_has_its_zero_set() -> None:
+    """Whatever the order of their names: (1 + scale) (q + wheel(q)) + bias, and of efforts alike."""
+    drive = f'<position joint="j" kp="{KP}" kv="{KV}"/>'
+    held = segment("position", drive, STEP * np.arange(3000), np.full(3000, 0.8), 0.0)
+    told = {
+        "encoder_bias": {"bias": BIAS, "in_loop": 0.0},
+        "encoder_eccentricity": {"sine": 0.03, "cosine": 0.02, "zeroed": 1.0},
+        "encoder_scale": {"scale_error": 0.1},
+        "effort_bias": {"bias": 0.5},
+        "effort_scale": {"scale_error": 0.3},
+    }
+    values = {e: {n: np.full((1, 1), v) for n, v in vs.items()} for e, vs in told.items()}
+    (read,) = RowSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
+    q = 0.8
+    for _ in range(60):
+        q = 0.8 - WEIGHT * np.sin(q) / KP
+    wheel = 0.03 * np.sin(q) + 0.02 * (np.cos(q) - 1.0)
+    assert read.position[-1, 0] == pytest.approx(1.1 * (q + wheel) + BIAS, abs=1e-5)
+    assert read.effort[-1, 0] == pytest.approx(1.3 * WEIGHT * np.sin(q) + 0.5, abs=1e-4)
+    # It starts from a reading of 0.
+    assert read.position[0, 0] == pytest.approx(0.0, abs=1e-9)

@@ -34,7 +34,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_val
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.acting import BETWEEN_STEPS, EffectValues, with_fixed
+from pytest_twin.effects.acting import BETWEEN_STEPS, EffectValues, in_turn, with_fixed
 from pytest_twin.effects.base import Effect, Values
 from pytest_twin.realization.forks import free_cores, in_forks
 
@@ -241,7 +241,7 @@ class Linear:
             effect_values([hypothesis], joints, problem.scales), self.simulator.fixed, 1
         )
         self.along: Along = along(problem, hypothesis, segments)
-        active = self._active(self.own)
+        active = in_turn(self.own)
         self.rigid: Rigid = rigid_terms(self.simulator, self.along, active)[0]
         self.efforts = Efforts(self.simulator, self.along)
         (self.own_effort,) = self.efforts.of(active, 1)
@@ -288,9 +288,6 @@ class Linear:
                 response = response.reshape(-1, free)
                 out[i] = free_start(response, segment, self.problem.start_noise)
         return out
-
-    def _active(self, values: EffectValues) -> list[tuple[Effect, Values]]:
-        return [(catalogue()[e], v) for e, v in values.items()]
 
     # -- candidates
 
@@ -342,11 +339,11 @@ class Linear:
         rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
         values = self._values(effect, rows, terms)
         everything = {**self._wide(len(rows)), effect.id: values}
-        active = self._active(everything)
+        active = in_turn(everything)
         joints = len(self.problem.joints)
         added = None
         if effect.overrides(*_IN_FORCES):
-            added = self.laws.changes(active, len(rows), self._active(self.own), self.base)
+            added = self.laws.changes(active, len(rows), in_turn(self.own), self.base)
         heavy = changes_bodies(effect, values, joints)
         masses: dict[int, list[FloatArray]] = {}
         if heavy:
@@ -398,7 +395,7 @@ class Linear:
         each = [self._values(effect, rows, [term]) for term in terms]
         values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
         copies = len(rows) * len(terms)
-        active = self._active({**self._wide(copies), effect.id: values})
+        active = in_turn({**self._wide(copies), effect.id: values})
         efforts = self.efforts.of(active, copies)
         forces = [-upsampled(e - self.own_effort, self.rigid.at, samples) for e in efforts]
         return {
@@ -454,7 +451,7 @@ class Linear:
         values = effect_values(hypotheses, joints, self.problem.scales)
         self.efforts.know(
             [
-                (e, v) for e, v in self._active(values)
+                (e, v) for e, v in in_turn(values)
                 if changes_bodies(e, v, joints) and not tilts(e, v, joints)
             ],
             len(hypotheses),
@@ -470,10 +467,10 @@ class Linear:
         values = with_fixed(
             effect_values(hypotheses, joints, self.problem.scales), self.simulator.fixed, copies
         )
-        active = self._active(values)
-        total, drive = self.laws.changes(active, copies, self._active(self.own), self.base)
+        active = in_turn(values)
+        total, drive = self.laws.changes(active, copies, in_turn(self.own), self.base)
         columns = [Column(total[k], drive[k]) for k in range(copies)]
-        if any(changes_bodies(e, v, joints) for e, v in (*active, *self._active(self.own))):
+        if any(changes_bodies(e, v, joints) for e, v in (*active, *in_turn(self.own))):
             samples = self.along.position.shape[1]
             efforts = self.efforts.of(active, copies)
             for column, effort in zip(columns, efforts, strict=True):
@@ -481,7 +478,7 @@ class Linear:
                 column.force = column.force - upsampled(
                     effort - self.own_effort, self.rigid.at, samples
                 )
-        base_reading, base_start = self._read_off(_sensing(self._active(self.own)), 0)
+        base_reading, base_start = self._read_off(_sensing(in_turn(self.own)), 0)
         sensing, known = _sensing(active), dict[bytes, tuple[FloatArray, FloatArray]]()
         for k, column in enumerate(columns):
             # Few hypotheses differ in what they make of a reading.
