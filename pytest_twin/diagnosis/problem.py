@@ -115,6 +115,12 @@ class Problem:
     def _simulators(self) -> list[RowSimulator]:
         return [s for s in (self.simulator, self.refined) if s is not None]
 
+    def acted_on(self, terms: Sequence[Term]) -> NDArray[np.bool_]:
+        """(signals,) whether some of the terms act there; all where one is the whole robot's."""
+        joints = [t.joint for t in terms]
+        at = np.isin(np.arange(len(self.joints)), joints) | (-1 in joints)
+        return np.tile(at, len(self.signal_floor) // len(self.joints))
+
     def out_of_shape(self, hypothesis: Hypothesis, term: Term) -> bool:
         """Whether a law stands for something else, as :meth:`Hypothesis.out_of_shape` has it.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 
@@ -50,6 +51,29 @@ def worth_a_name(
     alone = (STANDS_OUT**2 - 1.0) * square
     least = np.maximum.reduce([alone, _SHARE_OF_REST * rest, _SHARE_OF_ALL * all_of_it])
     return bool((gone >= least).any())
+
+
+def own_mismatch(
+    floor: FloatArray, whole: FloatArray, left: FloatArray, acting: NDArray[np.bool_]
+) -> FloatArray:
+    """(signals,) mean square of the model as it came that laws which are a little off may have left
+    a part of.
+
+    A law that is off shows where it acts. Where none acts, what comes from there through the bodies
+    is no greater share of the mismatch than what is left there.
+
+    Args:
+        floor: (signals,) deviations that need no explanation.
+        whole: (signals,) mean squares of the model as it came.
+        left: the same with all that is named.
+        acting: (signals,) where something that is named acts.
+    """
+    if not acting.any():
+        return whole
+    square = floor**2
+    shares = np.maximum(left, square) / np.maximum(whole, square)
+    elsewhere = min(float(np.max(shares[acting])) / _SHARE_OF_ALL, 1.0)
+    return np.where(acting, whole, elsewhere * whole)
 
 
 @dataclass(frozen=True, slots=True)

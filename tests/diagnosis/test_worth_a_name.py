@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.verdict import STANDS_OUT, worth_a_name
+from pytest_twin.diagnosis.verdict import STANDS_OUT, own_mismatch, worth_a_name
 
 FLOOR = np.array([2e-4, 5e-4])
 
@@ -33,3 +33,30 @@ def test_the_bar_is_what_a_finding_has_to_stand_out_by(after: float) -> None:
 def test_far_off_it_is_a_share_of_what_is_left() -> None:
     assert _worth(20.0, 18.9, 20.0)
     assert not _worth(20.0, 19.1, 20.0)
+
+
+def test_what_a_law_may_have_left_elsewhere_is_no_more_than_what_it_leaves_where_it_acts() -> None:
+    """A wrist that flails shakes the whole arm; once it is right to the noise, what is left of a
+    shoulder is the shoulder's own.
+    """
+    whole, at_wrist = np.array([130.0, 240.0]), np.array([False, True])
+
+    def own(wrist: float) -> float:
+        left = np.array([4.5, wrist]) ** 2 * FLOOR**2
+        found = own_mismatch(FLOOR, whole**2 * FLOOR**2, left, at_wrist)
+        assert found[1] == pytest.approx((240.0 * FLOOR[1]) ** 2)
+        return float(np.sqrt(found[0]) / FLOOR[0])
+
+    assert _worth_of_first(4.5, 1.0, own(0.5))
+    assert not _worth_of_first(4.5, 1.0, 130.0)
+    # A twentieth of the wrist's amplitude is left: so it may be of the shoulder's.
+    assert own(0.06 * 240.0) == pytest.approx(130.0)
+    # Nothing is named yet: every law may be a little off.
+    none = own_mismatch(FLOOR, whole**2, np.ones(2), np.array([False, False]))
+    assert none == pytest.approx(whole**2)
+
+
+def _worth_of_first(before: float, after: float, whole: float) -> bool:
+    """As :func:`_worth`, of the first signal."""
+    squares = [np.array([floors**2, 1.0]) * FLOOR**2 for floors in (before, after, whole)]
+    return worth_a_name(FLOOR, *squares)

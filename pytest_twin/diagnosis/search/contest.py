@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.fit import fit, weighted_cost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.rivals import Rival
-from pytest_twin.diagnosis.verdict import STANDS_OUT, worth_a_name
+from pytest_twin.diagnosis.verdict import STANDS_OUT, own_mismatch, worth_a_name
 from pytest_twin.effects.segment import Predicted
 
 QUICK, FAIR, _LONG = 2, 4, 8
@@ -152,11 +152,18 @@ class Contest:
         floor = self.problem.signal_floor**2
         left = rival.left
         least = np.where(left > STANDS_OUT**2 * floor, floor, left)
-        return self.worth_a_name(left, least, self.nominal.left)
+        return self.worth_a_name(left, least, self.mismatch(rival, self.nominal.left, left))
 
     def worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:
         """Whether mean squares (signals,) fall by enough; ``whole`` of the model as it came."""
         return worth_a_name(self.problem.signal_floor, before, after, whole)
+
+    def mismatch(self, rival: Rival, whole: FloatArray, left: FloatArray) -> FloatArray:
+        """(signals,) of ``whole``, mean squares of the model as it came, what the laws of a rival
+        may have left a part of, of which ``left`` is left.
+        """
+        acting = self.problem.acted_on(rival.hypothesis.terms)
+        return own_mismatch(self.problem.signal_floor, whole, left, acting)
 
     def heats(self, starts: Sequence[Hypothesis], weights: FloatArray, best: Rival) -> list[Rival]:
         """Rivals by evidence over ``best``: all after one iteration, those in front after more."""

@@ -103,6 +103,7 @@ def _whole(contest: Contest, best: Rival) -> FloatArray:
     whole = contest.nominal.fitted.mean_square
     kept = (best.fitted.mean_square + floor) / (whole + floor)
     unseen = (contest.unseen(best) + floor) / (contest.unseen(contest.nominal) + floor)
+    whole = contest.mismatch(best, whole, best.fitted.mean_square)
     less: FloatArray = whole * np.minimum(kept / unseen, 1.0)
     return less
 

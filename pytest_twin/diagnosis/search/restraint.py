@@ -19,7 +19,14 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.rivals import Rival, Selected
 from pytest_twin.diagnosis.smoothing import derivatives
-from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT, STANDS_OUT, JointError, worth_a_name
+from pytest_twin.diagnosis.verdict import (
+    AT_FLOOR,
+    LEFT,
+    STANDS_OUT,
+    JointError,
+    own_mismatch,
+    worth_a_name,
+)
 
 _REFIT = 4
 # A finding takes some signal down by this factor at least.
@@ -260,10 +267,12 @@ def _longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> floa
 def _idle(tested: _Tested) -> _Gone:
     """The term without which least more is left, of those that take no worthwhile share off."""
     one, levels = np.ones(len(tested.base)), tested.levels
-    idle = [
-        k for k, level in enumerate(levels)
-        if not worth_a_name(one, level**2, tested.base**2, tested.before**2)
-    ]  # fmt: skip
+    idle = []
+    for k, level in enumerate(levels):
+        acting = tested.problem.acted_on([t for t in tested.terms if t != tested.terms[k]])
+        whole = own_mismatch(one, tested.before**2, level**2, acting)
+        if not worth_a_name(one, level**2, tested.base**2, whole):
+            idle.append(k)
     if not idle:
         return {}
     k = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))

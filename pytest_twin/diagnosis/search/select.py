@@ -406,12 +406,12 @@ class Selection:
     def _earns(self, rival: Rival, best: Rival) -> bool:
         """Whether what a rival has more than ``best`` earns its name."""
         contest = self.contest
+        left = contest.unseen(best)
+        whole = contest.mismatch(best, contest.unseen(contest.nominal), left)
         return (
             rival.evidence >= EARNS
             and (rival.held_gain > 0.0 or not contest.has_held)
-            and contest.worth_a_name(
-                contest.unseen(best), contest.unseen(rival), contest.unseen(contest.nominal)
-            )
+            and contest.worth_a_name(left, contest.unseen(rival), whole)
         )
 
     def _on_its_own(self, rival: Rival, best: Rival) -> Rival:
