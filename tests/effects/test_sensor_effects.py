@@ -107,7 +107,7 @@ def test_the_other_forms_of_a_coupling_leave_readings_as_they_are() -> None:
 
 
 def test_a_reading_is_counted_then_scaled_then_has_its_zero_set() -> None:
-    """Whatever the order of their names: (1 + scale) (q + wheel(q)) + bias, and of efforts alike."""
+    """Whatever the order of their names: (1 + scale) (q + wheel(q)) + bias; efforts alike."""
     drive = f'<position joint="j" kp="{KP}" kv="{KV}"/>'
     held = segment("position", drive, STEP * np.arange(3000), np.full(3000, 0.8), 0.0)
     told = {

@@ -34,7 +34,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_val
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.acting import BETWEEN_STEPS, EffectValues, in_turn, with_fixed
+from pytest_twin.effects.acting import BETWEEN_STEPS, in_turn, with_fixed
 from pytest_twin.effects.base import Effect, Values
 from pytest_twin.realization.forks import free_cores, in_forks
 

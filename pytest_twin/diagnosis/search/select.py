@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import borne_out
 from pytest_twin.diagnosis.first_order.responses import Linear, Response, linearized
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
@@ -489,7 +490,8 @@ class Selection:
         """
         lost = self._lost(best, found, [x for x, _ in simulated])
         chance = by_chance(best.hypothesis, found, self.contest.of_all, lost)
-        evidence = as_simulated(found, [(x, r.evidence) for x, r in simulated])
+        borne = [(x, self._borne_out(r, best)) for x, r in simulated]
+        evidence = as_simulated(found, borne)
         evidence = {place: e - chance[place] for place, e in evidence.items()}
         lone = best.hypothesis.terms if len(best.hypothesis.terms) == 1 else None
         for x in found:
@@ -500,14 +502,26 @@ class Selection:
                 bare = replace(self.contest.nominal)
                 self.contest.judge([bare], best)
                 evidence[x.gone, None] = bare.evidence
-        for x, r in simulated:
+        for (x, r), (_, e) in zip(simulated, borne, strict=True):
             alike = len(x.gone) == 1 and not x.has_it and not x.comes_to
-            if not alike or abs(r.evidence) >= _EVEN:
+            if not alike or abs(e) >= _EVEN:
                 continue
             less = quieter(r, best, self.problem.signal_floor)
             if less:
-                evidence[x.gone, x.new] = r.evidence + _EVEN * less
+                evidence[x.gone, x.new] = e + _EVEN * less
         return evidence
+
+    def _borne_out(self, rival: Rival, best: Rival) -> float:
+        """Evidence of a rival over ``best``, no more of it than most windows bear out where dry
+        friction decides in each how a joint leaves a turn.
+        """
+        problem = self.problem
+        if not problem.trust:
+            return rival.evidence
+        mine, others = (np.concatenate([r.fitted.residual, r.held_residual]) for r in (rival, best))
+        lengths = [*problem.lengths(problem.fit), *problem.lengths(problem.held_out)]
+        most = borne_out(mine, others, lengths, problem.signal_floor)
+        return float(np.clip(rival.evidence, -most, most))
 
     def _lost(
         self, best: Rival, found: Sequence[Exchange], near: Sequence[Exchange]
