@@ -16,6 +16,7 @@ from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.foremost import Foremost
+from pytest_twin.diagnosis.search.limits import FAR_OFF, beyond, hone, limits_far_off
 from pytest_twin.diagnosis.search.look import Look
 from pytest_twin.diagnosis.search.resonant import resonant
 from pytest_twin.diagnosis.search.rivals import Rival
@@ -25,13 +26,12 @@ from pytest_twin.diagnosis.verdict import STANDS_OUT
 
 # Single terms are scanned by simulation where the mismatch is more floors than this and the best
 # along the motion is no single term that leaves few; and how many of them are kept.
-_FIRST_ORDER, _NEARLY, _SCANNED = 10.0, 3.0, 3
+_NEARLY, _SCANNED = 3.0, 3
 # With so many floors (an arm that falls, a command that is never followed) a size that is a tenth
-# off may leave as much as none: laws of one parameter are scanned to their bounds where they have
-# so many starting sizes, as limits of drives always are. They are honed by so many sizes within
-# these factors, one after the other.
-_NEEDLES, _MANY, _NEIGHBOURS, _HONED = 1000.0, 6, 9, (1.25, 1.05)
-# Joints whose drives are scanned for limits, and laws of them that are honed.
+# off may leave as much as none: laws of one parameter are scanned to their bounds, as limits of
+# drives always are.
+_NEEDLES = 1000.0
+# Laws that limit drives which are honed.
 _LIMITED = 2
 
 
@@ -102,8 +102,8 @@ def _bent(look: Look, left: FloatArray, *, clear: bool) -> bool:
     """
     view = look.view
     if look.linear is None:
-        return bool(view.above(left, _FIRST_ORDER).any())
-    far = view.above(view.mean_square, _FIRST_ORDER).any()
+        return bool(view.above(left, FAR_OFF).any())
+    far = view.above(view.mean_square, FAR_OFF).any()
     return bool(far and not (clear and not view.above(left, _NEARLY).any()))
 
 
@@ -112,11 +112,11 @@ def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[H
     problem = tryout.problem
     terms = [h.terms[-1] for h in found.singles]
     seen = {*terms, *best.hypothesis.terms}
-    terms += [t for t in _gears(problem, look, found.left, _FIRST_ORDER) if t not in seen]
+    terms += [t for t in _gears(problem, look, found.left, FAR_OFF) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start in in_first_form(t)]
     whole = look.view.mean_square
     # Once, around the model as it came: they are many replays, and what is left later is less far.
-    limited = [] if best.hypothesis.terms else _limits(problem, whole)
+    limited = [] if best.hypothesis.terms else limits_far_off(problem, whole)
     limits = [t for t in limited if t not in look.failed]
     unseen = [t for t in limits if t not in seen]
     rows += [best.hypothesis.with_term(t, start) for t in unseen for start, _ in grid(t)[::2]]
@@ -124,68 +124,13 @@ def _scanned(tryout: Tryout, best: Rival, look: Look, found: Foremost) -> list[H
     needles = bool(look.view.above(whole, _NEEDLES).any())
     # A limit far below what is asked for is as likely as one that is hardly met.
     far = dict.fromkeys([*limits, *terms] if needles else limits)
-    rows += [best.hypothesis.with_term(t, size) for t in far for size in _beyond(t)]
+    rows += [best.hypothesis.with_term(t, size) for t in far for size in beyond(t)]
     ranked = tryout.cheapest(rows)
     few = ranked[:_SCANNED]
     honed = [h for h in ranked if h.terms[-1] in limits][:_LIMITED]
     if needles:
         honed += [h for h in few if h.terms[-1] not in limits]
-    for reach in _HONED:
-        honed = tryout.cheapest([h for f in honed for h in _about(f, reach)])
-    return tryout.cheapest([*few, *honed])[:_SCANNED]
-
-
-def _beyond(term: Term) -> list[FloatArray]:
-    """Sizes of a law's forms with one parameter and many starting sizes, on from these to its
-    bound.
-    """
-    out = []
-    for start, _ in grid(term):
-        lone = term.lone(start)
-        if lone is None or len(term.parameters[lone].starts) < _MANY:
-            continue
-        p = term.parameters[lone]
-        if start[lone] != p.starts[-1]:
-            continue
-        ratio = p.starts[-1] / p.starts[-2]
-        for k in range(int(np.log(p.upper / p.starts[-1]) / np.log(ratio))):
-            size = start.copy()
-            size[lone] *= ratio ** (k + 1)
-            out.append(size)
-    return out
-
-
-def _about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
-    """A hypothesis, and where a fit moves one parameter of its last term, its neighbours within a
-    factor.
-    """
-    term = hypothesis.terms[-1]
-    mine = hypothesis.slice_of(term)
-    lone = term.lone(hypothesis.theta[mine])
-    if lone is None:
-        return [hypothesis]
-    p = term.parameters[lone]
-    at = mine.start + lone
-    out = []
-    for factor in np.geomspace(1.0 / reach, reach, _NEIGHBOURS):
-        theta = hypothesis.theta.copy()
-        theta[at] = np.clip(theta[at] * factor, p.lower, p.upper)
-        out.append(hypothesis.with_theta(theta))
-    return out
-
-
-def _limits(problem: Problem, whole: FloatArray) -> list[Term]:
-    """Limits of the drives where most is to be explained: along the motion they are needles, and
-    simulated they are not.
-    """
-    joints = len(problem.joints)
-    floors = np.sqrt(whole[:joints]) / problem.floor
-    most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > _FIRST_ORDER]
-    return [
-        t for t in candidates(problem)
-        if t.joint in most and len(t.parameters[0].starts) >= _MANY
-        and t.lone(in_first_form(t)[0]) == 0
-    ]  # fmt: skip
+    return tryout.cheapest([*few, *hone(tryout, honed)])[:_SCANNED]
 
 
 def _gears(problem: Problem, look: Look, left: FloatArray, floors: float) -> list[Term]:

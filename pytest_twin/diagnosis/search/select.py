@@ -38,6 +38,7 @@ from pytest_twin.diagnosis.search.fewer import (
 )
 from pytest_twin.diagnosis.search.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.search.front import front
+from pytest_twin.diagnosis.search.limits import is_limit, limits_instead
 from pytest_twin.diagnosis.search.look import Look, look_ahead, look_around, view_of
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import (
@@ -95,6 +96,7 @@ class Selection:
         self.first: tuple[Term, ...] | None = None
         self.last_look: Look | None = None
         self.known: dict[Term, list[Response]] = {}
+        self.limits_known: set[Term] = set()
         self.lost: dict[tuple[Term, ...], float] = {}
         """Evidence of what the best fit was simulated without: its terms, over it."""
 
@@ -115,9 +117,10 @@ class Selection:
         """Add, drop and exchange terms until nothing is better."""
         for _ in range(_ROUNDS):
             best = selected.best
-            better = None
+            better = self._limited_otherwise(best)
             if (
-                len(best.hypothesis.terms) < _MAX_TERMS
+                better is None
+                and len(best.hypothesis.terms) < _MAX_TERMS
                 and self.contest.worth_a_search(best)
                 and not self._spent(best)
             ):
@@ -128,6 +131,20 @@ class Selection:
                     break
             elif not self._sideways(selected):
                 break
+
+    def _limited_otherwise(self, best: Rival) -> Rival | None:
+        """Another limit in the place of one of a drive's, where that is clearly better. Each is
+        asked about once.
+        """
+        others = limits_instead(self.problem, best, self.limits_known)
+        self.limits_known |= {t for t in best.hypothesis.terms if is_limit(t)}
+        if not others:
+            return None
+        top = max(self.contest.against(others, best, FAIR), key=lambda r: r.evidence)
+        if top.evidence <= _CLEAR:
+            return None
+        self.say(f"= {described(top.hypothesis)} evidence {top.evidence:.1f}")
+        return self.contest.settled(top)
 
     def _regrown(self, selected: Selected) -> Selected:
         """What is found once more from its strongest term, if that comes to something better.

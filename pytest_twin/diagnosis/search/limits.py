@@ -1,0 +1,131 @@
+"""Limits of drives: along a motion that is far off they are needles, and simulated they are not.
+
+Where a drive is at its limit it does not feel how far behind it is, and to first order neither does
+any law that would take it off that limit: a setpoint that moves slowly, whose servo follows it
+closely, seems far worse than a drive that is too weak to follow a fast one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.responses import grid, in_first_form
+from pytest_twin.diagnosis.first_order.screen import candidates
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.search.tryout import Tryout
+from pytest_twin.diagnosis.verdict import STANDS_OUT
+
+FAR_OFF = 10.0
+"""Floors beyond which slopes may lead nowhere."""
+MANY = 6
+"""Starting sizes of a law that bends sharply, at least."""
+# Laws are honed by so many sizes within these factors, one after the other.
+_NEIGHBOURS, _HONED = 9, (1.25, 1.05)
+# Joints whose drives are scanned for limits.
+_LIMITED = 2
+
+
+def limits_far_off(problem: Problem, whole: FloatArray) -> list[Term]:
+    """Limits of the drives where most is to be explained: along the motion they are needles, and
+    simulated they are not.
+    """
+    joints = len(problem.joints)
+    floors = np.sqrt(whole[:joints]) / problem.floor
+    most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > FAR_OFF]
+    return [
+        t for t in candidates(problem)
+        if t.joint in most and len(t.parameters[0].starts) >= MANY
+        and t.lone(in_first_form(t)[0]) == 0
+    ]  # fmt: skip
+
+
+def limits_instead(problem: Problem, best: Rival, known: Collection[Term]) -> list[Hypothesis]:
+    """In the place of each limit of a drive, at a joint that still stands out, the other one of it
+    that leaves least as it is.
+
+    Args:
+        problem: what to explain.
+        best: the fit at hand.
+        known: limits that were asked about before.
+    """
+    own = best.hypothesis
+    out = (best.left > STANDS_OUT**2 * problem.signal_floor**2).reshape(-1, len(problem.joints))
+    places = [
+        t for t in own.terms
+        if is_limit(t) and t not in known and out[:, t.joint].any()
+    ]  # fmt: skip
+    tryout = Tryout(problem, best, best.left)
+    found = []
+    for gone in places:
+        bare = own.without(gone)
+        others = [
+            t for t in candidates(problem)
+            if t.joint == gone.joint and is_limit(t) and t not in own.terms
+        ]  # fmt: skip
+        rows = [
+            bare.with_term(t, size)
+            for t in others
+            for size in [*(start for start, _ in grid(t)), *beyond(t)]
+        ]
+        honed = hone(tryout, tryout.cheapest(rows)) if rows else []
+        found += honed[:1]
+    return found
+
+
+def is_limit(term: Term) -> bool:
+    """Whether a law limits what a drive does."""
+    return term.joint >= 0 and any(
+        p.neutral is not None and len(p.starts) >= MANY for p in term.parameters
+    )
+
+
+def hone(tryout: Tryout, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses at the best of the sizes about those of their last terms, best first."""
+    honed = list(hypotheses)
+    for reach in _HONED:
+        honed = tryout.cheapest([h for f in honed for h in about(f, reach)])
+    return honed
+
+
+def beyond(term: Term) -> list[FloatArray]:
+    """Sizes of a law's forms with one parameter and many starting sizes, on from these to its
+    bound.
+    """
+    out = []
+    for start, _ in grid(term):
+        lone = term.lone(start)
+        if lone is None or len(term.parameters[lone].starts) < MANY:
+            continue
+        p = term.parameters[lone]
+        if start[lone] != p.starts[-1]:
+            continue
+        ratio = p.starts[-1] / p.starts[-2]
+        for k in range(int(np.log(p.upper / p.starts[-1]) / np.log(ratio))):
+            size = start.copy()
+            size[lone] *= ratio ** (k + 1)
+            out.append(size)
+    return out
+
+
+def about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
+    """A hypothesis, and where a fit moves one parameter of its last term, its neighbours within a
+    factor.
+    """
+    term = hypothesis.terms[-1]
+    mine = hypothesis.slice_of(term)
+    lone = term.lone(hypothesis.theta[mine])
+    if lone is None:
+        return [hypothesis]
+    p = term.parameters[lone]
+    at = mine.start + lone
+    out = []
+    for factor in np.geomspace(1.0 / reach, reach, _NEIGHBOURS):
+        theta = hypothesis.theta.copy()
+        theta[at] = np.clip(theta[at] * factor, p.lower, p.upper)
+        out.append(hypothesis.with_theta(theta))
+    return out
