@@ -29,6 +29,9 @@ _CORRELATED = 0.9
 _DOUBTED = 0.5
 # s from the start of a window of an effort drive, in which what a name does is measured.
 _SOON = 0.25
+# A finding moves whole motions if it moves them this many times as far as they are off with it: two
+# motions that have parted are as far from one another as from a third.
+_TOLD = 2.0
 # A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
 _OPEN = 1e3
 
@@ -181,15 +184,21 @@ def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     """Findings of windows, ordered by how far whole motions of ``problem`` move without each.
 
     A speed that adds up, or a servo that swings, moves them further than any window. Where one of
-    them runs away nothing is told, and they stay.
+    them runs away nothing is told, and they stay. So do, behind the others, those that move them no
+    further than all that was found is off there: an arm that flails is somewhere else in the end
+    whatever changes.
     """
     hypothesis = explained.hypothesis
     gone = [hypothesis.without(f.term) for f in explained.findings]
     stands = _heights(problem, [hypothesis, *gone])
-    if not np.isfinite(stands).all():
+    (errors,) = problem.errors([hypothesis], problem.tested)
+    off = float(in_floors(errors[:, : len(problem.joints)], problem.floor).max())
+    if not np.isfinite([*stands, off]).all():
         return explained
     moved = [replace(f, stands=s) for f, s in zip(explained.findings, stands, strict=True)]
-    return replace(explained, findings=tuple(sorted(moved, key=lambda f: -f.stands)))
+    told = [f for f in moved if f.stands > _TOLD * off]
+    untold = [f for f in moved if f.stands <= _TOLD * off]
+    return replace(explained, findings=(*sorted(told, key=lambda f: -f.stands), *untold))
 
 
 def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:

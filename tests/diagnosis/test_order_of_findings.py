@@ -68,3 +68,15 @@ def test_findings_of_windows_are_ordered_by_whole_motions(
     assert [f.effect for f in found] == (expected if diverges else expected[::-1])
     if not diverges:
         assert found[0].stands > 3.0 * found[1].stands > 0.0
+
+
+def test_what_moves_whole_motions_no_further_than_they_are_off_stays_behind() -> None:
+    """Two motions that have parted say nothing of what parted them."""
+    problem = problem_of("position", {})
+    far = with_true(problem, WEAK, {"relative_error": -0.3})
+    slight = with_true(problem, DRAG, {"coefficient": 0.001})
+    both = far.with_term_of(slight, DRAG)
+    order = (named(DRAG, problem.joints), named(WEAK, problem.joints))
+    found = by_whole_motions(Explained(order, both), problem).findings
+    assert [f.effect for f in found] == ["viscous_friction", "torque_constant"]
+    assert found[1].stands > found[0].stands
