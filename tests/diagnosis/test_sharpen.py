@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View, candid
 from pytest_twin.diagnosis.first_order.sharpen import sharpened
 from pytest_twin.diagnosis.fit import fit, propose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.search import front
+from pytest_twin.diagnosis.search import front, limits
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.foremost import Foremost
 from pytest_twin.diagnosis.search.look import look_around
@@ -119,7 +119,8 @@ def test_a_needle_is_found_beyond_the_grid(
 ) -> None:
     """A drive that hardly follows: twice the greatest starting size, and a few per cent decide."""
     monkeypatch.setattr(front, "_NEEDLES", needles)
-    monkeypatch.setattr(front, "_LIMITED", limited)
+    for where in (front, limits):
+        monkeypatch.setattr(where, "_LIMITED", limited)
     term = Term("rate_limit", ELBOW)
     parameter = term.parameters[0]
     hidden = 2.0 * parameter.starts[-1] * 1.07
@@ -137,11 +138,11 @@ def test_a_needle_is_found_beyond_the_grid(
 
 def test_sizes_beyond_a_grid_end_at_the_physical_bound() -> None:
     for law in catalogue().values():
-        for size in front._beyond(Term(law.id, 0)):
+        for size in limits.beyond(Term(law.id, 0)):
             lone = Term(law.id, 0).lone(size)
             assert lone is not None
             assert law.parameters[lone].starts[-1] < size[lone] <= law.parameters[lone].upper
-    limit = front._beyond(Term("rate_limit", 0))
+    limit = limits.beyond(Term("rate_limit", 0))
     # As many of the setpoint's rate as of the effort's.
     assert [s[2] for s in limit] == [0.0] * (len(limit) // 2) + [1.0] * (len(limit) // 2)
     assert len(limit) >= 12
