@@ -3,28 +3,45 @@
 from __future__ import annotations
 
 import numpy as np
-from test_first_order import ELBOW, SHOULDER, problem_of
+from test_first_order import ELBOW, problem_of
 
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.first_order.responses import in_first_form
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.limits import is_limit, limits_instead
+from pytest_twin.diagnosis.search.limits import doubtful_limits, limits_instead
+from pytest_twin.diagnosis.search.select import Selection
 
 PROFILE = {"inverse_rate": 3.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}
 SLOW, WEAK = Term("rate_limit", ELBOW), Term("torque_speed_limit", ELBOW)
 
 
+def weak(problem: Problem) -> Hypothesis:
+    """A drive whose effort falls to none at 0.4 rad/s."""
+    scale = problem.scales.value(WEAK.parameters[0], ELBOW)
+    return EMPTY.with_term(WEAK, np.array([1.0 / (0.4 * scale), 1.0]))
+
+
 def test_a_weak_drive_gives_way_to_the_setpoint_that_moves_slowly() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
     contest = Contest(problem)
-    scales = [problem.scales.value(p, ELBOW) for p in WEAK.parameters]
-    start = EMPTY.with_term(WEAK, np.array([1.0 / (0.4 * scales[0]), 1.0]))
-    best = contest.settled(contest.as_it_is(start))
+    best = contest.settled(contest.as_it_is(weak(problem)))
     assert best.left[ELBOW] > (5.0 * problem.floor[ELBOW]) ** 2
-    (other,) = limits_instead(problem, best, set())
+    assert doubtful_limits(problem, best) == [WEAK]
+    (other,) = limits_instead(problem, best, [WEAK])
     assert other.terms == (SLOW,)
     assert abs(other.theta[0] * problem.scales.value(SLOW.parameters[0], ELBOW) - 3.0) < 0.1
-    # Each is asked about once.
-    assert limits_instead(problem, best, {WEAK}) == []
+
+
+def test_a_search_goes_on_from_the_better_limit_and_asks_once() -> None:
+    problem = problem_of("position", {SLOW: PROFILE})
+    selection = Selection(problem)
+    best = selection.contest.settled(selection.contest.as_it_is(weak(problem)))
+    better = selection._limited_otherwise(best)
+    assert better is not None
+    assert better.hypothesis.terms == (SLOW,)
+    assert better.left[ELBOW] < (1.5 * problem.floor[ELBOW]) ** 2
+    assert selection._limited_otherwise(best) is None
 
 
 def test_a_limit_that_explains_its_joint_is_not_asked_about() -> None:
@@ -32,11 +49,14 @@ def test_a_limit_that_explains_its_joint_is_not_asked_about() -> None:
     contest = Contest(problem)
     size = 3.0 / problem.scales.value(SLOW.parameters[0], ELBOW)
     best = contest.settled(contest.as_it_is(EMPTY.with_term(SLOW, np.array([size, 0.0, 0.0]))))
-    assert limits_instead(problem, best, set()) == []
+    assert doubtful_limits(problem, best) == []
 
 
 def test_what_bends_sharply_elsewhere_is_no_limit() -> None:
-    limits = {"rate_limit", "torque_saturation", "torque_speed_limit"}
-    others = {"cogging", "external_force", "joint_coupling", "viscous_friction"}
-    assert all(is_limit(Term(effect, SHOULDER)) for effect in limits)
-    assert not any(is_limit(Term(effect, SHOULDER)) for effect in others)
+    problem = problem_of("position", {SLOW: PROFILE})
+    contest = Contest(problem)
+    limits = ["rate_limit", "torque_saturation", "torque_speed_limit"]
+    others = ["cogging", "external_force", "joint_coupling", "viscous_friction"]
+    sizes = {Term(e, ELBOW): in_first_form(Term(e, ELBOW))[0] for e in limits + others}
+    best = contest.as_it_is(EMPTY.with_terms(sizes))
+    assert [t.effect for t in doubtful_limits(problem, best)] == limits

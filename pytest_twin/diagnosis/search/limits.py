@@ -7,7 +7,7 @@ closely, seems far worse than a drive that is too weak to follow a fast one.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -44,31 +44,30 @@ def limits_far_off(problem: Problem, whole: FloatArray) -> list[Term]:
     ]  # fmt: skip
 
 
-def limits_instead(problem: Problem, best: Rival, known: Collection[Term]) -> list[Hypothesis]:
-    """In the place of each limit of a drive, at a joint that still stands out, the other one of it
-    that leaves least as it is.
+def doubtful_limits(problem: Problem, best: Rival) -> list[Term]:
+    """Limits of drives at joints that still stand out."""
+    out = (best.left > STANDS_OUT**2 * problem.signal_floor**2).reshape(-1, len(problem.joints))
+    return [t for t in best.hypothesis.terms if _limits(t) and out[:, t.joint].any()]
+
+
+def limits_instead(problem: Problem, best: Rival, places: Sequence[Term]) -> list[Hypothesis]:
+    """In the place of each of these limits, the other one of the same drive that leaves least as it
+    is.
 
     Args:
         problem: what to explain.
         best: the fit at hand.
-        known: limits that were asked about before.
+        places: limits that it has.
     """
-    own = best.hypothesis
-    out = (best.left > STANDS_OUT**2 * problem.signal_floor**2).reshape(-1, len(problem.joints))
-    places = [
-        t for t in own.terms
-        if is_limit(t) and t not in known and out[:, t.joint].any()
-    ]  # fmt: skip
-    tryout = Tryout(problem, best, best.left)
+    own, tryout = best.hypothesis, Tryout(problem, best, best.left)
     found = []
     for gone in places:
-        bare = own.without(gone)
         others = [
             t for t in candidates(problem)
-            if t.joint == gone.joint and is_limit(t) and t not in own.terms
+            if t.joint == gone.joint and _limits(t) and t not in own.terms
         ]  # fmt: skip
         rows = [
-            bare.with_term(t, size)
+            own.without(gone).with_term(t, size)
             for t in others
             for size in [*(start for start, _ in grid(t)), *beyond(t)]
         ]
@@ -77,7 +76,7 @@ def limits_instead(problem: Problem, best: Rival, known: Collection[Term]) -> li
     return found
 
 
-def is_limit(term: Term) -> bool:
+def _limits(term: Term) -> bool:
     """Whether a law limits what a drive does."""
     return term.joint >= 0 and any(
         p.neutral is not None and len(p.starts) >= MANY for p in term.parameters

@@ -38,7 +38,7 @@ from pytest_twin.diagnosis.search.fewer import (
 )
 from pytest_twin.diagnosis.search.foremost import Foremost, against, foremost
 from pytest_twin.diagnosis.search.front import front
-from pytest_twin.diagnosis.search.limits import is_limit, limits_instead
+from pytest_twin.diagnosis.search.limits import doubtful_limits, limits_instead
 from pytest_twin.diagnosis.search.look import Look, look_ahead, look_around, view_of
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import (
@@ -136,8 +136,11 @@ class Selection:
         """Another limit in the place of one of a drive's, where that is clearly better. Each is
         asked about once.
         """
-        others = limits_instead(self.problem, best, self.limits_known)
-        self.limits_known |= {t for t in best.hypothesis.terms if is_limit(t)}
+        doubtful = doubtful_limits(self.problem, best)
+        others = limits_instead(
+            self.problem, best, [t for t in doubtful if t not in self.limits_known]
+        )
+        self.limits_known.update(doubtful)
         if not others:
             return None
         top = max(self.contest.against(others, best, FAIR), key=lambda r: r.evidence)
