@@ -38,8 +38,9 @@ def sharpened(linear: Linear, view: View, answers: Answers, best: Hypothesis) ->
     lens = Lens(view, answers)
     starts: list[Hypothesis] = []
     for chosen in lens.children(lens.bare, len(answers.responses)):
-        ((term, start),) = lens.structure(chosen).starts.items()
-        if _bends(answers.responses[chosen[0]]) and far[max(term.joint, 0)]:
+        response = answers.responses[chosen[0]]
+        if _bends(response) and far[max(response.term.joint, 0)]:
+            ((term, start),) = lens.structure(chosen).starts.items()
             starts.append(best.with_term(term, start))
     alone = [
         best.with_term(h.terms[-1], h.theta[h.slice_of(h.terms[-1])])
