@@ -196,9 +196,8 @@ def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     if not np.isfinite([*stands, off]).all():
         return explained
     moved = [replace(f, stands=s) for f, s in zip(explained.findings, stands, strict=True)]
-    told = [f for f in moved if f.stands > _TOLD * off]
-    untold = [f for f in moved if f.stands <= _TOLD * off]
-    return replace(explained, findings=(*sorted(told, key=lambda f: -f.stands), *untold))
+    order = sorted(moved, key=lambda f: -f.stands if f.stands > _TOLD * off else 0.0)
+    return replace(explained, findings=tuple(order))
 
 
 def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:

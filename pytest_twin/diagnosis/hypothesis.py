@@ -118,11 +118,12 @@ class Hypothesis:
         """Without ``gone``, where ``into`` does the same physics as well, as far as its bounds go;
         None where it cannot.
         """
-        changed = into.law.with_other(self._named(into), gone.effect, self._named(gone))
+        own = self._named(into)
+        changed = into.law.with_other(own, gone.effect, self._named(gone))
         if not changed:
             return None
-        theta, place = self.theta.copy(), self.slice_of(into)
-        theta[place] = [changed.get(name, value) for name, value in self._named(into).items()]
+        theta = self.theta.copy()
+        theta[self.slice_of(into)] = [changed.get(name, value) for name, value in own.items()]
         return self.with_theta(np.clip(theta, *self.bounds)).without(gone)
 
     def _named(self, term: Term) -> dict[str, float]:

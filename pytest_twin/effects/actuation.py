@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -16,6 +16,8 @@ from pytest_twin.effects.within import within
 
 class _Follower(Protocol):
     """Something that what comes in is followed by."""
+
+    acts: bool
 
     def mean(self, asked: FloatArray) -> FloatArray:
         """(rows, joints) mean over the next step of what follows ``asked``."""
@@ -36,10 +38,13 @@ class _Follows(Effect):
     def command(self, world: World, values: Values) -> None:
         world.setpoint = self._followers(world, values)[0].mean(world.setpoint)
 
-    def follow_command(
-        self, world: World, values: Values, command: FloatArray, seconds: FloatArray
+    def follow_commands(
+        self, world: World, values: Values, commands: Iterable[tuple[FloatArray, FloatArray]]
     ) -> None:
-        self._followers(world, values)[0].live_through(command, seconds / world.timestep)
+        setpoint, _ = self._followers(world, values)
+        if setpoint.acts:
+            for command, seconds in commands:
+                setpoint.live_through(command, seconds / world.timestep)
 
     def drive(self, world: World, values: Values) -> None:
         world.delivered = self._followers(world, values)[1].mean(world.delivered)

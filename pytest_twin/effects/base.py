@@ -8,7 +8,7 @@ stepped at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, get_args
 
@@ -384,16 +384,16 @@ class Effect:
     def command(self, world: World, values: Values) -> None:
         """Change ``world.setpoint``: what reaches the drive."""
 
-    def follow_command(
-        self, world: World, values: Values, command: FloatArray, seconds: FloatArray
+    def follow_commands(
+        self, world: World, values: Values, commands: Iterable[tuple[FloatArray, FloatArray]]
     ) -> None:
-        """Let what remembers commands alone live through one that was held before a window begins.
+        """Let what remembers commands alone live through all that were held before a window begins.
 
         Args:
             world: rows at the start of their windows.
             values: as in every hook.
-            command: (rows, joints) rad, m, per s, N*m or N.
-            seconds: (rows, joints) for how long it was held, s; 0 where it never came.
+            commands: one after the other (rows, joints) rad, m, per s, N*m or N, and for how long
+                it was held, (rows, joints) s, 0 where it never came. Worked out as they are taken.
         """
 
     def servo(self, world: World, values: Values) -> None:

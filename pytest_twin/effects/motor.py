@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -96,13 +96,14 @@ class WatchdogTimeout(Effect):
             last = np.where(changed, world.setpoint, last)
         world.state[self.id] = (last, still)
 
-    def follow_command(
-        self, world: World, values: Values, command: FloatArray, seconds: FloatArray
+    def follow_commands(
+        self, world: World, values: Values, commands: Iterable[tuple[FloatArray, FloatArray]]
     ) -> None:
-        last, still = world.state.get(self.id, (command, np.zeros_like(command)))
-        changed = (seconds > 0.0) & (np.abs(command - last) > _SAME_COMMAND)
-        last = np.where(changed, command, last)
-        world.state[self.id] = (last, np.where(changed, 0.0, still) + seconds)
+        for command, seconds in commands:
+            last, still = world.state.get(self.id, (command, np.zeros_like(command)))
+            changed = (seconds > 0.0) & (np.abs(command - last) > _SAME_COMMAND)
+            last = np.where(changed, command, last)
+            world.state[self.id] = (last, np.where(changed, 0.0, still) + seconds)
 
     def drive(self, world: World, values: Values) -> None:
         _, still = world.state[self.id]

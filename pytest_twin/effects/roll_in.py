@@ -3,12 +3,13 @@
 A motor behind a gear that gives, a drive that lags, a contact that yields: their state is no
 reading. Where the joint was is known all the same, and its commands too, so the laws alone are
 stepped along the measured motion for a while. What they hold at the end of it is their start.
-What follows commands alone begins that with all that were sent before.
+What follows commands alone (a setpoint that moves no faster than its profile allows may be seconds
+behind) begins that with all that were sent before: no motion has to be known for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -105,26 +106,6 @@ def follow(world: World, effects: Sequence[tuple[Effect, Values]], path: FloatAr
             effect.force(world, v)
     for name, value in kept.items():
         setattr(world, name, value)
-
-
-def follow_commands(
-    world: World,
-    effects: Sequence[tuple[Effect, Values]],
-    commands: Iterable[tuple[FloatArray, FloatArray]],
-) -> None:
-    """Let what remembers commands alone live through all that were sent before the lead.
-
-    A setpoint that moves no faster than its profile allows may be seconds behind; no motion has to
-    be known for that.
-
-    Args:
-        world: rows at their start.
-        effects: those with such a memory.
-        commands: each command and for how long it was held, (rows, joints) both.
-    """
-    for command, seconds in commands:
-        for effect, v in effects:
-            effect.follow_command(world, v, command, seconds)
 
 
 def roll_in(

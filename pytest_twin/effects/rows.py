@@ -33,7 +33,6 @@ from pytest_twin.effects.roll_in import (
     Hooks,
     act,
     follow,
-    follow_commands,
     gears,
     roll_in,
     shift_motors,
@@ -242,10 +241,9 @@ class RowSimulator:
             known[:, i] = np.moveaxis(segment.before(segment.start + before), 1, 2)
         motion = np.ascontiguousarray(np.moveaxis(known[:, of[:, None], joints], -1, 1))
         late = self._late(rows, effects, joints.shape[1]) + LEAD
-        told = [(e, v) for e, v in effects if e.overrides("follow_command")]
-        if told:
-            starts = np.array([self.segments[r].start for r in rows])
-            follow_commands(world, told, self._held.before(rows, joints, starts[:, None] - late))
+        until = np.array([self.segments[r].start for r in rows])[:, None] - late
+        for effect, v in effects:
+            effect.follow_commands(world, v, self._held.before(rows, joints, until))
         command = np.moveaxis(self._held.means(rows, late, steps, joints, world.timestep), 1, 0)
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):

@@ -10,10 +10,11 @@ from pytest_twin.diagnosis.verdict import STANDS_OUT, own_mismatch, worth_a_name
 FLOOR = np.array([2e-4, 5e-4])
 
 
-def _worth(before: float, after: float, whole: float) -> bool:
-    """Of the second of two signals, in floors; the first is at its floor throughout."""
-    squares = [np.array([1.0, floors**2]) * FLOOR**2 for floors in (before, after, whole)]
-    return worth_a_name(FLOOR, *squares)
+def _worth(before: float, after: float, whole: float, signal: int = 1) -> bool:
+    """Of one of two signals, in floors; the other is at its floor throughout."""
+    each = np.full((3, 2), 1.0)
+    each[:, signal] = before, after, whole
+    return worth_a_name(FLOOR, *(each * FLOOR) ** 2)
 
 
 def test_what_would_not_stand_out_alone_is_no_names_merit() -> None:
@@ -47,16 +48,10 @@ def test_what_a_law_may_have_left_elsewhere_is_no_more_than_what_it_leaves_where
         assert found[1] == pytest.approx((240.0 * FLOOR[1]) ** 2)
         return float(np.sqrt(found[0]) / FLOOR[0])
 
-    assert _worth_of_first(4.5, 1.0, own(0.5))
-    assert not _worth_of_first(4.5, 1.0, 130.0)
+    assert _worth(4.5, 1.0, own(0.5), 0)
+    assert not _worth(4.5, 1.0, 130.0, 0)
     # A twentieth of the wrist's amplitude is left: so it may be of the shoulder's.
     assert own(0.06 * 240.0) == pytest.approx(130.0)
     # Nothing is named yet: every law may be a little off.
     none = own_mismatch(FLOOR, whole**2, np.ones(2), np.array([False, False]))
     assert none == pytest.approx(whole**2)
-
-
-def _worth_of_first(before: float, after: float, whole: float) -> bool:
-    """As :func:`_worth`, of the first signal."""
-    squares = [np.array([floors**2, 1.0]) * FLOOR**2 for floors in (before, after, whole)]
-    return worth_a_name(FLOOR, *squares)

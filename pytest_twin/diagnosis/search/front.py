@@ -24,8 +24,8 @@ from pytest_twin.diagnosis.search.softer import softened
 from pytest_twin.diagnosis.search.tryout import Tryout
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 
-# Single terms are scanned by simulation where the mismatch is more floors than this and the best
-# along the motion is no single term that leaves few; and how many of them are kept.
+# Single terms are scanned by simulation where slopes may lead nowhere and the best along the motion
+# is no single term that leaves so few floors; and how many of them are kept.
 _NEARLY, _SCANNED = 3.0, 3
 # With so many floors (an arm that falls, a command that is never followed) a size that is a tenth
 # off may leave as much as none: laws of one parameter are scanned to their bounds, as limits of

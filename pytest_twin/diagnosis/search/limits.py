@@ -22,8 +22,8 @@ from pytest_twin.diagnosis.verdict import STANDS_OUT
 
 FAR_OFF = 10.0
 """Floors beyond which slopes may lead nowhere."""
-MANY = 6
-"""Starting sizes of a law that bends sharply, at least."""
+# Starting sizes of a law that bends sharply, at least.
+_MANY = 6
 # Laws are honed by so many sizes within these factors, one after the other.
 _NEIGHBOURS, _HONED = 9, (1.25, 1.05)
 # Joints whose drives are scanned for limits.
@@ -39,8 +39,7 @@ def limits_far_off(problem: Problem, whole: FloatArray) -> list[Term]:
     most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > FAR_OFF]
     return [
         t for t in candidates(problem)
-        if t.joint in most and len(t.parameters[0].starts) >= MANY
-        and t.lone(in_first_form(t)[0]) == 0
+        if t.joint in most and _limits(t) and t.lone(in_first_form(t)[0]) == 0
     ]  # fmt: skip
 
 
@@ -79,7 +78,7 @@ def limits_instead(problem: Problem, best: Rival, places: Sequence[Term]) -> lis
 def _limits(term: Term) -> bool:
     """Whether a law limits what a drive does."""
     return term.joint >= 0 and any(
-        p.neutral is not None and len(p.starts) >= MANY for p in term.parameters
+        p.neutral is not None and len(p.starts) >= _MANY for p in term.parameters
     )
 
 
@@ -87,7 +86,7 @@ def hone(tryout: Tryout, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses at the best of the sizes about those of their last terms, best first."""
     honed = list(hypotheses)
     for reach in _HONED:
-        honed = tryout.cheapest([h for f in honed for h in about(f, reach)])
+        honed = tryout.cheapest([h for f in honed for h in _about(f, reach)])
     return honed
 
 
@@ -98,7 +97,7 @@ def beyond(term: Term) -> list[FloatArray]:
     out = []
     for start, _ in grid(term):
         lone = term.lone(start)
-        if lone is None or len(term.parameters[lone].starts) < MANY:
+        if lone is None or len(term.parameters[lone].starts) < _MANY:
             continue
         p = term.parameters[lone]
         if start[lone] != p.starts[-1]:
@@ -111,7 +110,7 @@ def beyond(term: Term) -> list[FloatArray]:
     return out
 
 
-def about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
+def _about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
     """A hypothesis, and where a fit moves one parameter of its last term, its neighbours within a
     factor.
     """

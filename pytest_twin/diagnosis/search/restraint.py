@@ -268,8 +268,8 @@ def _idle(tested: _Tested) -> _Gone:
     """The term without which least more is left, of those that take no worthwhile share off."""
     one, levels = np.ones(len(tested.base)), tested.levels
     idle = []
-    for k, level in enumerate(levels):
-        acting = tested.problem.acted_on([t for t in tested.terms if t != tested.terms[k]])
+    for k, (term, level) in enumerate(zip(tested.terms, levels, strict=True)):
+        acting = tested.problem.acted_on(tested.fitted.hypothesis.without(term).terms)
         whole = own_mismatch(one, tested.before**2, level**2, acting)
         if not worth_a_name(one, level**2, tested.base**2, whole):
             idle.append(k)

@@ -136,11 +136,10 @@ class Selection:
         """Another limit in the place of one of a drive's, where that is clearly better. Each is
         asked about once.
         """
-        doubtful = doubtful_limits(self.problem, best)
-        others = limits_instead(
-            self.problem, best, [t for t in doubtful if t not in self.limits_known]
-        )
-        self.limits_known.update(doubtful)
+        limits = doubtful_limits(self.problem, best)
+        new = [t for t in limits if t not in self.limits_known]
+        self.limits_known.update(new)
+        others = limits_instead(self.problem, best, new) if new else []
         if not others:
             return None
         top = max(self.contest.against(others, best, FAIR), key=lambda r: r.evidence)
