@@ -158,8 +158,9 @@ def prepare(
             path=trials[0].path,
             expected=f"a stretch at least {NEAR:g} m away from it",
         )
-    noise = greatest_noise(segments, [s.position for s in segments], owner)
-    segments = set_in_motion(segments, moving, joints, noise, threads=threads, fixed=fixed)
+    shown = greatest_noise(segments, [s.position for s in segments], owner)
+    segments = set_in_motion(segments, moving, joints, shown, threads=threads, fixed=fixed)
+    noise = _known(shown)
     simulator = RowSimulator(segments, joints, threads=threads, refine=substeps or 1, fixed=fixed)
     finer = (substeps or 1) * REFINE
     refined = RowSimulator(segments, joints, threads=threads, refine=finer, fixed=fixed)
@@ -243,6 +244,16 @@ def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -
         highest = np.abs(predicted.effort).max()
         modelled = min(modelled, float(predicted.effort.min() + _UNSIGNED * highest))
     return lowest < 0.0 or not modelled < 0.0
+
+
+def _known(noise: FloatArray) -> FloatArray:
+    """(joints,) noise; of encoders that hardly move, and so show none, the greatest of the others.
+
+    Without any, recordings have as many digits as numbers of single precision.
+    """
+    usual = float(noise.max()) or float(np.finfo(np.float32).eps)
+    known: FloatArray = np.where(noise > 0.0, noise, usual)
+    return known
 
 
 def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:

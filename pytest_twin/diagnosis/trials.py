@@ -107,6 +107,7 @@ def read_trials(
         aside = [t for t in aside if t.command_mode == kept]
     _leave_out_lacking(trials, aside, notes)
     unseen = _unseen(trials, aside, notes)
+    unseen |= _motionless([*trials, *aside], unseen, notes)
     if not held_out:
         trials, aside, said = _by_role(trials)
         notes.append(said)
@@ -199,6 +200,40 @@ def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozen
     notes += [f"joint {j!r}: its encoder is stuck; nothing is held against it" for j in
               sorted(joints)]  # fmt: skip
     return joints
+
+
+def _motionless(
+    trials: Sequence[Trial], unseen: frozenset[str], notes: list[str]
+) -> frozenset[str]:
+    """Joints that read one and the same position throughout and say nothing; of others that do, how
+    noisy their encoders are is not known.
+
+    Under effort commands nobody can tell a dead encoder from a joint that something holds.
+
+    Raises:
+        RecordingError: no joint moves.
+    """
+    joints = [j for j in trials[0].joints if all(j in t.joints for t in trials)]
+    readings = {j: np.concatenate([t.position[:, t.joints.index(j)] for t in trials])
+                for j in joints}  # fmt: skip
+    still = {j: float(q[0]) for j, q in readings.items() if not np.ptp(q)}
+    if joints and len(still) == len(joints):
+        raise RecordingError(
+            "every joint reads one and the same position in all messages of all recordings",
+            path=trials[0].path,
+            value=", ".join(f"{j} {at:.6g}" for j, at in still.items()),
+            expected="a joint that moves",
+        )
+    dead = set()
+    for j, at in still.items():
+        said = f"joint {j!r}: its encoder reads {at:.6g} in every message"
+        if trials[0].command_mode == "effort":
+            dead.add(j)
+            notes.append(f"{said}: it is stuck or something holds the joint; nothing is held "
+                         "against it")  # fmt: skip
+        elif j not in unseen:
+            notes.append(f"{said}, which does not say how noisy it is: as the others, at most")
+    return frozenset(dead)
 
 
 def _friction_could_hold(trial: Trial, joint: str) -> bool:

@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from two_pendulums import JOINTS, START_NS, STEP, mjcf, record, reference, swing, write
+from scipy.integrate import solve_ivp
+from two_pendulums import (
+    ARMATURE,
+    DAMPING,
+    INERTIA,
+    JOINTS,
+    LENGTH,
+    MASS,
+    START_NS,
+    STEP,
+    mjcf,
+    record,
+    reference,
+    swing,
+    write,
+)
 
 from pytest_twin import cli
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
-from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.prepare import NOISE, prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.errors import RecordingError
@@ -347,6 +363,54 @@ def test_a_stuck_encoder_everywhere_costs_its_joint_alone(bench: Bench) -> None:
     assert found.explained.findings == ()
     assert found.verdict == "no_mismatch"
     assert any("nothing is held against it" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("away", [0.0, 0.05], ids=["where it is told", "beside that"])
+def test_a_joint_that_reads_one_number_is_as_noisy_as_the_others(bench: Bench, away: float) -> None:
+    # A coarse encoder at rest: one joint is excited after the other.
+    bench.sent, held = bench.sent.copy(), bench.seen.copy()
+    bench.sent[:, 1], held[:, 1] = 0.0, away
+    trials = bench.read(bench.put("a.mcap", seen=held), bench.put("b.mcap", seen=held))
+    assert trials.unseen == frozenset()
+    assert any("'right': its encoder reads" in note and "as the others" in note
+               for note in trials.notes)  # fmt: skip
+    prepared = prepare(bench.loaded.realization, trials.fit, trials.held_out, threads=1)
+    noise = prepared.floor_parts[NOISE]
+    assert noise[1] == noise[0] > 0.0
+    found = diagnose(bench.loaded.realization, trials)
+    assert set(found.errors) == {"left", "right"}
+    # The model's servo needs a few hundredths of a second from where the encoder says to the zero.
+    assert found.errors["right"].before == pytest.approx(away, rel=0.02, abs=2e-4)
+
+
+def test_under_effort_commands_one_number_is_held_against_nothing(tmp_path: Path) -> None:
+    model = re.sub(r"<position (name=\S+ joint=\S+)[^>]*>", r"<motor \1/>", mjcf())
+    (tmp_path / "model.xml").write_text(model)
+    loaded = load_model(tmp_path / "model.xml")
+    at = 0.005 * np.arange(400)
+    # The right one swings, let go beside where it hangs; the left one reads 0.1 rad throughout.
+    rate = MASS * 9.81 * LENGTH / (INERTIA + MASS * LENGTH**2 + ARMATURE)
+    falls = solve_ivp(
+        lambda t, x: [x[1], rate * np.sin(x[0]) - DAMPING * rate / (MASS * 9.81 * LENGTH) * x[1]],
+        (0.0, at[-1]), [2.6, 0.0], t_eval=at, rtol=1e-9, atol=1e-9,
+    ).y[0]  # fmt: skip
+    seen = np.stack([np.full(len(at), 0.1), falls], axis=1)
+    seen[:, 1] += 1e-4 * np.random.default_rng(3).standard_normal(len(at))
+    sent = np.zeros((len(at), 2))
+
+    def read() -> TrialSet:
+        write(tmp_path / "a.mcap", JOINTS, at, sent, at, seen, mode="effort")
+        return read_trials([tmp_path / "a.mcap"], (), loaded.topics, loaded.realization.structure)
+
+    trials = read()
+    assert trials.unseen == {"left"}
+    assert any("something holds the joint" in note for note in trials.notes)
+    found = diagnose(loaded.realization, trials)
+    assert set(found.errors) == {"right"}
+    assert found.verdict == "no_mismatch"
+    seen[:, 1] = -0.2
+    with pytest.raises(RecordingError, match=r"every joint reads one .*right -0\.2"):
+        read()
 
 
 def test_a_joint_that_one_recording_lacks_is_left_out(bench: Bench) -> None:
