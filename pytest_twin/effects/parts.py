@@ -52,11 +52,16 @@ class _Rows:
         each = len(rows) * self.joints * _ENGINE + between
         return Part(rows, float(self.steps[rows].max()) * each)
 
+    def by_laws(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """These rows, those of the same laws side by side."""
+        ordered: NDArray[np.int64] = rows[np.lexsort([rows, *self.laws[rows].T])]
+        return ordered
+
     def divided(self, part: Part, count: int) -> list[Part]:
         """A part in ``count``, rows of the same laws together: all of a part have all its laws."""
         if count < 2 or len(part.rows) < 2:
             return [part]
-        order = part.rows[np.lexsort([part.rows, *self.laws[part.rows].T])]
+        order = self.by_laws(part.rows)
         share = (count // 2) / count
         changes = 1 + np.flatnonzero(np.any(np.diff(self.laws[order], axis=0), axis=1))
         even = np.linspace(1, len(order) - 1, _CUTS).astype(int)
@@ -71,7 +76,8 @@ def parts(steps: NDArray[np.int64], laws: NDArray[np.bool_], joints: int, cores:
     """Rows in parts, those that take longest first.
 
     Rows of like length step together; none waits for one more than a tenth longer, and none that
-    the engine steps alone waits for laws between steps.
+    the engine steps alone waits for laws between steps. Of those that are too many for one part,
+    rows of the same laws go together.
 
     Args:
         steps: (rows,) of each.
@@ -80,23 +86,31 @@ def parts(steps: NDArray[np.int64], laws: NDArray[np.bool_], joints: int, cores:
         cores: that work on parts at the same time.
     """
     known = _Rows(steps, laws, joints)
+    whole = []
     stepwise: NDArray[np.bool_] = np.asarray(laws.any(axis=1))
+    for alike in _of_like_length(steps, stepwise):
+        order = known.by_laws(alike) if len(alike) > _MAX_ROWS else alike
+        whole += [
+            known.part(order[first : first + _MAX_ROWS])
+            for first in range(0, len(order), _MAX_ROWS)
+        ]
+    return sorted(_shared_out(known, whole, cores), key=lambda p: -p.seconds)
+
+
+def _of_like_length(
+    steps: NDArray[np.int64], stepwise: NDArray[np.bool_]
+) -> list[NDArray[np.int64]]:
+    """Rows that may step together, those with laws between steps apart from the others."""
     order = np.lexsort((steps, stepwise))
-    whole: list[Part] = []
+    found: list[NDArray[np.int64]] = []
     begin = 0
     while begin < len(order):
-        shortest, kind = steps[order[begin]], stepwise[order[begin]]
-        end = begin
-        while (
-            end < len(order)
-            and end - begin < _MAX_ROWS
-            and stepwise[order[end]] == kind
-            and steps[order[end]] <= 1.1 * shortest + 8
-        ):
-            end += 1
-        whole.append(known.part(order[begin:end]))
+        first = order[begin]
+        near = (stepwise[order] == stepwise[first]) & (steps[order] <= 1.1 * steps[first] + 8)
+        end = begin + int(near[begin:].sum())
+        found.append(order[begin:end])
         begin = end
-    return sorted(_shared_out(known, whole, cores), key=lambda p: -p.seconds)
+    return found
 
 
 def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:

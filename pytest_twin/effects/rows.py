@@ -20,6 +20,7 @@ from pytest_twin.effects.acting import (
     acting,
     between_steps,
     hooks_between_steps,
+    there,
     with_fixed,
 )
 from pytest_twin.effects.base import Effect, Values, World
@@ -247,8 +248,11 @@ class RowSimulator:
         command = np.moveaxis(self._held.means(rows, late, steps, joints, world.timestep), 1, 0)
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):
-                for k in range(steps):
-                    motion[0, k], motion[1, k] = effect.unsense(motion[0, k], motion[1, k], v)
+                mine = np.flatnonzero(there(effect, v).any(axis=1))
+                values = {n: np.tile(x[mine], (steps, 1)) for n, x in v.items()}
+                read = motion[:, :, mine].reshape(2, -1, joints.shape[1])
+                true = np.array(effect.unsense(read[0], read[1], values))
+                motion[:, :, mine] = true.reshape(2, steps, len(mine), -1)
         far = [(e, v) for e, v in effects if e.remembers_path]
         if far:
             follow(world, far, self._paths(which)[:, of[:, None], joints])

@@ -48,3 +48,10 @@ def test_what_the_engine_does_alone_is_divided_evenly() -> None:
 def test_no_batch_is_larger_than_memory_bears() -> None:
     found = parts(np.full(1000, 50), np.zeros((1000, 0), dtype=bool), 6, 1)
     assert max(len(p.rows) for p in found) == 384
+
+
+def test_of_too_many_rows_those_of_the_same_laws_step_together() -> None:
+    acts = np.zeros((1152, 3), dtype=bool)
+    acts[np.arange(1152), np.arange(1152) % 3] = True
+    found = parts(np.full(1152, 250), acts, 2, 1)
+    assert sorted(np.unique(p.rows % 3).tolist() for p in found) == [[0], [1], [2]]
