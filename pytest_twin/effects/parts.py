@@ -101,15 +101,16 @@ def _of_like_length(
     steps: NDArray[np.int64], stepwise: NDArray[np.bool_]
 ) -> list[NDArray[np.int64]]:
     """Rows that may step together, those with laws between steps apart from the others."""
-    order = np.lexsort((steps, stepwise))
     found: list[NDArray[np.int64]] = []
-    begin = 0
-    while begin < len(order):
-        first = order[begin]
-        near = (stepwise[order] == stepwise[first]) & (steps[order] <= 1.1 * steps[first] + 8)
-        end = begin + int(near[begin:].sum())
-        found.append(order[begin:end])
-        begin = end
+    for kind in (False, True):
+        rows = np.flatnonzero(stepwise == kind)
+        rows = rows[np.argsort(steps[rows], kind="stable")]
+        lengths, begin = steps[rows], 0
+        while begin < len(rows):
+            longest = 1.1 * lengths[begin] + 8
+            end = int(np.searchsorted(lengths, longest, side="right"))
+            found.append(rows[begin:end])
+            begin = end
     return found
 
 

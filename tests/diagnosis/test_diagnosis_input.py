@@ -389,9 +389,9 @@ def test_under_effort_commands_one_number_is_held_against_nothing(tmp_path: Path
     loaded = load_model(tmp_path / "model.xml")
     at = 0.005 * np.arange(400)
     # The right one swings, let go beside where it hangs; the left one reads 0.1 rad throughout.
-    rate = MASS * 9.81 * LENGTH / (INERTIA + MASS * LENGTH**2 + ARMATURE)
+    inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
     falls = solve_ivp(
-        lambda t, x: [x[1], rate * np.sin(x[0]) - DAMPING * rate / (MASS * 9.81 * LENGTH) * x[1]],
+        lambda t, x: [x[1], (MASS * 9.81 * LENGTH * np.sin(x[0]) - DAMPING * x[1]) / inertia],
         (0.0, at[-1]), [2.6, 0.0], t_eval=at, rtol=1e-9, atol=1e-9,
     ).y[0]  # fmt: skip
     seen = np.stack([np.full(len(at), 0.1), falls], axis=1)
