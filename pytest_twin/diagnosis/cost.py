@@ -23,7 +23,8 @@ class Cost:
     Attributes:
         wall_seconds: from reading to the last number.
         engine_seconds: for the same number of steps of the model as it came, rolled out by MuJoCo
-            in batches on the same threads, without anything of this package between steps.
+            in batches on the same threads, with all that it does of itself and nothing of this
+            package between steps.
         steps: of simulations that the search asked for, in millions.
         repeated: of these, what it had asked for before and was not stepped again, in millions.
     """
@@ -50,7 +51,7 @@ def cost(problems: Sequence[Problem], since: float) -> Cost:
     wall = time.perf_counter() - since
     problem = problems[0]
     known = problem.simulator
-    simulator = RowSimulator(known.segments, known.joints, threads=known.threads)
+    simulator = RowSimulator(known.segments, known.joints, threads=known.threads, sparing=False)
     stepped = sum(p.stepped + p.in_starts for p in problems)
     rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
     simulator.trajectories(rows[:1], {})  # models are copied once

@@ -22,6 +22,7 @@ from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.point_mass import with_point_mass
 from pytest_twin.effects.sampling import behind
 from pytest_twin.effects.segment import Segment
+from pytest_twin.effects.spared import spare
 
 OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
@@ -92,12 +93,16 @@ class RowModels:
         segments: all of one layout of model.
         layout: of it.
         timestep: s.
+        sparing: whether the engine leaves out what changes nothing.
     """
 
-    def __init__(self, segments: Sequence[Segment], layout: Layout, timestep: float) -> None:
+    def __init__(
+        self, segments: Sequence[Segment], layout: Layout, timestep: float, *, sparing: bool = True
+    ) -> None:
         self.segments = segments
         self.layout = layout
         self.timestep = timestep
+        self.sparing = sparing
         self._bounded: dict[int, mujoco.MjModel] = {}
         self._link_inertia: dict[int, tuple[FloatArray, FloatArray]] = {}
 
@@ -118,6 +123,8 @@ class RowModels:
             model.opt.timestep = self.timestep
             if not of.creeps:
                 hold(model, self.layout.dof_index, float(of.model.opt.timestep))
+            if self.sparing:
+                spare(model)
             self._bounded[id(of.model)] = model
         return self._bounded[id(of.model)]
 

@@ -58,6 +58,7 @@ class RowSimulator:
         threads: of the batch, or forks in their place, 0 for all cores that the process may use.
         refine: substeps per model step, to measure the discretization.
         fixed: effects under every row: parameters as (1, joints) arrays.
+        sparing: whether the engine leaves out what changes nothing.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class RowSimulator:
         threads: int = 0,
         refine: int = 1,
         fixed: EffectValues | None = None,
+        sparing: bool = True,
     ) -> None:
         self.segments = list(segments)
         self.joints = tuple(joints)
@@ -76,7 +78,7 @@ class RowSimulator:
         self.layout = Layout(model, self.segments, joints)
         self.refine = refine
         self.timestep = float(model.opt.timestep) / refine
-        self.models = RowModels(self.segments, self.layout, self.timestep)
+        self.models = RowModels(self.segments, self.layout, self.timestep, sparing=sparing)
         self.steps = np.array(
             [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]
         )

@@ -1,0 +1,75 @@
+"""What the engine leaves out changes nothing, to the last bit."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin.effects.spared import spare
+
+ARM = """\
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>{floor}
+<body pos="0 0 .3"><joint name="a" axis="0 1 0" damping=".2" frictionloss=".3" range="-60 60"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1" {of}/>
+<body pos=".3 0 0"><joint name="b" axis="0 1 0" damping=".1" frictionloss=".1"/>
+<geom type="capsule" fromto="0 0 0 .25 0 0" size=".02" mass=".5" {of}/></body></body>
+{other}</worldbody><actuator><position joint="a" kp="20" kv="1"/><motor joint="b"/></actuator>
+{more}</mujoco>
+"""
+FLOOR = '<geom name="floor" type="plane" size="1 1 .1"/>'
+BOX = '<body name="box" pos=".3 0 .1"><freejoint/><geom size=".04" mass=".2"/></body>'
+APART = 'contype="0" conaffinity="0"'
+
+
+def moved(model: mujoco.MjModel) -> np.ndarray:
+    """All of a second of motion that reaches its limit and whatever it can meet."""
+    data = mujoco.MjData(model)
+    states = []
+    for k in range(500):
+        data.ctrl[:] = 2.0 * np.sin(0.02 * k), 1.5 * np.cos(0.03 * k)
+        mujoco.mj_step(model, data)
+        states.append(np.concatenate([data.qpos, data.qvel, data.qfrc_constraint]))
+    return np.array(states)
+
+
+@pytest.mark.parametrize(
+    ("fields", "islands", "contacts"),
+    [
+        ({"of": APART}, False, False),
+        ({"of": APART, "floor": FLOOR}, False, True),
+        ({"floor": FLOOR}, False, True),
+        ({"floor": FLOOR, "other": BOX}, True, True),
+        ({"of": APART, "floor": f'<geom name="floor" type="plane" size="1 1 .1" {APART}/>'}, False,
+         False),
+    ],
+    ids=["no surface", "a surface that asks", "a surface", "an object", "nothing collides"],
+)  # fmt: skip
+def test_motion_is_the_same_to_the_last_bit(
+    fields: dict[str, str], islands: bool, contacts: bool
+) -> None:
+    known = {"floor": "", "of": "", "other": "", "more": "", **fields}
+    model = mujoco.MjModel.from_xml_string(ARM.format(**known))
+    spared = copy.copy(model)
+    spare(spared)
+    off = mujoco.mjtDisableBit
+    assert bool(spared.opt.disableflags & int(off.mjDSBL_ISLAND)) is not islands
+    assert bool(spared.opt.disableflags & int(off.mjDSBL_CONTACT)) is not contacts
+    np.testing.assert_array_equal(moved(model), moved(spared))
+
+
+def test_a_pair_that_is_named_still_meets() -> None:
+    floor = f'<geom name="floor" type="plane" size="1 1 .1" {APART}/>'
+    of = f'{APART} name="tip"'
+    text = ARM.format(floor=floor, of=APART, other="", more="")
+    text = text.replace('size=".02" mass=".5" ' + APART, 'size=".02" mass=".5" ' + of)
+    model = mujoco.MjModel.from_xml_string(text)
+    met = mujoco.MjModel.from_xml_string(
+        text.replace("</mujoco>", '<contact><pair geom1="floor" geom2="tip"/></contact></mujoco>')
+    )
+    spared = copy.copy(met)
+    spare(spared)
+    np.testing.assert_array_equal(moved(met), moved(spared))
+    assert (moved(met) != moved(model)).any(), "the pair does not meet here"
