@@ -172,7 +172,7 @@ def explain(
                     Alternative(t.effect, joint_name(problem, t), c) for t, c in others if c > 1e-4
                 )[:4],
                 next_test=_next_test(term, [t for t, _ in others]),
-                correlated=_correlations(problem, hypothesis, term, width),
+                correlated=trade_offs(problem, hypothesis, term, width),
                 term=term,
             )
         )
@@ -300,15 +300,17 @@ def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -
     return Estimate(p.reported(value), unit, p.reported(high), p.reported(max(low, value / _OPEN)))
 
 
-def _correlations(
+def trade_offs(
     problem: Problem, hypothesis: Hypothesis, term: Term, width: Spread
 ) -> tuple[str, ...]:
-    """What is known where two parameters trade off against each other."""
+    """What is known where two parameters of a fit trade off against each other, a line each."""
     owner = [(t, p) for t in hypothesis.terms for p in t.parameters]
     place = hypothesis.slice_of(term)
     lines = []
-    for i in range(place.start, place.stop):
-        for k, (other, q) in enumerate(owner):
+    moved = np.flatnonzero(hypothesis.movable)
+    for i in moved[(place.start <= moved) & (moved < place.stop)]:
+        for k in moved:
+            other, q = owner[k]
             rho = float(width.correlation[i, k])
             if k == i or not abs(rho) >= _CORRELATED or (other == term and k < i):
                 continue
