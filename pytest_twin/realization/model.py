@@ -9,46 +9,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SpecError
 from pytest_twin.realization import mjcf, patch
+from pytest_twin.realization.named_model import NamedModel
+from pytest_twin.realization.source import Source
 from pytest_twin.twin import Twin
 
 if TYPE_CHECKING:
     from pytest_twin.dependency import Part, Structure
-    from pytest_twin.realization.loading import Source
     from pytest_twin.realization.reference import Reference
 
-Vector = NDArray[np.float64]
-_OBJECTS = {
-    "joint": mujoco.mjtObj.mjOBJ_JOINT,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "site": mujoco.mjtObj.mjOBJ_SITE,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-}
-_WIDTH_QPOS = {
-    mujoco.mjtJoint.mjJNT_FREE: 7,
-    mujoco.mjtJoint.mjJNT_BALL: 4,
-    mujoco.mjtJoint.mjJNT_SLIDE: 1,
-    mujoco.mjtJoint.mjJNT_HINGE: 1,
-}
 
-
-class Realization:
-    """A compiled robot, with the names that people use for its parts.
+class Realization(NamedModel):
+    """A robot as one simulator has it, its variants, and what others say of the same source.
 
     Attributes:
-        name: as ``twin.yaml`` names it.
-        twin: the twin that it belongs to, if any.
-        path: the MJCF or URDF file.
-        source: the checked text and files that it was built from.
-        spec, model: MuJoCo's, with the twin's fit applied.
-        notes: what the conversion changed or left out, one line each, with file and line.
-        velocity_limit: joint -> greatest speed, rad/s or m/s, where the source states it
-            (MuJoCo has no such limit).
         controller, payload: ids of the variant, None for the model as it stands.
     """
 
@@ -64,124 +40,9 @@ class Realization:
         controller: str | None = None,
         payload: str | None = None,
     ) -> None:
-        self.name = name
-        self.path = path
-        self.spec = spec
-        self.model = model
-        self.source = source
-        self.twin = twin
-        self.notes: tuple[str, ...] = source.notes
-        self.velocity_limit: Mapping[str, float] = source.velocity_limit
+        super().__init__(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
         self.controller = controller
         self.payload = payload
-
-    # -- names
-
-    def _index(self, kind: str, name: str) -> int:
-        index = int(mujoco.mj_name2id(self.model, _OBJECTS[kind], name))
-        if index < 0:
-            raise SpecError(
-                f"the model has no {kind} {name!r}",
-                path=self.path,
-                expected=patch.suggest(name, self.names(kind)),
-            )
-        return index
-
-    def names(self, kind: str) -> tuple[str, ...]:
-        """Names of all ``joint``, ``actuator``, ``body``, ``site`` or ``geom``, in model order.
-
-        Elements without a name are left out.
-        """
-        count = {
-            "joint": self.model.njnt,
-            "actuator": self.model.nactuator,
-            "body": self.model.nbody,
-            "site": self.model.nsite,
-            "geom": self.model.ngeom,
-        }[kind]
-        found = (mujoco.mj_id2name(self.model, _OBJECTS[kind], i) for i in range(count))
-        return tuple(name for name in found if name)
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of all joints, in model order."""
-        return self.names("joint")
-
-    @property
-    def actuators(self) -> tuple[str, ...]:
-        """Names of all actuators, in model order."""
-        return self.names("actuator")
-
-    def joint_index(self, joint: str) -> int:
-        """Index of a joint in the model's ``jnt_`` arrays."""
-        return self._index("joint", joint)
-
-    def joint_qpos_index(self, joint: str) -> int:
-        """Index of the joint's (first) value in ``qpos``."""
-        return int(self.model.jnt_qposadr[self._index("joint", joint)])
-
-    def joint_dof_index(self, joint: str) -> int:
-        """Index of the joint's (first) value in ``qvel`` and in generalized forces."""
-        return int(self.model.jnt_dofadr[self._index("joint", joint)])
-
-    def actuator_index(self, actuator: str) -> int:
-        """Index of an actuator."""
-        return self._index("actuator", actuator)
-
-    def control_index(self, actuator: str) -> int:
-        """Index of the actuator's (first) value in ``ctrl``."""
-        return int(self.model.actuator_ctrladr[self._index("actuator", actuator)])
-
-    def frame_index(self, frame: str) -> tuple[mujoco.mjtObj, int]:
-        """What a frame is, site or body, and its index; a site goes before a body."""
-        for kind in ("site", "body"):
-            index = int(mujoco.mj_name2id(self.model, _OBJECTS[kind], frame))
-            if index >= 0:
-                return _OBJECTS[kind], index
-        known = (*self.names("site"), *self.names("body"))
-        raise SpecError(
-            f"the model has no frame {frame!r}",
-            path=self.path,
-            expected=patch.suggest(frame, known),
-        )
-
-    # -- configurations
-
-    def qpos(self, joints: Mapping[str, float | Vector]) -> Vector:
-        """The (nq,) configuration with ``joints`` in rad or m; the rest at the reference.
-
-        A ball joint takes 4 numbers (w x y z), a free joint 7 (x y z, w x y z).
-
-        Raises:
-            SpecError: no such joint, a wrong count, or a number that is not finite.
-        """
-        full: Vector = np.array(self.model.qpos0, dtype=np.float64)
-        for joint, value in joints.items():
-            index = self._index("joint", joint)
-            width = _WIDTH_QPOS[mujoco.mjtJoint(self.model.jnt_type[index])]
-            values = np.atleast_1d(np.asarray(value, dtype=np.float64))
-            if values.shape != (width,) or not np.isfinite(values).all():
-                raise SpecError(
-                    f"not a value of joint {joint!r}",
-                    path=self.path,
-                    value=value,
-                    expected="one finite number" if width == 1 else f"{width} finite numbers",
-                )
-            address = self.model.jnt_qposadr[index]
-            full[address : address + width] = values
-        return full
-
-    def frame_pose(self, data: mujoco.MjData, frame: str) -> Vector:
-        """``transform_world_to_frame`` (4, 4) at the state of ``data`` (after ``mj_kinematics``).
-
-        Its columns are the frame's axes and origin, in m, seen from the world.
-        """
-        kind, index = self.frame_index(frame)
-        site = kind == mujoco.mjtObj.mjOBJ_SITE
-        pose = np.eye(4)
-        pose[:3, :3] = (data.site_xmat if site else data.xmat)[index].reshape(3, 3)
-        pose[:3, 3] = (data.site_xpos if site else data.xpos)[index]
-        return pose
 
     # -- variants
 
@@ -237,7 +98,7 @@ class Realization:
         """How it hangs together, for the dependency map."""
         from pytest_twin.realization.features import reading
 
-        return reading.structure(self)
+        return reading.model_structure(self.model, self.name, self.parts)
 
     @cached_property
     def parts(self) -> dict[str, Part]:

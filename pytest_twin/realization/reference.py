@@ -8,7 +8,6 @@ frames, and inertias from shapes are worked out here.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -16,11 +15,9 @@ from numpy.typing import NDArray
 
 from pytest_twin.errors import SpecError
 from pytest_twin.realization import reference_mjcf, reference_urdf
+from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.patch import suggest
 from pytest_twin.realization.rigid import RigidModel
-
-if TYPE_CHECKING:
-    from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
 Value = float | Vector
@@ -41,7 +38,7 @@ class Reference:
         ModelError: the model has what rigid bodies in a tree cannot express.
     """
 
-    def __init__(self, realization: Realization) -> None:
+    def __init__(self, realization: NamedModel) -> None:
         robot = realization.source.urdf
         if robot is not None and reference_urdf.is_described(realization, robot):
             rigid = reference_urdf.build(realization, robot)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from pytest_twin.errors import FormatError, ModelError
 from pytest_twin.realization import inertia, mesh, shapes
 from pytest_twin.realization.limits import LIMITS
+from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.rigid import RigidModel, add_inertia, moments
-
-if TYPE_CHECKING:
-    from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
 Inertia = tuple[float, Vector, Vector]
@@ -26,7 +24,7 @@ _Alt = mujoco.mjtOrientation
 _FromGeom = mujoco.mjtInertiaFromGeom
 
 
-def build(realization: Realization) -> RigidModel:
+def build(realization: NamedModel) -> RigidModel:
     """The rigid model of the realization's spec.
 
     Raises:
@@ -36,7 +34,7 @@ def build(realization: Realization) -> RigidModel:
 
 
 class _Builder:
-    def __init__(self, realization: Realization) -> None:
+    def __init__(self, realization: NamedModel) -> None:
         self.realization = realization
         self.spec = realization.spec
         self.out = RigidModel()

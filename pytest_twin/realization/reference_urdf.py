@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -10,12 +9,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError
+from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.rigid import RigidModel, add_inertia, moments
 from pytest_twin.realization.urdf import Robot
-
-if TYPE_CHECKING:
-    from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
 
@@ -33,7 +30,7 @@ _REQUIRED = {
 }
 
 
-def is_described(realization: Realization, robot: Robot) -> bool:
+def is_described(realization: NamedModel, robot: Robot) -> bool:
     """Whether the text alone gives the kinematics: no fit that moves a frame or an axis."""
     twin = realization.twin
     if twin is None:
@@ -47,7 +44,7 @@ def is_described(realization: Realization, robot: Robot) -> bool:
     )
 
 
-def build(realization: Realization, robot: Robot) -> RigidModel:
+def build(realization: NamedModel, robot: Robot) -> RigidModel:
     """The rigid model of a URDF.
 
     Raises:
@@ -84,7 +81,7 @@ def build(realization: Realization, robot: Robot) -> RigidModel:
     return found
 
 
-def _state_inertias(found: RigidModel, realization: Realization, robot: Robot) -> None:
+def _state_inertias(found: RigidModel, realization: NamedModel, robot: Robot) -> None:
     """Put what a patch, a payload or a noted repair states in the place of what the text says."""
     for link in robot.links.values():
         body = realization.spec.body(link.name)
@@ -105,7 +102,7 @@ def _state_inertias(found: RigidModel, realization: Realization, robot: Robot) -
         add_inertia(found.model, joint, (-1.0, written), (1.0, true))
 
 
-def _world_to_base(realization: Realization) -> pin.SE3:
+def _world_to_base(realization: NamedModel) -> pin.SE3:
     twin = realization.twin
     base = twin.calibration.transform_world_to_base if twin and twin.calibration else None
     if base is None:

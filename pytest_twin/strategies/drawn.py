@@ -1,14 +1,9 @@
-"""A drawn robot: what its URDF and its MJCF both say."""
+"""Links and joints of a drawn robot: what its URDF and its MJCF both say."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
 from typing import Literal
-
-from pytest_twin.formats import atomic
 
 Triple = tuple[float, float, float]
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
@@ -82,46 +77,3 @@ class DrawnJoint:
     ) -> DrawnJoint:
         """The same joint, tied to another."""
         return replace(self, mimic=(leader, multiplier, offset), limits=limits)
-
-
-@dataclass(frozen=True)
-class DrawnRobot:
-    """A robot that stands fixed: ``links[0]`` is its base."""
-
-    name: str
-    links: tuple[DrawnLink, ...]
-    joints: tuple[DrawnJoint, ...]
-
-    @cached_property
-    def urdf(self) -> str:
-        """Its URDF; meshes are named relative to the file."""
-        from pytest_twin.strategies import robot_text
-
-        return robot_text.urdf(self)
-
-    @cached_property
-    def mjcf(self) -> str:
-        """Its MJCF: the same bodies, joints, motors bounded by the effort, mimic as equality."""
-        from pytest_twin.strategies import robot_text
-
-        return robot_text.mjcf(self)
-
-    @property
-    def meshes(self) -> Mapping[str, bytes]:
-        """File name -> STL."""
-        from pytest_twin.strategies import robot_text
-
-        return {
-            shape.file: robot_text.wedge(shape.size)
-            for link in self.links
-            for shape in link.shapes
-            if shape.kind == "mesh"
-        }
-
-    def write(self, folder: Path, form: Literal["urdf", "mjcf"] = "urdf") -> Path:
-        """Write it with its meshes into an existing folder; returns the model's file."""
-        for name, data in self.meshes.items():
-            atomic.write_bytes(folder / name, data)
-        path = folder / f"{self.name}.{'urdf' if form == 'urdf' else 'xml'}"
-        atomic.write_text(path, self.urdf if form == "urdf" else self.mjcf)
-        return path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,37 +12,37 @@ from numpy.typing import NDArray
 
 from pytest_twin.metrics.pose import quaternion_of
 from pytest_twin.realization.urdf import rotation
-from pytest_twin.strategies.drawn import DrawnJoint, DrawnLink, DrawnRobot, DrawnShape, Triple
+from pytest_twin.strategies.drawn import DrawnJoint, DrawnLink, DrawnShape, Triple
 
 Vector = NDArray[np.float64]
 _Element = Any
 
 
-def urdf(robot: DrawnRobot) -> str:
-    """URDF, with every number in full."""
-    root = etree.Element("robot", name=robot.name)
-    for link in robot.links:
+def urdf(name: str, links: Sequence[DrawnLink], joints: Sequence[DrawnJoint]) -> str:
+    """URDF of a robot, with every number in full; ``links[0]`` is its base."""
+    root = etree.Element("robot", name=name)
+    for link in links:
         _urdf_link(root, link)
-    for joint in robot.joints:
+    for joint in joints:
         _urdf_joint(root, joint)
     return _text(root)
 
 
-def mjcf(robot: DrawnRobot) -> str:
-    """MJCF, with every number in full."""
-    root = etree.Element("mujoco", model=robot.name)
+def mjcf(name: str, links: Sequence[DrawnLink], joints: Sequence[DrawnJoint]) -> str:
+    """MJCF of a robot, with every number in full; ``links[0]`` is its base."""
+    root = etree.Element("mujoco", model=name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     asset = etree.SubElement(root, "asset")
     world = etree.SubElement(root, "worldbody")
     bodies: dict[str, _Element] = {}
-    carried = {joint.child: joint for joint in robot.joints}
-    for link in robot.links:
+    carried = {joint.child: joint for joint in joints}
+    for link in links:
         joint = carried.get(link.name)
         above = world if joint is None else bodies[joint.parent]
         bodies[link.name] = _mjcf_body(above, asset, link, joint)
     equality = etree.SubElement(root, "equality")
     actuator = etree.SubElement(root, "actuator")
-    for joint in robot.joints:
+    for joint in joints:
         if joint.mimic is not None:
             leader, multiplier, offset = joint.mimic
             etree.SubElement(

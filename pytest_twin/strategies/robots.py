@@ -9,26 +9,15 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pytest_twin.strategies import robot_text
 from pytest_twin.strategies.drawn import (
     MOVING,
     DrawnJoint,
     DrawnLink,
-    DrawnRobot,
     DrawnShape,
     JointKind,
     Triple,
 )
-
-__all__ = [
-    "DrawnJoint",
-    "DrawnLink",
-    "DrawnRobot",
-    "DrawnShape",
-    "mjcf_robots",
-    "robots",
-    "urdf_robots",
-]
+from pytest_twin.strategies.drawn_robot import DrawnRobot
 
 Vector = NDArray[np.float64]
 _KINDS: tuple[JointKind, ...] = ("revolute", "continuous", "prismatic", "fixed")
@@ -63,12 +52,12 @@ def robots(
 
 def urdf_robots(**options: object) -> st.SearchStrategy[str]:
     """The URDF text of random robots, without mesh files; options as :func:`robots` takes them."""
-    return robots(**{**options, "meshes": False}).map(robot_text.urdf)  # type: ignore[arg-type]
+    return robots(**{**options, "meshes": False}).map(lambda robot: robot.urdf)  # type: ignore[arg-type]
 
 
 def mjcf_robots(**options: object) -> st.SearchStrategy[str]:
     """The MJCF text of random robots, without mesh files; options as :func:`robots` takes them."""
-    return robots(**{**options, "meshes": False}).map(robot_text.mjcf)  # type: ignore[arg-type]
+    return robots(**{**options, "meshes": False}).map(lambda robot: robot.mjcf)  # type: ignore[arg-type]
 
 
 @st.composite

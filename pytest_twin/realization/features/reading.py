@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.realization.features.canonical import (
-    value_of,
-)
+from pytest_twin.realization.features.canonical import value_of
 from pytest_twin.realization.features.layers import layers
 from pytest_twin.realization.features.structure import structure_of
-
-if TYPE_CHECKING:
-    from pytest_twin.realization.model import Realization
+from pytest_twin.realization.named_model import NamedModel
 
 
-def parts(realization: Realization) -> dict[str, Part]:
+def parts(realization: NamedModel) -> dict[str, Part]:
     """Part id -> part of a realization, ids with the realization's name in front."""
     found = model_parts(realization.model, realization.name, realization.velocity_limit)
     more = {"additions": additions(realization.spec)}
@@ -27,11 +23,6 @@ def parts(realization: Realization) -> dict[str, Part]:
         more["effects"] = {"sha256": file_sha256(realization.source.effects)}
     idents = ((f"{realization.name}/{key}", content) for key, content in more.items())
     return {**found, **{ident: Part(ident, content) for ident, content in idents}}
-
-
-def structure(realization: Realization) -> Structure:
-    """How a realization hangs together."""
-    return model_structure(realization.model, realization.name, realization.parts)
 
 
 def model_parts(
