@@ -388,5 +388,8 @@ def _left_out_joints(
             lack = "lacks" if len(lacking) == 1 else "lack"
             notes.append(f"joint {joint!r} is left out: {', '.join(lacking)} {lack} it")
         elif lacking:
-            notes.append(f"joint {joint!r} is in no recording: it starts where the model has it")
+            notes.append(
+                f"joint {joint!r} is in no recording: it starts where the model has it, and what "
+                "the others feel of it is known no better"
+            )
     return notes
