@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -13,7 +12,6 @@ import mujoco
 from pytest_twin.errors import ModelError, SpecError
 from pytest_twin.realization import mjcf, patch
 from pytest_twin.realization.named_model import NamedModel
-from pytest_twin.realization.source import Source
 from pytest_twin.twin import Twin
 
 if TYPE_CHECKING:
@@ -22,27 +20,7 @@ if TYPE_CHECKING:
 
 
 class Realization(NamedModel):
-    """A robot as one simulator has it, its variants, and what others say of the same source.
-
-    Attributes:
-        controller, payload: ids of the variant, None for the model as it stands.
-    """
-
-    def __init__(
-        self,
-        *,
-        name: str,
-        path: Path,
-        spec: mujoco.MjSpec,
-        model: mujoco.MjModel,
-        source: Source,
-        twin: Twin | None = None,
-        controller: str | None = None,
-        payload: str | None = None,
-    ) -> None:
-        super().__init__(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
-        self.controller = controller
-        self.payload = payload
+    """A robot as one simulator has it, its variants, and what others say of the same source."""
 
     # -- variants
 

@@ -39,9 +39,7 @@ class NamedModel:
         path: the MJCF or URDF file.
         source: the checked text and files that it was built from.
         spec, model: MuJoCo's, with the twin's fit applied.
-        notes: what the conversion changed or left out, one line each, with file and line.
-        velocity_limit: joint -> greatest speed, rad/s or m/s, where the source states it
-            (MuJoCo has no such limit).
+        controller, payload: ids of the variant, None for the model as it stands.
     """
 
     def __init__(
@@ -53,6 +51,8 @@ class NamedModel:
         model: mujoco.MjModel,
         source: Source,
         twin: Twin | None = None,
+        controller: str | None = None,
+        payload: str | None = None,
     ) -> None:
         self.name = name
         self.path = path
@@ -60,8 +60,18 @@ class NamedModel:
         self.model = model
         self.source = source
         self.twin = twin
-        self.notes: tuple[str, ...] = source.notes
-        self.velocity_limit: Mapping[str, float] = source.velocity_limit
+        self.controller = controller
+        self.payload = payload
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the conversion changed or left out, one line each, with file and line."""
+        return self.source.notes
+
+    @property
+    def velocity_limit(self) -> Mapping[str, float]:
+        """Joint -> greatest speed, rad/s or m/s, where the source states it; MuJoCo has none."""
+        return self.source.velocity_limit
 
     # -- names
 

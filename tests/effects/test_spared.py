@@ -15,13 +15,19 @@ ARM = """\
 <body pos="0 0 .3"><joint name="a" axis="0 1 0" damping=".2" frictionloss=".3" range="-60 60"/>
 <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1" {of}/>
 <body pos=".3 0 0"><joint name="b" axis="0 1 0" damping=".1" frictionloss=".1"/>
-<geom type="capsule" fromto="0 0 0 .25 0 0" size=".02" mass=".5" {of}/></body></body>
+<geom name="tip" type="capsule" fromto="0 0 0 .25 0 0" size=".02" mass=".5" {of}/></body></body>
 {other}</worldbody><actuator><position joint="a" kp="20" kv="1"/><motor joint="b"/></actuator>
 {more}</mujoco>
 """
-FLOOR = '<geom name="floor" type="plane" size="1 1 .1"/>'
 BOX = '<body name="box" pos=".3 0 .1"><freejoint/><geom size=".04" mass=".2"/></body>'
 APART = 'contype="0" conaffinity="0"'
+FLOOR = '<geom name="floor" type="plane" size="1 1 .1"/>'
+FLOOR_APART = f'<geom name="floor" type="plane" size="1 1 .1" {APART}/>'
+PAIR = '<contact><pair geom1="floor" geom2="tip"/></contact>'
+
+
+def arm(floor: str = "", of: str = "", other: str = "", more: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(ARM.format(floor=floor, of=of, other=other, more=more))
 
 
 def moved(model: mujoco.MjModel) -> np.ndarray:
@@ -42,16 +48,14 @@ def moved(model: mujoco.MjModel) -> np.ndarray:
         ({"of": APART, "floor": FLOOR}, False, True),
         ({"floor": FLOOR}, False, True),
         ({"floor": FLOOR, "other": BOX}, True, True),
-        ({"of": APART, "floor": f'<geom name="floor" type="plane" size="1 1 .1" {APART}/>'}, False,
-         False),
+        ({"of": APART, "floor": FLOOR_APART}, False, False),
     ],
     ids=["no surface", "a surface that asks", "a surface", "an object", "nothing collides"],
-)  # fmt: skip
+)
 def test_motion_is_the_same_to_the_last_bit(
     fields: dict[str, str], islands: bool, contacts: bool
 ) -> None:
-    known = {"floor": "", "of": "", "other": "", "more": "", **fields}
-    model = mujoco.MjModel.from_xml_string(ARM.format(**known))
+    model = arm(**fields)
     spared = copy.copy(model)
     spare(spared)
     off = mujoco.mjtDisableBit
@@ -61,14 +65,8 @@ def test_motion_is_the_same_to_the_last_bit(
 
 
 def test_a_pair_that_is_named_still_meets() -> None:
-    floor = f'<geom name="floor" type="plane" size="1 1 .1" {APART}/>'
-    of = f'{APART} name="tip"'
-    text = ARM.format(floor=floor, of=APART, other="", more="")
-    text = text.replace('size=".02" mass=".5" ' + APART, 'size=".02" mass=".5" ' + of)
-    model = mujoco.MjModel.from_xml_string(text)
-    met = mujoco.MjModel.from_xml_string(
-        text.replace("</mujoco>", '<contact><pair geom1="floor" geom2="tip"/></contact></mujoco>')
-    )
+    model = arm(floor=FLOOR_APART, of=APART)
+    met = arm(floor=FLOOR_APART, of=APART, more=PAIR)
     spared = copy.copy(met)
     spare(spared)
     np.testing.assert_array_equal(moved(met), moved(spared))
