@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import welch
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis import temperature
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
@@ -39,7 +40,7 @@ _EDGES = 33
 _SEARCHED = 0.8
 # s of the longest stretch that a spectrum is taken of, and samples of the shortest.
 _SPECTRUM, _FEWEST = 4.0, 16
-# Values of one condition that are slices; more are names of recordings.
+# Values of one condition that are slices; more are names of recordings, or measured temperatures.
 _MOST_VALUES = 6
 
 
@@ -297,15 +298,27 @@ def _conditions(paths: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
     for key in sorted({k for c in recordings.values() for k in c}):
         given = [c.get(key) for c in recordings.values()]
         values = {v for v in given if v is not None}
-        if len(set(given)) < 2 or len(values) > _MOST_VALUES:
+        if len(set(given)) < 2:
             continue
-        words = _shortened(values)
-        for value in sorted(values):
+        for words, among in _groups(key, values):
             mask = np.concatenate(
-                [np.full(len(m.time), m.conditions.get(key) == value) for m in paths]
+                [np.full(len(m.time), m.conditions.get(key) in among) for m in paths]
             )
-            found.append((f"{key} {words[value]}", mask))
+            found.append((f"{key} {words}", mask))
     return found
+
+
+def _groups(key: str, values: Collection[str]) -> list[tuple[str, Collection[str]]]:
+    """Values of a condition that are a slice together, in words: each, or the colder half."""
+    words = _shortened(values)
+    if len(values) <= _MOST_VALUES:
+        return [(words[v], (v,)) for v in sorted(values)]
+    measured = temperature.degrees(values) if key == temperature.KEY else None
+    if measured is None:
+        return []
+    order = sorted(values, key=lambda v: measured[v])
+    cold, warm = order[: len(order) // 2], order[len(order) // 2 :]
+    return [(f"up to {words[cold[-1]]}", cold), (f"from {words[warm[0]]}", warm)]
 
 
 def _shortened(values: Collection[str]) -> dict[str, str]:

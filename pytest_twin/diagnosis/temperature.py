@@ -26,7 +26,7 @@ def coldness_of(trials: Iterable[Trial]) -> Coldness:
     names = sorted({g for g in given if g is not None})
     if None in given or len(names) < 2:
         return {}
-    numbers = _numbers(names)
+    numbers = degrees(names)
     if numbers is None:
         return {names[0]: 1.0, names[1]: 0.0} if len(names) == 2 else {}
     coldest, warmest = min(numbers.values()), max(numbers.values())
@@ -46,7 +46,7 @@ def coldness_in(known: Coldness, trial: Trial) -> float:
     name = trial.metadata.get(KEY)
     if name is not None and name in known:
         return known[name]
-    numbers = None if name is None else _numbers([*known, name])
+    numbers = None if name is None else degrees([*known, name])
     if name is None or numbers is None:
         raise RecordingError(
             "friction that depends on temperature was found, and this recording's is not known",
@@ -59,7 +59,8 @@ def coldness_in(known: Coldness, trial: Trial) -> float:
     return max(known[warmest] + share * (known[coldest] - known[warmest]), 0.0)
 
 
-def _numbers(names: Iterable[str]) -> dict[str, float] | None:
+def degrees(names: Iterable[str]) -> dict[str, float] | None:
+    """Temperatures as trials name them -> numbers of one unit; None where some is none of it."""
     found, units = {}, set()
     for name in names:
         read = _NUMBER.fullmatch(name)

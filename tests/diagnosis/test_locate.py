@@ -183,6 +183,27 @@ def test_measured_conditions_are_told_in_four_digits_where_these_tell_them_apart
     assert told == {"volts 7.29", "volts 7.4", "run 1.00001", "run 1.00002"}
 
 
+def test_of_many_measured_temperatures_the_colder_half_is_a_slice() -> None:
+    """One for each recording: each alone would be the name of that recording."""
+    time = np.arange(0.0, 4.0, 0.01)
+    measured = [f"{20.0 + 1.25 * k:.2f} C" for k in (6, 0, 3, 7, 1, 5, 2, 4)]
+    paths = [
+        replace(
+            motion(time, 0.2 * np.sin(5.0 * time + k), f"{k}.mcap"),
+            conditions={"temperature": said, "hall": f"{k}.5"},
+        )
+        for k, said in enumerate(measured)
+    ]
+    slices = dict(regimes(paths, 0, "rad"))
+    told = {text for text in slices if text.startswith(("temperature", "hall"))}
+    assert told == {"temperature up to 23.75 C", "temperature from 25.00 C"}
+    cold = np.concatenate([np.full(len(time), float(m[:5]) < 24.0) for m in measured])
+    assert (slices["temperature up to 23.75 C"] == cold).all()
+    assert place_of(paths, 0.01 + cold, 0, "rad").summary == (
+        "temperature up to 23.75 C: 99 % of it in 50 % of the time"
+    )
+
+
 @pytest.mark.parametrize("irregular", [False, True])
 def test_what_is_left_at_one_frequency_is_said_to_be_there(irregular: bool) -> None:
     rng = np.random.default_rng(1)
