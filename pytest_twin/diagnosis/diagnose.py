@@ -16,6 +16,7 @@ from pytest_twin.diagnosis.creep import CREEPS, found_so, posed
 from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.other_unit import without_other_units
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
@@ -156,13 +157,14 @@ def diagnose(
         progress: told the fraction done.
 
     Raises:
-        RecordingError: no joint that the model and every recording share.
+        RecordingError: no joint that the model and every recording share, or angles in no rad.
         SpecError: a controller, payload or actuator that the model lacks.
     """
     since = time.perf_counter()
     notes = list(trials.notes)
     given = Given.of(realization, inherited, threads)
     progress(0.02)
+    trials = without_other_units(realization, trials, notes)
     given, prepared, trials = posed(given, trials, notes)
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
