@@ -61,10 +61,11 @@ def test_a_golden_past_its_time_fails_alone(recorded) -> None:
     assert recorded.run("--twin-update", "-k", "long").ret == 0
     recorded.write("long.py", "import time\ndef run(realization):\n    time.sleep(60)\n")
     start = time.monotonic()
-    result = recorded.run("--twin-timeout", "3")
-    assert time.monotonic() - start < 30
+    # Long enough for a process to start and do the others, whatever else the machine does.
+    result = recorded.run("--twin-timeout", "8")
+    assert time.monotonic() - start < 45
     result.assert_outcomes(passed=2, failed=1)
-    result.stdout.fnmatch_lines(["*ran past its bound of time and was killed*at most 3 s*"])
+    result.stdout.fnmatch_lines(["*ran past its bound of time and was killed*at most 8 s*"])
 
 
 @pytest.mark.parametrize("value", ["0", "soon", "nan", "-1"])
