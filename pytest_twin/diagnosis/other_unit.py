@@ -51,11 +51,8 @@ def without_other_units(realization: Realization, trials: TrialSet, notes: list[
     Raises:
         RecordingError: all that could be fitted are in another unit.
     """
-    kind = realization.structure.joint_type
-    far = [
-        t for t in (*trials.fit, *trials.held_out)
-        if _turns_far(t, [j for j in t.joints if kind.get(j) == "hinge"])
-    ]  # fmt: skip
+    everything = (*trials.fit, *trials.held_out)
+    far = [t for t in everything if _turns_far(t, _hinges(realization, t))]
     unit = _unit_of(realization, far) if far else None
     if unit is None:
         return trials
@@ -78,8 +75,14 @@ def without_other_units(realization: Realization, trials: TrialSet, notes: list[
     return replace(trials, fit=fit, held_out=aside)
 
 
-def _turns_far(trial: Trial, hinges: Sequence[str]) -> bool:
-    travel = np.ptp(trial.position[:, [trial.joints.index(j) for j in hinges]], axis=0)
+def _hinges(realization: Realization, trial: Trial) -> list[int]:
+    """Columns of a trial that are angles."""
+    kind = realization.structure.joint_type
+    return [i for i, j in enumerate(trial.joints) if kind.get(j) == "hinge"]
+
+
+def _turns_far(trial: Trial, hinges: Sequence[int]) -> bool:
+    travel = np.ptp(trial.position[:, hinges], axis=0)
     far = travel[travel > _MOVES] > _FAR
     return bool(far.sum() >= _FEWEST[trial.command_mode] and far.all())
 
@@ -88,18 +91,16 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     """The unit in which the model follows trials and does not as they came; None where there is
     none.
     """
-    kind = realization.structure.joint_type
     scales = (1.0, *_UNITS.values())
-    off = []
-    for trial in trials:
-        hinges = [i for i, j in enumerate(trial.joints) if kind.get(j) == "hinge"]
-        start = _beginning(trial, hinges)
-        try:
-            read = replay(realization, [_scaled(start, hinges, s) for s in scales], tcp=False)
-        except SpecError:
-            return None  # what the model lacks is said where it is needed
-        off.append([_error(r, hinges) for r in read])
-    came, degrees, *counts = np.median(off, axis=0)
+    angles = [_hinges(realization, t) for t in trials]
+    starts = [_beginning(t, hinges) for t, hinges in zip(trials, angles, strict=True)]
+    rows = [(t, hinges, s) for t, hinges in zip(starts, angles, strict=True) for s in scales]
+    try:
+        read = replay(realization, [_scaled(*row) for row in rows], tcp=False)
+    except SpecError:
+        return None  # what the model lacks is said where it is needed
+    off = [_error(r, hinges) for r, (_, hinges, _) in zip(read, rows, strict=True)]
+    came, degrees, *counts = np.median(np.reshape(off, (-1, len(scales))), axis=0)
     best = int(np.argmin(counts)) + 1 if min(counts) < _COUNTS_CLOSER * degrees else 0
     left = (degrees, *counts)[best]
     if came < _FAILS or left > _FOLLOWS or left > _CLOSER * came:
@@ -108,6 +109,9 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
 
 
 def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
+    """Until it has moved; it starts as its recording does, at rest where that has no velocity: one
+    that is told from positions carries their noise, which under effort commands grows.
+    """
     position = trial.position[:, hinges]
     gone = np.abs(position - position[0]) > _PART[trial.command_mode] * np.ptp(position, axis=0)
     until = float(trial.time[gone.any(axis=1).argmax()]) + _ON
