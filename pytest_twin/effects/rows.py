@@ -8,6 +8,7 @@ steps on arrays of all rows.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import partial
 
 import numpy as np
@@ -41,6 +42,7 @@ from pytest_twin.effects.roll_in import (
 from pytest_twin.effects.row_models import RowModels, Rows
 from pytest_twin.effects.sampling import behind, sampled, taken
 from pytest_twin.effects.segment import Predicted, Segment
+from pytest_twin.effects.spared import unclocked
 from pytest_twin.realization.forks import free_cores, in_forks, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
@@ -293,7 +295,7 @@ class RowSimulator:
         steps = int(self.steps[rows].max())
         commands = self.commands(rows, effects, steps)
         hooks = hooks_between_steps(effects)
-        with quiet():
+        with quiet(), unclocked() if self.models.sparing else nullcontext():
             written = self.written(rows, effects)
             if any(hooks.values()) or self.layout.bare.any():
                 self._stand(written, rows, effects, hooks)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.effects.spared import spare
+from pytest_twin.effects.spared import spare, unclocked
 
 ARM = """\
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>{floor}
@@ -71,3 +71,38 @@ def test_a_pair_that_is_named_still_meets() -> None:
     spare(spared)
     np.testing.assert_array_equal(moved(met), moved(spared))
     assert (moved(met) != moved(model)).any(), "the pair does not meet here"
+
+
+def test_without_a_clock_the_motion_is_the_same_and_the_profiler_says_nothing() -> None:
+    model = arm(floor=FLOOR)
+    timed = moved(model)
+    with unclocked():
+        assert mujoco.get_mjcb_time() is not None
+        np.testing.assert_array_equal(moved(model), timed)
+    assert mujoco.get_mjcb_time() is None
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    assert data.timer[mujoco.mjtTimer.mjTIMER_STEP].duration > 0.0, "the profiler is back"
+
+
+def test_the_engine_has_its_clock_back_after_an_error() -> None:
+    with pytest.raises(ZeroDivisionError), unclocked():
+        _ = 1 / 0
+    assert mujoco.get_mjcb_time() is None
+
+
+def test_a_clock_that_somebody_set_stays() -> None:
+    asked = []
+
+    def clock() -> float:
+        asked.append(None)
+        return 0.0
+
+    mujoco.set_mjcb_time(clock)
+    try:
+        with unclocked():
+            mujoco.mj_step(model := arm(), mujoco.MjData(model))
+        assert mujoco.get_mjcb_time() is clock
+    finally:
+        mujoco.set_mjcb_time(None)
+    assert asked, "its owner profiles on"
