@@ -73,7 +73,7 @@ def test_a_pair_that_is_named_still_meets() -> None:
     assert (moved(met) != moved(model)).any(), "the pair does not meet here"
 
 
-def test_without_a_clock_the_motion_is_the_same_and_the_profiler_says_nothing() -> None:
+def test_without_a_clock_the_motion_is_the_same_and_the_profiler_is_back_after() -> None:
     model = arm(floor=FLOOR)
     timed = moved(model)
     with unclocked():
