@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import REFERENCES
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.row_models import RowModels, Rows
 
 Variant = Mapping[Term, Sequence[float]]
 """Terms and their parameters, in multiples of references."""
@@ -123,13 +123,14 @@ def test_efforts_of_bodies_are_those_of_their_parts(
     whole = [rigid_terms(simulator, motion, values(problem, [v]))[0].effort for v in variants]
     efforts = Efforts(simulator, motion)
     asked: list[int] = []
-    written = RowSimulator.written
+    written = RowModels.written
 
-    def counted(self: RowSimulator, rows: NDArray[np.int64], effects: Any) -> object:
-        asked.append(len(rows) // len(whole[0][0]))
-        return written(self, rows, effects)
+    def counted(self: RowModels, rows: NDArray[np.int64], effects: Any, threads: int) -> Rows:
+        # A variant of the bodies is written once, however many points its motion has.
+        asked.append(len(rows) // len(motion.segments))
+        return written(self, rows, effects, threads)
 
-    monkeypatch.setattr(RowSimulator, "written", counted)
+    monkeypatch.setattr(RowModels, "written", counted)
     size = np.abs(whole[0]).max()
     for found, true in zip(efforts.of(values(problem, variants[:5]), 5), whole, strict=False):
         assert found == pytest.approx(true, abs=1e-9 * size)

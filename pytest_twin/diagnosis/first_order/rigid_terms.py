@@ -29,7 +29,7 @@ _PLACES = np.array(
 """m, at which a mass tells its ten moments apart."""
 _MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]], dtype=float)
 """m, by which a centre that is moved tells what its moments change by."""
-_MAX_ROWS, _WORTH_FORKS = 4096, 2048
+_MAX_MODELS, _WORTH_FORKS = 256, 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,40 +77,39 @@ def rigid_terms(
     segments, points = len(along.segments), len(at)
     joints = along.position.shape[2]
     motion = (along.position, along.velocity) if nudges is None else along.midway
-    q, v, a = (x[:, at].reshape(-1, joints) for x in (*motion, along.acceleration))
-    rows = np.repeat(along.segments, points)
-    cores = free_cores(simulator.threads) if copies * len(rows) > _WORTH_FORKS else 1
-    per = min(max(1, _MAX_ROWS // len(rows)), -(-copies // cores))
+    q, v, a = (np.moveaxis(x[:, at], 1, 0) for x in (*motion, along.acceleration))
+    rows = np.asarray(along.segments)
+    cores = free_cores(simulator.threads) if copies * q[..., 0].size > _WORTH_FORKS else 1
+    per = min(max(1, _MAX_MODELS // segments), -(-copies // cores))
 
     def terms(first: int) -> list[Rigid]:
         part = np.arange(first, min(first + per, copies))
-        owner = np.repeat(part, len(rows))
+        owner = np.repeat(part, segments)
         values: list[tuple[Effect, Values]] = [
             (e, {n: x[owner] for n, x in p.items()}) for e, p in effects
         ]
+        nudge = np.zeros((len(part), 2, joints)) if nudges is None else nudges[part]
+        # A variant is written once and goes through its motion: what its bodies' inertias make of
+        # the model takes longer than its terms at a point do.
         with quiet():
-            batch = simulator.written(np.tile(rows, len(part)), values).batch
-        many_q, many_v = np.tile(q, (len(part), 1)), np.tile(v, (len(part), 1))
-        if nudges is not None:
-            many_q, many_v = many_q + nudges[owner, 0], many_v + nudges[owner, 1]
-        batch.bind("qpos")[:, simulator.layout.qpos_index] = many_q
-        batch.bind("qvel")[:, simulator.layout.dof_index] = many_v
-        mass_out, bias = batch.bind("M"), batch.bind("qfrc_bias")
-        with quiet():
-            batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
-        mass = _full_mass(simulator, mass_out)
-        still = bias[:, simulator.layout.dof_index]
-        effort = still + np.einsum("rij,rj->ri", mass, np.tile(a, (len(part), 1)))
-        each = (slice(i * len(rows), (i + 1) * len(rows)) for i in range(len(part)))
-        return [
-            Rigid(
-                at,
-                mass[mine].reshape(segments, points, joints, joints),
-                effort[mine].reshape(segments, points, joints),
-                still[mine].reshape(segments, points, joints),
-            )
-            for mine in each
-        ]
+            batch = simulator.models.written(np.tile(rows, len(part)), values, threads=1).batch
+            qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+            mass_out, bias_out = batch.bind("M"), batch.bind("qfrc_bias")
+            packed = np.empty((len(part), segments, points, mass_out.shape[1]))
+            still = np.empty((len(part), segments, points, joints))
+            for k in range(points):
+                many_q, many_v = (
+                    x[k] + n[:, None] for x, n in zip((q, v), nudge.swapaxes(0, 1), strict=True)
+                )
+                qpos[:, simulator.layout.qpos_index] = many_q.reshape(-1, joints)
+                qvel[:, simulator.layout.dof_index] = many_v.reshape(-1, joints)
+                batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+                packed[:, :, k] = mass_out.reshape(len(part), segments, -1)
+                bias = bias_out[:, simulator.layout.dof_index]
+                still[:, :, k] = bias.reshape(len(part), segments, joints)
+        mass = _full_mass(simulator, packed)
+        effort = still + np.einsum("cskij,ksj->cski", mass, a)
+        return [Rigid(at, *each) for each in zip(mass, effort, still, strict=True)]
 
     if cores > 1:
         simulator.models.warm(rows, effects)
@@ -310,16 +309,16 @@ def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatA
 
 
 def _full_mass(simulator: RowSimulator, packed: FloatArray) -> FloatArray:
-    """(rows, joints, joints) of MuJoCo's lower triangle in compressed rows."""
+    """(..., joints, joints) of MuJoCo's lower triangle in compressed rows."""
     model = simulator.segments[0].model
     of = np.full(model.nv, -1)
     of[simulator.layout.dof_index] = np.arange(len(simulator.layout.dof_index))
     n = len(simulator.layout.dof_index)
-    full = np.zeros((len(packed), n, n))
+    full = np.zeros((*packed.shape[:-1], n, n))
     for row in range(model.nv):
         start = model.M_rowadr[row]
         for k in range(start, start + model.M_rownnz[row]):
             i, j = of[row], of[model.M_colind[k]]
             if i >= 0 and j >= 0:
-                full[:, i, j] = full[:, j, i] = packed[:, k]
+                full[..., i, j] = full[..., j, i] = packed[..., k]
     return full
