@@ -157,11 +157,16 @@ class RowModels:
     def world(self, rows: NDArray[np.int64]) -> World:
         """The rows' segments at their start, the drives as the model has them."""
         segments, of = np.unique(rows, return_inverse=True)
-        models = [self.bounded(int(s)) for s in segments]
+        # Segments are many and their models few.
+        of_segment = [self.bounded(int(s)) for s in segments]
+        models = list({id(m): m for m in of_segment}.values())
+        place = {id(m): i for i, m in enumerate(models)}
+        which = np.array([place[id(m)] for m in of_segment], dtype=int)
         layout = self.layout
         count = (len(segments), len(layout.joints))
         driven = layout.driven
         act, gear = layout.actuator[driven], layout.gear[driven]
+        dry = np.array([m.dof_frictionloss[layout.dof_index] for m in models])
         world = World(
             time=np.array([self.segments[r].start for r in segments]),
             timestep=self.timestep,
@@ -176,7 +181,7 @@ class RowModels:
             upper=np.full(count, np.inf),
             servo=layout.servo,
             delivered=np.zeros(count),
-            friction_level=np.array([m.dof_frictionloss[layout.dof_index] for m in models]),
+            friction_level=dry[which],
             applied=np.zeros(count),
             load=np.zeros(count),
             motor_armature=np.zeros(count),
@@ -186,14 +191,16 @@ class RowModels:
             coldness=np.array([self.segments[r].coldness for r in segments]),
         )
         world.gain[:, layout.bare] = 1.0
-        for i, m in enumerate(models):
-            world.gain[i, driven] = m.actuator_gainprm[act, 0] * gear * layout.scale[driven]
-            if m.actuator_biastype[act].any():
-                world.offset[i, driven] = m.actuator_biasprm[act, 0] * gear
-                world.stiffness[i, driven] = -m.actuator_biasprm[act, 1] * gear**2
-                world.damping[i, driven] = -m.actuator_biasprm[act, 2] * gear**2
-            limits = m.actuator_forcerange[act] * gear[:, None]
-            world.lower[i, driven], world.upper[i, driven] = limits.min(axis=1), limits.max(axis=1)
+        gain = np.array([m.actuator_gainprm[act, 0] for m in models])
+        world.gain[:, driven] = (gain * gear * layout.scale[driven])[which]
+        biased = np.array([m.actuator_biastype[act].any() for m in models])[which]
+        bias = np.array([m.actuator_biasprm[act, :3] for m in models])[which[biased]]
+        at = np.ix_(biased, driven)
+        world.offset[at] = bias[..., 0] * gear
+        world.stiffness[at] = -bias[..., 1] * gear**2
+        world.damping[at] = -bias[..., 2] * gear**2
+        limits = np.array([m.actuator_forcerange[act] * gear[:, None] for m in models])[which]
+        world.lower[:, driven], world.upper[:, driven] = limits.min(axis=2), limits.max(axis=2)
         for name in OF_ROWS:
             setattr(world, name, getattr(world, name)[of])
         return world

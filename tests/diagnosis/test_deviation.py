@@ -13,16 +13,32 @@ RNG = np.random.default_rng(7)
 
 def test_deviations_are_carried_one_after_the_other() -> None:
     step = 0.5 * RNG.standard_normal((SAMPLES - 1, SEGMENTS, 2 * JOINTS, 2 * JOINTS))
-    push = RNG.standard_normal((SEGMENTS, SAMPLES - 1, 2 * JOINTS, JOINTS))
+    push = RNG.standard_normal((SAMPLES - 1, SEGMENTS, 2 * JOINTS, JOINTS))
     none = np.zeros((SEGMENTS, SAMPLES, JOINTS))
     force = RNG.standard_normal((SEGMENTS, SAMPLES, JOINTS, COLUMNS))
     initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
-    found = Deviation(step, push, none, none).of(force, initial)
+    deviation = Deviation(step, push, none, none)
+    found = np.stack(list(deviation.of(force, initial)), axis=1)
     for s in range(SEGMENTS):
         for k in range(COLUMNS):
             state = initial[s, :, k]
             assert found[s, 0, :, k] == pytest.approx(state)
             for t in range(SAMPLES - 1):
                 mean = (force[s, t, :, k] + force[s, t + 1, :, k]) / 2.0
-                state = step[t, s] @ state + push[s, t] @ mean
+                state = step[t, s] @ state + push[t, s] @ mean
                 assert found[s, t + 1, :, k] == pytest.approx(state)
+
+
+def test_a_force_at_one_joint_is_one_that_is_nothing_at_the_others() -> None:
+    step = 0.5 * RNG.standard_normal((SAMPLES - 1, SEGMENTS, 2 * JOINTS, 2 * JOINTS))
+    push = RNG.standard_normal((SAMPLES - 1, SEGMENTS, 2 * JOINTS, JOINTS))
+    none = np.zeros((SEGMENTS, SAMPLES, JOINTS))
+    joint = RNG.integers(JOINTS, size=COLUMNS)
+    force = RNG.standard_normal((SEGMENTS, SAMPLES, COLUMNS))
+    everywhere = np.zeros((SEGMENTS, SAMPLES, JOINTS, COLUMNS))
+    everywhere[:, :, joint, range(COLUMNS)] = force
+    initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
+    deviation = Deviation(step, push, none, none)
+    found = deviation.of_joints(force, joint, initial)
+    for alone, whole in zip(found, deviation.of(everywhere, initial), strict=True):
+        assert alone == pytest.approx(whole, rel=1e-12)

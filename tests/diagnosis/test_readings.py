@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import pytest
 from test_first_order import problem_of
@@ -12,6 +14,7 @@ from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.problem import Problem
 
+Makes = Sequence[Callable[[Linear, int], list[Column]]]
 RNG = np.random.default_rng(3)
 
 
@@ -41,17 +44,35 @@ def drawn(linear: Linear, signals: int) -> list[Column]:
     ]
 
 
+def drawn_alone(linear: Linear, signals: int) -> list[Column]:
+    """The same with forces at one joint each."""
+    out = []
+    for k, column in enumerate(drawn(linear, signals)):
+        if column.force is not None or column.drive is not None:
+            column.joint = k % linear.along.position.shape[2]
+            for name in ("force", "drive"):
+                everywhere = getattr(column, name)
+                setattr(column, name, None if everywhere is None else everywhere[..., column.joint])
+        out.append(column)
+    return out
+
+
 def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
     """(bins, signals) as a sensor would have it."""
     problem, along, deviation = linear.problem, linear.along, linear.deviation
     segments, samples, joints = along.position.shape
-    none = np.zeros((segments, samples, joints))
-    force = none if column.force is None else column.force
+
+    def everywhere(values: FloatArray | None) -> FloatArray:
+        out = np.zeros((segments, samples, joints))
+        if values is not None:
+            out[..., slice(None) if column.joint is None else column.joint] = values
+        return out
+
     start = np.zeros((segments, 2 * joints)) if column.initial is None else column.initial
-    state = deviation.of(force[..., None], start[..., None])[..., 0]
+    carried = deviation.of(everywhere(column.force)[..., None], start[..., None])
+    state = np.stack(list(carried), axis=1)[..., 0]
     q, v = state[..., :joints], state[..., joints:]
-    drive = none if column.drive is None else column.drive
-    effort = drive - deviation.stiffness * q - deviation.damping * v
+    effort = everywhere(column.drive) - deviation.stiffness * q - deviation.damping * v
     parts, first = [], 0
     for i, s in enumerate(linear.segments):
         time = problem.simulator.segments[s].time
@@ -72,13 +93,14 @@ def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
 
 @pytest.mark.parametrize("mode", ["position", "effort"])
 @pytest.mark.parametrize("measured", [False, True])
-def test_readings_are_those_of_each_stamp(mode: str, measured: bool) -> None:
+@pytest.mark.parametrize("make", [[drawn], [drawn_alone], [drawn, drawn_alone]])
+def test_readings_are_those_of_each_stamp(mode: str, measured: bool, make: Makes) -> None:
     problem = problem_of(mode, {})
     if measured:
         problem = with_efforts(problem)
     linear = Linear(problem, EMPTY, problem.fit)
     assert bool(linear.starts) is (mode == "effort")
-    columns = drawn(linear, len(problem.signal_floor))
+    columns = [c for each in make for c in each(linear, len(problem.signal_floor))]
     for column, found in zip(columns, linear.readings.of(columns), strict=True):
         expected = stamp_by_stamp(linear, column)
         assert found.shape == expected.shape

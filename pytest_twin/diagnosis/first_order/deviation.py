@@ -7,9 +7,11 @@ held. Integrated by the trapezoidal rule.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along
@@ -26,7 +28,7 @@ class Deviation:
 
     Attributes:
         step: (samples - 1, segments, 2 joints, 2 joints): what one sample asks for lies together.
-        push: (segments, samples - 1, 2 joints, joints) per unit of force held over a sample.
+        push: (samples - 1, segments, 2 joints, joints) per unit of force held over a sample.
         stiffness, damping: (segments, samples, joints) of the drive, zero at its limit.
     """
 
@@ -35,25 +37,59 @@ class Deviation:
     stiffness: FloatArray
     damping: FloatArray
 
-    def of(self, force: FloatArray, initial: FloatArray | None = None) -> FloatArray:
-        """Deviations under forces.
+    def of(self, force: FloatArray, initial: FloatArray) -> Iterator[FloatArray]:
+        """Deviations under forces, sample by sample.
 
         Args:
             force: (segments, samples, joints, k) N*m or N.
             initial: (segments, 2 joints, k) deviation at the first sample.
 
-        Returns:
-            (segments, samples, 2 joints, k) positions, then velocities.
+        Yields:
+            (segments, 2 joints, k) positions, then velocities.
         """
-        segments, samples, joints, k = force.shape
-        out = np.zeros((samples, segments, 2 * joints, k))
-        if initial is not None:
-            out[0] = initial
-        mean = 0.5 * (force[:, 1:] + force[:, :-1])
-        np.matmul(self.push, mean, out=out[1:].swapaxes(0, 1))
-        for before, after, step in zip(out[:-1], out[1:], self.step, strict=True):
-            after += step @ before
-        return out.swapaxes(0, 1)
+        mean = _held(force)
+        return self._carried((p @ mean[:, t] for t, p in enumerate(self.push)), initial)
+
+    def of_joints(
+        self, force: FloatArray, joint: NDArray[np.int64], initial: FloatArray
+    ) -> Iterator[FloatArray]:
+        """As :meth:`of`, under forces each of which acts at one joint alone.
+
+        Args:
+            force: (segments, samples, k) N*m or N.
+            joint: (k,) at which.
+            initial: (segments, 2 joints, k) deviation at the first sample.
+        """
+        mean = _held(force)
+        segments, states, joints = self.push.shape[1:]
+        # A product with ones and zeros picks columns sooner than an index does.
+        chosen = np.eye(joints)[:, joint]
+
+        def pushed(t: int) -> FloatArray:
+            each: FloatArray = (self.push[t].reshape(-1, joints) @ chosen).reshape(
+                segments, states, -1
+            )
+            each *= mean[:, t, None]
+            return each
+
+        return self._carried(map(pushed, range(len(self.push))), initial)
+
+    def _carried(self, pushed: Iterable[FloatArray], initial: FloatArray) -> Iterator[FloatArray]:
+        """Deviations of which each sample is pushed from the one before: they stay in a core's
+        cache from one to the next.
+        """
+        state = initial
+        yield state
+        for step, push in zip(self.step, pushed, strict=True):
+            state = push + step @ state
+            yield state
+
+
+def _held(force: FloatArray) -> FloatArray:
+    """(segments, samples - 1, ...) means over each sample."""
+    mean: FloatArray = force[:, 1:] + force[:, :-1]
+    mean *= 0.5
+    return mean
 
 
 def deviation(
@@ -120,5 +156,7 @@ def deviation(
     whole = np.eye(2 * n)
     both = np.concatenate([whole + 0.5 * h * a, h * b], axis=-1)
     solved = np.linalg.solve(whole - 0.5 * h * a, both)
-    step = np.ascontiguousarray(solved[..., : 2 * n].swapaxes(0, 1))
-    return Deviation(step, solved[..., 2 * n :], stiffness, damping)
+    step, push = (
+        np.ascontiguousarray(x.swapaxes(0, 1)) for x in (solved[..., : 2 * n], solved[..., 2 * n :])
+    )
+    return Deviation(step, push, stiffness, damping)

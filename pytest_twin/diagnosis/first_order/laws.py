@@ -133,6 +133,8 @@ class Laws:
         self.load = upsampled(rigid.bias, rigid.at, samples)
         self.required = upsampled(rigid.effort, rigid.at, samples)
         self._held: dict[int, FloatArray] = {}
+        self._at_start = simulator.models.world(along.segments)
+        self._standing, self._direction = _slipping(along.velocity, along.slip_velocity)
 
     def forces(self, effects: ActiveEffects, copies: int) -> Forces:
         """Forces of ``copies`` variants.
@@ -217,12 +219,11 @@ class Laws:
         return Forces(total, drive, dry, level, *(x[:, None] for x in constant))
 
     def _world(self, lanes: _Lanes) -> World:
-        world = self.simulator.models.world(self.along.segments)
+        world = replace(self._at_start, servo=self._at_start.servo[lanes.joint], state={})
         for name in OF_ROWS:
             value = getattr(world, name)
             value = value[lanes.segment] if value.ndim == 1 else lanes.of_segment(value)
             setattr(world, name, value)
-        world.servo = world.servo[lanes.joint]
         return world
 
     def _joint(self, effects: ActiveEffects, world: World, lanes: _Lanes) -> _Joint:
@@ -303,7 +304,7 @@ class Laws:
         out = self._closed(
             wide, world.velocity, flat(along.acceleration), flat(self.required),
             world.delivered, world.applied, world.friction_level,
-            along.slip_velocity[np.repeat(lanes.joint, samples, axis=0)],
+            (flat(self._standing), flat(self._direction)),
         )  # fmt: skip
         return [x.reshape(count, samples, columns) for x in out]
 
@@ -356,7 +357,7 @@ class Laws:
                 drive[i], level[i] = world.delivered, world.friction_level
             found = self._closed(
                 joint, velocity, acceleration, required, drive[:steps], applied,
-                level[:steps], slip_velocity,
+                level[:steps], _slipping(velocity, slip_velocity),
             )  # fmt: skip
             for m, x in zip(mean, found, strict=True):
                 m[first:last] = x.reshape(last - first, parts, count, columns).mean(axis=1)
@@ -376,21 +377,26 @@ class Laws:
         drive: FloatArray,
         applied: FloatArray,
         level: FloatArray,
-        slip_velocity: FloatArray,
+        slipping: tuple[FloatArray, FloatArray],
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Total, drive, dry friction and its level, (..., lanes, columns) like the arguments."""
         level = np.maximum(level, 0.0)
         others = drive + applied - joint.damping * velocity - joint.armature * acceleration
-        slip = velocity / slip_velocity
+        standing, direction = slipping
         # At rest dry friction is what holds the joint, as far as its level goes.
-        standing = np.exp(-0.25 * slip * slip)
         holding = np.minimum(np.maximum(required - others, -level), level)
-        dry = standing * holding - (1.0 - standing) * level * np.tanh(slip)
+        dry = standing * holding - (1.0 - standing) * level * direction
         total = others + dry
         if joint.soft.any():
             # A link that the gear lets go has no armature: the mass matrix has it all the same.
             total = np.where(joint.soft, applied + joint.own_armature * acceleration, total)
         return total, drive, dry, level
+
+
+def _slipping(velocity: FloatArray, slip_velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far a joint stands, 0 to 1, and the direction of its friction, -1 to 1."""
+    slip = velocity / slip_velocity
+    return np.exp(-0.25 * slip * slip), np.tanh(slip)
 
 
 def force_slopes(

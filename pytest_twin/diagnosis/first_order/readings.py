@@ -29,7 +29,8 @@ class Column:
     """One switch of one candidate, or one whole hypothesis: what it adds, to be read.
 
     Attributes:
-        force, drive: (segments, samples, joints), or None.
+        force, drive: (segments, samples, joints), or None; (segments, samples) at one joint alone.
+        joint: that one.
         initial: (segments, 2 joints) of the state behind the first reading, or None.
         direct: (stamps of all segments, signals) of readings, or None; columns that share one share
             its means.
@@ -39,6 +40,17 @@ class Column:
     drive: FloatArray | None = None
     initial: FloatArray | None = None
     direct: FloatArray | None = None
+    joint: int | None = None
+
+    def at_all(self, joints: int) -> Column:
+        """The same with forces at each of the robot's joints."""
+        if self.joint is None:
+            return self
+        force, drive = (
+            None if x is None else x[..., None] * np.eye(joints)[self.joint]
+            for x in (self.force, self.drive)
+        )
+        return Column(force, drive, self.initial, self.direct)
 
 
 class Readings:
@@ -112,24 +124,15 @@ class Readings:
     def _of_few(self, columns: Sequence[Column]) -> list[FloatArray]:
         joints, count = self.joints, len(columns)
         segments, samples = self.deviation.stiffness.shape[:2]
-        none = np.zeros((segments, samples, joints))
         initial = np.zeros((segments, 2 * joints, count))
         for k, c in enumerate(columns):
             if c.initial is not None:
                 initial[..., k] = c.initial
         binned = np.zeros((int(self._bins[-1]), self.signals, count))
-        moved = effort = None
-        if self.signals > joints:
-            effort = _side_by_side([none if c.drive is None else c.drive for c in columns])
-        if initial.any() or any(c.force is not None for c in columns):
-            force = _side_by_side([none if c.force is None else c.force for c in columns])
-            state = self.deviation.of(force, initial)
-            moved = np.ascontiguousarray(state[:, :, :joints])
+        moved, effort = self._acted(columns, initial)
+        if moved is not None:
             flat = moved.reshape(segments * samples, -1)
             binned[:, :joints] = (self._position @ flat).reshape(-1, joints, count)
-            if effort is not None:
-                effort -= self.deviation.stiffness[..., None] * moved
-                effort -= self.deviation.damping[..., None] * state[:, :, joints:]
         if effort is not None:
             for j, mean in enumerate(self._efforts):
                 mine = effort[:, :, j].reshape(segments * samples, -1)
@@ -144,6 +147,38 @@ class Readings:
             binned[:, :joints] *= self._position_trust[..., None]
         out = binned.astype(np.float32)
         return [np.asarray(out[:, :, k]) for k in range(count)]
+
+    def _acted(
+        self, columns: Sequence[Column], initial: FloatArray
+    ) -> tuple[FloatArray | None, FloatArray | None]:
+        """(segments, samples, joints, columns) positions under forces, and efforts where these are
+        measured; None where nothing moves, or drives.
+        """
+        joints, count = self.joints, len(columns)
+        segments, samples = self.deviation.stiffness.shape[:2]
+        pushed = [c for c in columns if c.force is not None or c.drive is not None]
+        alone = all(c.joint is not None for c in pushed)
+        if not alone:
+            columns = [c.at_all(joints) for c in columns]
+        joint = np.array([c.joint or 0 for c in columns])
+        none = np.zeros((segments, samples) if alone else (segments, samples, joints))
+        moved = effort = states = None
+        if initial.any() or any(c.force is not None for c in columns):
+            force = _side_by_side([none if c.force is None else c.force for c in columns])
+            of = self.deviation
+            states = of.of_joints(force, joint, initial) if alone else of.of(force, initial)
+            moved = np.empty((segments, samples, joints, count))
+        if self.signals > joints:
+            effort = _side_by_side([none if c.drive is None else c.drive for c in columns])
+            if alone:
+                effort = np.where(joint == np.arange(joints)[:, None], effort[:, :, None], 0.0)
+        if states is not None and moved is not None:
+            for t, state in enumerate(states):
+                moved[:, t] = state[:, :joints]
+                if effort is not None:
+                    effort[:, t] -= self.deviation.stiffness[:, t, :, None] * state[:, :joints]
+                    effort[:, t] -= self.deviation.damping[:, t, :, None] * state[:, joints:]
+        return moved, effort
 
     def _take_starts_off(
         self, binned: FloatArray, columns: Sequence[Column], moved: FloatArray | None

@@ -278,7 +278,8 @@ class Linear:
             return {}
         segments, samples, joints = self.along.position.shape
         unit = np.tile(np.eye(2 * joints), (segments, 1, 1))
-        state = self.deviation.of(np.zeros((segments, samples, joints, 2 * joints)), unit)
+        none = np.zeros((segments, samples, joints, 2 * joints))
+        state = np.stack(list(self.deviation.of(none, unit)), axis=1)
         out = {}
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
@@ -357,7 +358,11 @@ class Linear:
                 for _ in switches:
                     column = self._sensed(effect, values, row, j)
                     if added is not None:
-                        column.force, column.drive = (_only(x[row], j) for x in added)
+                        whole = heavy or j < 0
+                        column.joint = None if whole else j
+                        column.force, column.drive = (
+                            _only(x[row], j) if whole else x[row, ..., j] for x in added
+                        )
                     if heavy:
                         extra = masses[j][row]
                         column.force = extra if column.force is None else column.force + extra
