@@ -37,6 +37,13 @@ class HeldCommands:
         self.least, self.greatest = least, greatest
         self._prompt: dict[int, FloatArray] = {}
         self._held: dict[int, _Held] = {}
+        # Segments that differ in the state they start from alone were commanded the same.
+        first: dict[tuple[object, ...], int] = {}
+        bounds = np.concatenate([idle, least, greatest], axis=1)
+        self._alike = np.array([
+            first.setdefault((id(s.command_time), id(s.command), s.start, of.tobytes()), i)
+            for i, (s, of) in enumerate(zip(segments, bounds, strict=True))
+        ])  # fmt: skip
 
     def means(
         self,
@@ -56,7 +63,8 @@ class HeldCommands:
         """
         # Most rows ask for the same: each is worked out once, and what one segment's joints ask for
         # at the same time, together.
-        asked = np.stack([np.broadcast_to(rows[:, None], joints.shape), delay, joints], axis=-1)
+        alike = np.broadcast_to(self._alike[rows][:, None], joints.shape)
+        asked = np.stack([alike, delay, joints], axis=-1)
         unlike, of = np.unique(asked.reshape(-1, 3), axis=0, return_inverse=True)
         means = np.empty((len(unlike), steps))
         firsts = np.flatnonzero(np.append(True, np.any(np.diff(unlike[:, :2], axis=0), axis=1)))
@@ -76,7 +84,7 @@ class HeldCommands:
             rows: segments; joints: (rows, columns) of them.
             until: (rows, columns) s on the clocks of their trials.
         """
-        which, of = np.unique(rows, return_inverse=True)
+        which, of = np.unique(self._alike[rows], return_inverse=True)
         held = [self._held_of(int(r)) for r in which]
         latest = [float(until[of == i].max()) for i in range(len(which))]
         counts = [int(np.searchsorted(h.far, t)) for h, t in zip(held, latest, strict=True)]

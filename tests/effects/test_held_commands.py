@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -42,6 +44,24 @@ def test_a_mean_of_what_is_heeded_and_not_what_is_heeded_of_a_mean() -> None:
     limited = HeldCommands([given], STEP, 0.0 * one, -one, one)
     # Whole steps keep their command: a law of the drive may let more of it through.
     np.testing.assert_allclose(means(limited), [3.0, 0.5, -3.0, -3.0])
+
+
+def test_segments_that_are_commanded_alike_are_told_from_those_that_are_not() -> None:
+    given = segment("", [3.0, -3.0], [0.0, 1.75 * STEP])
+    moved = replace(given, initial_position=np.ones(1))
+    later = replace(given, start=0.5 * STEP)
+    other = replace(given, command=-given.command)
+    segments = [given, moved, later, other]
+    four = np.ones((4, 1))
+    least = -four * [[9.0], [9.0], [9.0], [1.0]]
+    held = HeldCommands(segments, STEP, 0.0 * four, least, 9.0 * four)
+    none = np.zeros((4, 1))
+    found = held.means(np.arange(4), none, 3, none.astype(np.int64), STEP)[:, :, 0]
+    np.testing.assert_allclose(found[0], [3.0, 1.5, -3.0])
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_allclose(found[2], [3.0, -1.5, -3.0])
+    # Of -3 and 3, the one is heeded as -1.
+    np.testing.assert_allclose(found[3], [-3.0, 0.0, 3.0], atol=1e-12)
 
 
 @pytest.mark.parametrize(
