@@ -74,7 +74,7 @@ class Readings:
         self._at = [_between(along, i, s.time) for i, s in enumerate(segments)]
         self._mean = _means(bins, int(self._stamps[-1]))
         at = sparse.block_diag(self._at, format="csr")
-        self._position = sparse.csr_array(self._mean @ at)
+        self._position = self._in_turn(self._mean @ at)
         self._position_trust: FloatArray | None = None
         if problem.trust:
             self._position_trust = problem.trust_of(along.segments, bins.lengths)
@@ -86,7 +86,7 @@ class Readings:
                 problem.trusted(int(s), one) for s, one in zip(along.segments, ones, strict=True)
             ])  # fmt: skip
             self._efforts = [
-                sparse.csr_array(self._mean @ sparse.diags_array(trust) @ at)
+                self._in_turn(self._mean @ sparse.diags_array(trust) @ at)
                 for trust in self._trust.T
             ]
         self._starts: dict[int, _Start] = {}
@@ -117,6 +117,14 @@ class Readings:
             for change in self._of_few(columns[first : first + _AT_ONCE])
         ]
 
+    def _in_turn(self, read: sparse.csr_array) -> sparse.csr_array:
+        """What reads samples of one segment after the other, for samples that come in turn, each of
+        all segments.
+        """
+        segments, samples = self.deviation.stiffness.shape[:2]
+        in_turn = np.arange(segments * samples).reshape(segments, samples).T.ravel()
+        return sparse.csr_array(sparse.csr_array(read)[:, in_turn])
+
     def _stamps_of(self, i: int) -> slice:
         """Stamps of segment ``i`` among all."""
         return slice(int(self._stamps[i]), int(self._stamps[i + 1]))
@@ -131,11 +139,11 @@ class Readings:
         binned = np.zeros((int(self._bins[-1]), self.signals, count))
         moved, effort = self._acted(columns, initial)
         if moved is not None:
-            flat = moved.reshape(segments * samples, -1)
+            flat = moved.reshape(samples * segments, -1)
             binned[:, :joints] = (self._position @ flat).reshape(-1, joints, count)
         if effort is not None:
             for j, mean in enumerate(self._efforts):
-                mine = effort[:, :, j].reshape(segments * samples, -1)
+                mine = effort[:, :, j].reshape(samples * segments, -1)
                 binned[:, joints + j] = mean @ mine
         direct = {id(c.direct): c.direct for c in columns if c.direct is not None}
         means = {key: self._read_off(d) for key, d in direct.items()}
@@ -151,7 +159,7 @@ class Readings:
     def _acted(
         self, columns: Sequence[Column], initial: FloatArray
     ) -> tuple[FloatArray | None, FloatArray | None]:
-        """(segments, samples, joints, columns) positions under forces, and efforts where these are
+        """(samples, segments, joints, columns) positions under forces, and efforts where these are
         measured; None where nothing moves, or drives.
         """
         joints, count = self.joints, len(columns)
@@ -162,35 +170,36 @@ class Readings:
             columns = [c.at_all(joints) for c in columns]
         joint = np.array([c.joint or 0 for c in columns])
         none = np.zeros((segments, samples) if alone else (segments, samples, joints))
-        moved = effort = states = None
+        moved = effort = None
+        if self.signals > joints:
+            effort = np.empty((samples, segments, joints, count))
+            drive = _side_by_side([none if c.drive is None else c.drive for c in columns])
+            here = joint == np.arange(joints)[:, None]
+            for t in range(samples):
+                effort[t] = np.where(here, drive[:, t, None], 0.0) if alone else drive[:, t]
         if initial.any() or any(c.force is not None for c in columns):
             force = _side_by_side([none if c.force is None else c.force for c in columns])
             of = self.deviation
             states = of.of_joints(force, joint, initial) if alone else of.of(force, initial)
-            moved = np.empty((segments, samples, joints, count))
-        if self.signals > joints:
-            effort = _side_by_side([none if c.drive is None else c.drive for c in columns])
-            if alone:
-                effort = np.where(joint == np.arange(joints)[:, None], effort[:, :, None], 0.0)
-        if states is not None and moved is not None:
+            moved = np.empty((samples, segments, joints, count))
             for t, state in enumerate(states):
-                moved[:, t] = state[:, :joints]
+                moved[t] = state[:, :joints]
                 if effort is not None:
-                    effort[:, t] -= self.deviation.stiffness[:, t, :, None] * state[:, :joints]
-                    effort[:, t] -= self.deviation.damping[:, t, :, None] * state[:, joints:]
+                    effort[t] -= of.stiffness[:, t, :, None] * state[:, :joints]
+                    effort[t] -= of.damping[:, t, :, None] * state[:, joints:]
         return moved, effort
 
     def _take_starts_off(
         self, binned: FloatArray, columns: Sequence[Column], moved: FloatArray | None
     ) -> None:
-        """Take off (bins, signals, columns) what shifted starts explain of deviations and of what
-        is read directly.
+        """Take off (bins, signals, columns) what shifted starts explain of (samples, segments,
+        joints, columns) deviations and of what is read directly.
         """
         direct = {id(c.direct): c.direct for c in columns if c.direct is not None}
         for i, start in self._starts.items():
             shift = np.zeros((len(start.solve), len(columns)))
             if moved is not None:
-                shift += start.of_samples @ moved[i].reshape(-1, len(columns))
+                shift += start.of_samples @ moved[:, i].reshape(-1, len(columns))
             solved = {
                 key: start.solve @ d[self._stamps_of(i), : self.joints].ravel()
                 for key, d in direct.items()
