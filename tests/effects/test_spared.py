@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from mujoco.batch import Batch
 
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Segment
 from pytest_twin.effects.spared import spare, unclocked
 
 ARM = """\
@@ -106,3 +110,25 @@ def test_a_clock_that_somebody_set_stays() -> None:
     finally:
         mujoco.set_mjcb_time(None)
     assert asked, "its owner profiles on"
+
+
+def test_rows_are_simulated_without_a_clock_and_the_engine_is_measured_with_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clocked = []
+    rollout = Batch.rollout
+
+    def watched(*args: Any, **kwargs: Any) -> Any:
+        clocked.append(mujoco.get_mjcb_time() is None)
+        return rollout(*args, **kwargs)
+
+    monkeypatch.setattr(Batch, "rollout", watched)
+    time, still = 0.01 * np.arange(3), np.zeros((3, 1))
+    segment = Segment(
+        0, arm(), "position", 0.0, time, still, None, None, time[:1], still[:1], still[0], still[0]
+    )
+    for sparing in (True, False):
+        simulator = RowSimulator([segment], ("a",), threads=1, sparing=sparing)
+        simulator.simulate(np.array([0]), {})
+    assert clocked == [False, True]
+    assert mujoco.get_mjcb_time() is None

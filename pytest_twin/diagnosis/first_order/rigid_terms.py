@@ -16,6 +16,7 @@ from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, ModelFields, Values
 from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.spared import unclocked
 from pytest_twin.realization.forks import free_cores, in_forks
 from pytest_twin.realization.quiet import quiet
 
@@ -91,7 +92,7 @@ def rigid_terms(
         nudge = np.zeros((len(part), 2, joints)) if nudges is None else nudges[part]
         # A variant is written once and goes through its motion: what its bodies' inertias make of
         # the model takes longer than its terms at a point do.
-        with quiet():
+        with quiet(), unclocked():
             batch = simulator.models.written(np.tile(rows, len(part)), values, threads=1).batch
             qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
             mass_out, bias_out = batch.bind("M"), batch.bind("qfrc_bias")
