@@ -5,20 +5,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pytest_twin.diagnosis.first_order import deviation
 from pytest_twin.diagnosis.first_order.deviation import Deviation
 
 SEGMENTS, SAMPLES, JOINTS, COLUMNS = 3, 40, 2, 5
 RNG = np.random.default_rng(7)
 
 
-def test_deviations_are_carried_one_after_the_other() -> None:
+@pytest.mark.parametrize("in_cache", [1, 200, 100_000], ids=["one by one", "three", "all"])
+def test_deviations_are_carried_one_after_the_other(
+    in_cache: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(deviation, "_IN_CACHE", in_cache)
     step = 0.5 * RNG.standard_normal((SAMPLES - 1, SEGMENTS, 2 * JOINTS, 2 * JOINTS))
     push = RNG.standard_normal((SAMPLES - 1, SEGMENTS, 2 * JOINTS, JOINTS))
     none = np.zeros((SEGMENTS, SAMPLES, JOINTS))
     force = RNG.standard_normal((SEGMENTS, SAMPLES, JOINTS, COLUMNS))
     initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
-    deviation = Deviation(step, push, none, none)
-    found = np.stack(list(deviation.of(force, initial)), axis=1)
+    carrying = Deviation(step, push, none, none)
+    found = np.concatenate(list(carrying.of(force, initial))).swapaxes(0, 1)
     for s in range(SEGMENTS):
         for k in range(COLUMNS):
             state = initial[s, :, k]
@@ -38,7 +43,8 @@ def test_a_force_at_one_joint_is_one_that_is_nothing_at_the_others() -> None:
     everywhere = np.zeros((SEGMENTS, SAMPLES, JOINTS, COLUMNS))
     everywhere[:, :, joint, range(COLUMNS)] = force
     initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
-    deviation = Deviation(step, push, none, none)
-    found = deviation.of_joints(force, joint, initial)
-    for alone, whole in zip(found, deviation.of(everywhere, initial), strict=True):
-        assert alone == pytest.approx(whole, rel=1e-12)
+    carrying = Deviation(step, push, none, none)
+    alone = np.concatenate(list(carrying.of_joints(force, joint, initial)))
+    whole = np.concatenate(list(carrying.of(everywhere, initial)))
+    assert len(alone) == SAMPLES
+    assert alone == pytest.approx(whole, rel=1e-12)

@@ -7,18 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from test_first_order import ELBOW, ROBOT, SHOULDER, FloatArray, problem_of
 
+from pytest_twin.diagnosis.first_order import rigid_terms as rigid_terms_module
 from pytest_twin.diagnosis.first_order.along import along
 from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Laws
 from pytest_twin.diagnosis.first_order.responses import Linear
-from pytest_twin.diagnosis.first_order.rigid_terms import Efforts, rigid_terms
+from pytest_twin.diagnosis.first_order.rigid_terms import Efforts, Rigid, rigid_terms
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import REFERENCES
-from pytest_twin.effects.row_models import RowModels, Rows
 
 Variant = Mapping[Term, Sequence[float]]
 """Terms and their parameters, in multiples of references."""
@@ -123,14 +122,12 @@ def test_efforts_of_bodies_are_those_of_their_parts(
     whole = [rigid_terms(simulator, motion, values(problem, [v]))[0].effort for v in variants]
     efforts = Efforts(simulator, motion)
     asked: list[int] = []
-    written = RowModels.written
 
-    def counted(self: RowModels, rows: NDArray[np.int64], effects: Any, threads: int) -> Rows:
-        # A variant of the bodies is written once, however many points its motion has.
-        asked.append(len(rows) // len(motion.segments))
-        return written(self, rows, effects, threads)
+    def counted(*args: Any) -> list[Rigid]:
+        asked.append(args[3])
+        return rigid_terms(*args)
 
-    monkeypatch.setattr(RowModels, "written", counted)
+    monkeypatch.setattr(rigid_terms_module, "rigid_terms", counted)
     size = np.abs(whole[0]).max()
     for found, true in zip(efforts.of(values(problem, variants[:5]), 5), whole, strict=False):
         assert found == pytest.approx(true, abs=1e-9 * size)

@@ -7,7 +7,7 @@ held. Integrated by the trapezoidal rule.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,8 @@ from pytest_twin.diagnosis.first_order.rigid_terms import slopes, upsampled
 from pytest_twin.effects.rows import RowSimulator
 
 _HELD = 1e4
+_IN_CACHE = 50_000
+"""Numbers that are carried on together: few enough to stay in a core's cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,17 +40,17 @@ class Deviation:
     damping: FloatArray
 
     def of(self, force: FloatArray, initial: FloatArray) -> Iterator[FloatArray]:
-        """Deviations under forces, sample by sample.
+        """Deviations under forces, from the first sample on, some samples at a time.
 
         Args:
             force: (segments, samples, joints, k) N*m or N.
             initial: (segments, 2 joints, k) deviation at the first sample.
 
         Yields:
-            (segments, 2 joints, k) positions, then velocities.
+            (n, segments, 2 joints, k) positions, then velocities, at the next n samples.
         """
         mean = _held(force)
-        return self._carried((p @ mean[:, t] for t, p in enumerate(self.push)), initial)
+        return self._carried(lambda some: self.push[some] @ mean[some], initial)
 
     def of_joints(
         self, force: FloatArray, joint: NDArray[np.int64], initial: FloatArray
@@ -61,35 +63,39 @@ class Deviation:
             initial: (segments, 2 joints, k) deviation at the first sample.
         """
         mean = _held(force)
-        segments, states, joints = self.push.shape[1:]
+        joints = self.push.shape[-1]
         # A product with ones and zeros picks columns sooner than an index does.
         chosen = np.eye(joints)[:, joint]
 
-        def pushed(t: int) -> FloatArray:
-            each: FloatArray = (self.push[t].reshape(-1, joints) @ chosen).reshape(
-                segments, states, -1
-            )
-            each *= mean[:, t, None]
+        def pushed(some: slice) -> FloatArray:
+            push = self.push[some]
+            each: FloatArray = (push.reshape(-1, joints) @ chosen).reshape(*push.shape[:-1], -1)
+            each *= mean[some, :, None]
             return each
 
-        return self._carried(map(pushed, range(len(self.push))), initial)
+        return self._carried(pushed, initial)
 
-    def _carried(self, pushed: Iterable[FloatArray], initial: FloatArray) -> Iterator[FloatArray]:
-        """Deviations of which each sample is pushed from the one before: they stay in a core's
-        cache from one to the next.
-        """
+    def _carried(
+        self, pushed: Callable[[slice], FloatArray], initial: FloatArray
+    ) -> Iterator[FloatArray]:
+        """Deviations of which each sample is pushed from the one before."""
+        yield initial[None]
         state = initial
-        yield state
-        for step, push in zip(self.step, pushed, strict=True):
-            state = push + step @ state
-            yield state
+        at_once = max(1, _IN_CACHE // initial.size)
+        for first in range(0, len(self.step), at_once):
+            some = slice(first, first + at_once)
+            out = pushed(some)
+            for after, step in zip(out, self.step[some], strict=True):
+                after += step @ state
+                state = after
+            yield out
 
 
 def _held(force: FloatArray) -> FloatArray:
-    """(segments, samples - 1, ...) means over each sample."""
+    """(samples - 1, segments, ...) means over each sample."""
     mean: FloatArray = force[:, 1:] + force[:, :-1]
     mean *= 0.5
-    return mean
+    return mean.swapaxes(0, 1)
 
 
 def deviation(

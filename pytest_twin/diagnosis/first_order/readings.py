@@ -89,6 +89,10 @@ class Readings:
                 self._in_turn(self._mean @ sparse.diags_array(trust) @ at)
                 for trust in self._trust.T
             ]
+        self._stiffness, self._damping = (
+            np.ascontiguousarray(x.swapaxes(0, 1))[..., None]
+            for x in (deviation.stiffness, deviation.damping)
+        )
         self._starts: dict[int, _Start] = {}
 
     def free(self, starts: dict[int, FreeStart]) -> None:
@@ -170,23 +174,34 @@ class Readings:
             columns = [c.at_all(joints) for c in columns]
         joint = np.array([c.joint or 0 for c in columns])
         none = np.zeros((segments, samples) if alone else (segments, samples, joints))
-        moved = effort = None
+        shape = (samples, segments, joints, count)
+        effort = None
         if self.signals > joints:
-            effort = np.empty((samples, segments, joints, count))
+            effort = np.empty(shape)
             drive = _side_by_side([none if c.drive is None else c.drive for c in columns])
+            drive = drive.swapaxes(0, 1)
             here = joint == np.arange(joints)[:, None]
-            for t in range(samples):
-                effort[t] = np.where(here, drive[:, t, None], 0.0) if alone else drive[:, t]
-        if initial.any() or any(c.force is not None for c in columns):
-            force = _side_by_side([none if c.force is None else c.force for c in columns])
-            of = self.deviation
-            states = of.of_joints(force, joint, initial) if alone else of.of(force, initial)
-            moved = np.empty((samples, segments, joints, count))
-            for t, state in enumerate(states):
-                moved[t] = state[:, :joints]
-                if effort is not None:
-                    effort[t] -= of.stiffness[:, t, :, None] * state[:, :joints]
-                    effort[t] -= of.damping[:, t, :, None] * state[:, joints:]
+
+        def delivered(some: slice) -> FloatArray:
+            return np.where(here, drive[some, :, None], 0.0) if alone else drive[some]
+
+        if not initial.any() and all(c.force is None for c in columns):
+            if effort is not None:
+                effort[:] = delivered(slice(None))
+            return None, effort
+        force = _side_by_side([none if c.force is None else c.force for c in columns])
+        of = self.deviation
+        states = of.of_joints(force, joint, initial) if alone else of.of(force, initial)
+        moved, first = np.empty(shape), 0
+        for state in states:
+            some = slice(first, first + len(state))
+            first = some.stop
+            position, velocity = state[:, :, :joints], state[:, :, joints:]
+            moved[some] = position
+            if effort is not None:
+                effort[some] = delivered(some)
+                effort[some] -= self._stiffness[some] * position
+                effort[some] -= self._damping[some] * velocity
         return moved, effort
 
     def _take_starts_off(

@@ -30,7 +30,7 @@ _PLACES = np.array(
 """m, at which a mass tells its ten moments apart."""
 _MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]], dtype=float)
 """m, by which a centre that is moved tells what its moments change by."""
-_MAX_MODELS, _WORTH_FORKS = 256, 2048
+_FEW_MODELS, _MAX_MODELS, _WORTH_FORKS = 64, 256, 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,38 +78,41 @@ def rigid_terms(
     segments, points = len(along.segments), len(at)
     joints = along.position.shape[2]
     motion = (along.position, along.velocity) if nudges is None else along.midway
-    q, v, a = (np.moveaxis(x[:, at], 1, 0) for x in (*motion, along.acceleration))
+    q, v, a = (x[:, at] for x in (*motion, along.acceleration))
     rows = np.asarray(along.segments)
     cores = free_cores(simulator.threads) if copies * q[..., 0].size > _WORTH_FORKS else 1
     per = min(max(1, _MAX_MODELS // segments), -(-copies // cores))
 
     def terms(first: int) -> list[Rigid]:
         part = np.arange(first, min(first + per, copies))
-        owner = np.repeat(part, segments)
+        # A variant is written once and goes through its motion: what its bodies' inertias make of
+        # the model takes longer than its terms at a point do. Few of them take some points at once.
+        at_once = min(points, -(-_FEW_MODELS // (len(part) * segments)))
+        owner = np.repeat(part, segments * at_once)
         values: list[tuple[Effect, Values]] = [
             (e, {n: x[owner] for n, x in p.items()}) for e, p in effects
         ]
         nudge = np.zeros((len(part), 2, joints)) if nudges is None else nudges[part]
-        # A variant is written once and goes through its motion: what its bodies' inertias make of
-        # the model takes longer than its terms at a point do.
+        shape = (len(part), segments, at_once)
         with quiet(), unclocked():
-            batch = simulator.models.written(np.tile(rows, len(part)), values, threads=1).batch
+            mine = np.tile(np.repeat(rows, at_once), len(part))
+            batch = simulator.models.written(mine, values, threads=1).batch
             qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
             mass_out, bias_out = batch.bind("M"), batch.bind("qfrc_bias")
             packed = np.empty((len(part), segments, points, mass_out.shape[1]))
             still = np.empty((len(part), segments, points, joints))
-            for k in range(points):
+            for k in range(0, points, at_once):
+                some = np.minimum(np.arange(k, k + at_once), points - 1)
                 many_q, many_v = (
-                    x[k] + n[:, None] for x, n in zip((q, v), nudge.swapaxes(0, 1), strict=True)
+                    x[:, some] + nudge[:, i, None, None] for i, x in enumerate((q, v))
                 )
                 qpos[:, simulator.layout.qpos_index] = many_q.reshape(-1, joints)
                 qvel[:, simulator.layout.dof_index] = many_v.reshape(-1, joints)
                 batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
-                packed[:, :, k] = mass_out.reshape(len(part), segments, -1)
-                bias = bias_out[:, simulator.layout.dof_index]
-                still[:, :, k] = bias.reshape(len(part), segments, joints)
+                packed[:, :, some] = mass_out.reshape(*shape, -1)
+                still[:, :, some] = bias_out[:, simulator.layout.dof_index].reshape(*shape, -1)
         mass = _full_mass(simulator, packed)
-        effort = still + np.einsum("cskij,ksj->cski", mass, a)
+        effort = still + np.einsum("cskij,skj->cski", mass, a)
         return [Rigid(at, *each) for each in zip(mass, effort, still, strict=True)]
 
     if cores > 1:
