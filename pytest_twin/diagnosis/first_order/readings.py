@@ -46,10 +46,7 @@ class Column:
         """The same with forces at each of the robot's joints."""
         if self.joint is None:
             return self
-        force, drive = (
-            None if x is None else x[..., None] * np.eye(joints)[self.joint]
-            for x in (self.force, self.drive)
-        )
+        force, drive = (_at_one(x, self.joint, joints) for x in (self.force, self.drive))
         return Column(force, drive, self.initial, self.direct)
 
 
@@ -266,6 +263,15 @@ def _means(bins: Bins, stamps: int) -> sparse.csr_array:
     weights = np.repeat(1.0 / counts, counts)
     ends = np.concatenate([[0], np.cumsum(counts)])
     return sparse.csr_array((weights, np.arange(stamps), ends), shape=(len(counts), stamps))
+
+
+def _at_one(values: FloatArray | None, joint: int, joints: int) -> FloatArray | None:
+    """(..., joints) of (...) values at one joint, zero at the others."""
+    if values is None:
+        return None
+    out = np.zeros((*values.shape, joints))
+    out[..., joint] = values
+    return out
 
 
 def _side_by_side(columns: Sequence[FloatArray]) -> FloatArray:
