@@ -23,7 +23,7 @@ def test_deviations_are_carried_one_after_the_other(
     force = RNG.standard_normal((SEGMENTS, SAMPLES, JOINTS, COLUMNS))
     initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
     carrying = Deviation(step, push, none, none)
-    found = np.concatenate(list(carrying.of(force, initial))).swapaxes(0, 1)
+    found = carrying.trajectory(force, initial)
     for s in range(SEGMENTS):
         for k in range(COLUMNS):
             state = initial[s, :, k]
@@ -44,7 +44,7 @@ def test_a_force_at_one_joint_is_one_that_is_nothing_at_the_others() -> None:
     everywhere[:, :, joint, range(COLUMNS)] = force
     initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
     carrying = Deviation(step, push, none, none)
-    alone = np.concatenate(list(carrying.of_joints(force, joint, initial)))
-    whole = np.concatenate(list(carrying.of(everywhere, initial)))
-    assert len(alone) == SAMPLES
+    alone = np.concatenate(list(carrying.of_joints(force, joint, initial))).swapaxes(0, 1)
+    whole = carrying.trajectory(everywhere, initial)
+    assert alone.shape[1] == SAMPLES
     assert alone == pytest.approx(whole, rel=1e-12)

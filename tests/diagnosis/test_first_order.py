@@ -412,7 +412,7 @@ def test_small_deviations_of_a_linear_joint_are_its_closed_form() -> None:
     force[..., 0] = 5.0
     initial = np.zeros((1, 2, 2))
     initial[0, 1, 1] = 1.0
-    found = equation.of(force, initial)[0]
+    found = equation.trajectory(force, initial)[0]
     for column, expected in enumerate(closed_form(time, 5.0)):
         assert np.abs(found[:, 0, column] - expected).max() < 3e-4 * np.abs(expected).max()
         velocity = np.gradient(expected, motion.interval)
@@ -425,7 +425,8 @@ def test_secants_carry_large_deviations_through_a_drive_at_its_limit() -> None:
     motion, equation = slide(limit=12.0, push=push)
     time = motion.interval * np.arange(motion.position.shape[1])
     off = (motion.position - motion.predicted_position)[0, :, 0]
-    found = equation.of(np.full((1, len(time), 1, 1), push))[0, :, 0, 0]
+    force, still = np.full((1, len(time), 1, 1), push), np.zeros((1, 2, 1))
+    found = equation.trajectory(force, still)[0, :, 0, 0]
     assert off[-1] > 3.0
     assert np.abs(found - off).max() < 0.01 * np.abs(off).max()
     # The tangent at the prediction has the whole stiffness and never comes near.

@@ -69,8 +69,7 @@ def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
         return out
 
     start = np.zeros((segments, 2 * joints)) if column.initial is None else column.initial
-    carried = deviation.of(everywhere(column.force)[..., None], start[..., None])
-    state = np.concatenate(list(carried)).swapaxes(0, 1)[..., 0]
+    state = deviation.trajectory(everywhere(column.force)[..., None], start[..., None])[..., 0]
     q, v = state[..., :joints], state[..., joints:]
     effort = everywhere(column.drive) - deviation.stiffness * q - deviation.damping * v
     parts, first = [], 0

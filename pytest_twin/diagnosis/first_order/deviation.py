@@ -52,6 +52,10 @@ class Deviation:
         mean = _held(force)
         return self._carried(lambda some: self.push[some] @ mean[some], initial)
 
+    def trajectory(self, force: FloatArray, initial: FloatArray) -> FloatArray:
+        """(segments, samples, 2 joints, k), all that :meth:`of` yields."""
+        return np.concatenate(list(self.of(force, initial))).swapaxes(0, 1)
+
     def of_joints(
         self, force: FloatArray, joint: NDArray[np.int64], initial: FloatArray
     ) -> Iterator[FloatArray]:

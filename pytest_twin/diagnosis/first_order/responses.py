@@ -279,7 +279,7 @@ class Linear:
         segments, samples, joints = self.along.position.shape
         unit = np.tile(np.eye(2 * joints), (segments, 1, 1))
         none = np.zeros((segments, samples, joints, 2 * joints))
-        state = np.concatenate(list(self.deviation.of(none, unit))).swapaxes(0, 1)
+        state = self.deviation.trajectory(none, unit)
         out = {}
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
