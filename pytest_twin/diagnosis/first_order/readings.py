@@ -124,7 +124,7 @@ class Readings:
         """
         segments, samples = self.deviation.stiffness.shape[:2]
         in_turn = np.arange(segments * samples).reshape(segments, samples).T.ravel()
-        return sparse.csr_array(sparse.csr_array(read)[:, in_turn])
+        return sparse.csr_array(read[:, in_turn])
 
     def _stamps_of(self, i: int) -> slice:
         """Stamps of segment ``i`` among all."""

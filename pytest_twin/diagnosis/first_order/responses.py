@@ -358,12 +358,12 @@ class Linear:
                 for _ in switches:
                     column = self._sensed(effect, values, row, j)
                     if added is not None:
-                        whole = heavy or j < 0
-                        column.joint = None if whole else j
+                        column.joint = None if j < 0 else j
                         column.force, column.drive = (
-                            _only(x[row], j) if whole else x[row, ..., j] for x in added
+                            x[row] if j < 0 else x[row, ..., j] for x in added
                         )
                     if heavy:
+                        column = column.at_all(joints)
                         extra = masses[j][row]
                         column.force = extra if column.force is None else column.force + extra
                     columns.append(column)

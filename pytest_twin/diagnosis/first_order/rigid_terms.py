@@ -30,6 +30,8 @@ _PLACES = np.array(
 """m, at which a mass tells its ten moments apart."""
 _MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]], dtype=float)
 """m, by which a centre that is moved tells what its moments change by."""
+# Models of a batch, fewer of which take several points at once, and at most; terms that are worth
+# forks.
 _FEW_MODELS, _MAX_MODELS, _WORTH_FORKS = 64, 256, 2048
 
 
