@@ -1,0 +1,91 @@
+"""Rigid-body terms along a motion: against the closed form, and a variant's model written once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from test_first_order import ARM, problem_of
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.along import along
+from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.row_models import RowModels, Rows
+
+UPPER_ARM = 0.3
+"""m from the shoulder to the elbow."""
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return problem_of("position", {})
+
+
+def planar_arm(q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, 2, 2) mass matrix and (n, 2) bias of the arm in (n, 2) states, by Lagrange's equations.
+
+    Both joints turn about y, which takes a link's x axis down.
+    """
+    model = mujoco.MjModel.from_xml_string(ARM)
+    mass, centre = model.body_mass[1:], model.body_ipos[1:, 0]
+    inertia = model.body_inertia[1:, 0]
+    g = -model.opt.gravity[2]
+    offset = mass[1] * UPPER_ARM * centre[1]
+    inner = inertia[1] + mass[1] * centre[1] ** 2
+    matrix = np.empty((len(q), 2, 2))
+    matrix[:, 1, 1] = inner
+    matrix[:, 0, 1] = matrix[:, 1, 0] = inner + offset * np.cos(q[:, 1])
+    matrix[:, 0, 0] = (
+        inertia[0] + mass[0] * centre[0] ** 2 + mass[1] * UPPER_ARM**2
+        + inner + 2 * offset * np.cos(q[:, 1])
+    )  # fmt: skip
+    matrix += np.diag(model.dof_armature)
+    coriolis = offset * np.sin(q[:, 1])
+    elbow = -mass[1] * centre[1] * g * np.cos(q.sum(axis=1))
+    shoulder = -(mass[0] * centre[0] + mass[1] * UPPER_ARM) * g * np.cos(q[:, 0]) + elbow
+    bias = np.stack([
+        shoulder - coriolis * v[:, 1] * (2 * v[:, 0] + v[:, 1]), elbow + coriolis * v[:, 0] ** 2,
+    ], axis=1)  # fmt: skip
+    return matrix, bias
+
+
+def test_terms_of_a_planar_arm_are_its_closed_form(problem: Problem) -> None:
+    motion = along(problem, EMPTY, problem.fit)
+    found = rigid_terms(problem.simulator, motion)[0]
+    q, v, a = (x[0, found.at] for x in (motion.position, motion.velocity, motion.acceleration))
+    mass, bias = planar_arm(q, v)
+    effort = bias + np.einsum("nij,nj->ni", mass, a)
+    assert np.ptp(q[:, 1]) > 0.2
+    assert found.mass[0] == pytest.approx(mass, rel=1e-6)
+    assert found.bias[0] == pytest.approx(bias, abs=1e-6 * np.abs(bias).max())
+    assert found.effort[0] == pytest.approx(effort, abs=1e-6 * np.abs(effort).max())
+
+
+def test_a_variant_of_the_bodies_is_written_once_for_its_whole_motion(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motion = along(problem, EMPTY, problem.fit)
+    loads = [
+        EMPTY.with_term(Term("payload", -1), np.array([mass, 1.0, 0.0, 0.0, 0.0]))
+        for mass in np.linspace(0.1, 1.0, 100)
+    ]
+    values = effect_values(loads, len(problem.joints), problem.scales)
+    effects = [(catalogue()[e], v) for e, v in values.items()]
+    written: list[int] = []
+    write = RowModels.written
+
+    def counted(self: RowModels, rows: Any, *args: Any, **named: Any) -> Rows:
+        written.append(len(rows))
+        return write(self, rows, *args, **named)
+
+    monkeypatch.setattr(RowModels, "written", counted)
+    found = rigid_terms(problem.simulator, motion, effects, len(loads))
+    assert len(found[0].at) > 100
+    assert written == [len(loads)]
+    efforts = np.array([f.effort for f in found])
+    assert np.abs(np.diff(efforts, axis=0)).max(axis=(1, 2, 3)).all()
