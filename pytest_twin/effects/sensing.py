@@ -90,10 +90,8 @@ class EncoderEccentricity(Effect):
     def sense(
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
-        sine, cosine, zeroed = (values[n][:, None] for n in ("sine", "cosine", "zeroed"))
-        measured = position + sine * np.sin(position) + cosine * (np.cos(position) - zeroed)
-        rate = 1.0 + sine * np.cos(position) - cosine * np.sin(position)
-        return measured, velocity * rate
+        values = {n: x[:, None] for n, x in values.items()}
+        return self._read(position, values), velocity * self._rate(position, values)
 
     def unsense(
         self, position: FloatArray, velocity: FloatArray, values: Values
@@ -101,17 +99,19 @@ class EncoderEccentricity(Effect):
         true = position
         for _ in range(20):
             # A contraction: the error's slope is below one within its bounds.
-            measured, _ = self._read(true, velocity, values)
-            true = true + position - measured
-        _, faster = self._read(true, np.ones_like(velocity), values)
-        return true, velocity / faster
+            nearer = true + position - self._read(true, values)
+            if np.array_equal(nearer, true):
+                break
+            true = nearer
+        return true, velocity / self._rate(true, values)
 
-    def _read(
-        self, position: FloatArray, velocity: FloatArray, values: Values
-    ) -> tuple[FloatArray, FloatArray]:
-        one = np.zeros((1, 1))
-        read = self.sense(one, position[:, None], velocity[:, None], values)
-        return read[0][:, 0], read[1][:, 0]
+    def _read(self, position: FloatArray, values: Values) -> FloatArray:
+        sine, cosine, zeroed = (values[n] for n in ("sine", "cosine", "zeroed"))
+        return position + sine * np.sin(position) + cosine * (np.cos(position) - zeroed)
+
+    def _rate(self, position: FloatArray, values: Values) -> FloatArray:
+        """What it makes of a velocity."""
+        return 1.0 + values["sine"] * np.cos(position) - values["cosine"] * np.sin(position)
 
 
 class EffortBias(Effect):
