@@ -11,6 +11,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
@@ -59,6 +60,7 @@ class Suspect:
         share: of the evidence among what was tried.
         removed: share of the squared error over all that was looked at that it takes away.
         rivals: (effect, joint) that the stretch cannot tell from it.
+        of: joints whose errors it was to explain; none where all of them are.
     """
 
     term: Term
@@ -67,6 +69,7 @@ class Suspect:
     share: float
     removed: float
     rivals: tuple[tuple[str, str | None], ...] = ()
+    of: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,7 @@ class Glance:
         suspect: None where nothing stands out.
         joint: whose force is missing, None where none stands out of the sensors' noise.
         where: when and in which regime.
-        floors: root mean square error of the worst joint, in floors.
+        floors: root mean square error of the worst joint that is looked at, in floors.
     """
 
     suspect: Suspect | None
@@ -86,13 +89,20 @@ class Glance:
     floors: float
 
 
-def glance(realization: Realization, trial: Trial, patched: Patched | None = None) -> Glance:
+def glance(
+    realization: Realization,
+    trial: Trial,
+    patched: Patched | None = None,
+    failed: Collection[str] = (),
+) -> Glance:
     """Look at one trial.
 
     Args:
         realization: the model as it came.
         trial: what was recorded.
         patched: what stands beside the model, where a diagnosis wrote it.
+        failed: joints whose errors are to be explained; all, where it names none that both have.
+            Others may have errors that somebody allowed them, and that are larger in floors.
 
     Raises:
         RecordingError: the model and the recording share no joint.
@@ -105,18 +115,20 @@ def glance(realization: Realization, trial: Trial, patched: Patched | None = Non
     if not np.isfinite(before).all():
         raise SimulationError("the model diverges under the recorded commands", path=trial.path)
     joints = len(whole.problem.joints)
+    counted = _counted(whole.problem, failed)
     size = np.sqrt(np.mean(before[:, :joints] ** 2, axis=0)) / whole.problem.floor
     force = missing_force(whole.problem, before, whole.floor_parts[NOISE])
-    causes = _causes(force, size)
+    causes = _causes(force, size, counted)
     blame = np.maximum((force.force[:, causes] / force.noise[causes]) ** 2 - 1.0, 0.0)
     where = _where(whole, seen, since, blame[:, 0], causes[0])
     suspect = None
-    if size.max() > AT_FLOOR:
-        parts = _stretches(whole.problem, seen, blame.sum(axis=1))
-        suspect = _suspect(realization, parts, patched, whole, before, causes)
+    if size[counted].max() > AT_FLOOR:
+        own = counted[causes] if counted[causes].any() else np.ones(len(causes), dtype=bool)
+        parts = _stretches(whole.problem, seen, blame[:, own].sum(axis=1))
+        suspect = _suspect(realization, parts, patched, whole, before, causes, counted)
     stands = bool(force.strength[causes[0]] > 1.0)
     joint = whole.problem.joints[causes[0]] if stands else None
-    return Glance(suspect, joint, where, float(size.max()))
+    return Glance(suspect, joint, where, float(size[counted].max()))
 
 
 def cut(trial: Trial, start: float, end: float) -> Trial:
@@ -170,12 +182,25 @@ def _prepared(
     return Given.of(realization, patched).prepared(fit, aside)
 
 
-def _causes(force: MissingForce, size: FloatArray) -> list[int]:
-    """Joints whose own force is missing, the clearest first; else the joint that shows most."""
+def _counted(problem: Problem, failed: Collection[str]) -> NDArray[np.bool_]:
+    """(joints,) whose errors are to be explained."""
+    named = np.array([j in failed for j in problem.joints])
+    return named if named.any() else np.ones_like(named)
+
+
+def _causes(force: MissingForce, size: FloatArray, counted: NDArray[np.bool_]) -> list[int]:
+    """Joints whose own force is missing, the clearest first, of those that count before others
+    that may move them; else the joint that shows most.
+    """
     strength = force.strength
     order = np.argsort(-strength, kind="stable")
-    clear = [int(j) for j in order if strength[j] >= max(_CAUSE * strength.max(), 1e-9)]
-    return clear[:_MOST_JOINTS] or [int(np.argmax(size))]
+    stands = np.where(counted, strength, 0.0).max()
+    # Where none of their own forces stands out of the noise, they are moved by others.
+    own = counted & (stands > 1.0) & (strength >= _CAUSE * stands)
+    clear = [int(j) for j in order if own[j]]
+    clear += [int(j) for j in order if strength[j] >= max(_CAUSE * strength.max(), 1e-9)]
+    worst = int(np.argmax(np.where(counted, size, 0.0)))
+    return list(dict.fromkeys(clear))[:_MOST_JOINTS] or [worst]
 
 
 def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, joint: int) -> Where:
@@ -219,25 +244,33 @@ def _suspect(
     whole: Prepared,
     before: FloatArray,
     causes: Sequence[int],
+    counted: NDArray[np.bool_],
 ) -> Suspect | None:
     problem = _prepared(realization, parts[:1], parts[1:], patched).problem
     # One measure of parameters, so that a fit of the stretch means the same on the whole.
     problem.scales, problem.floor = whole.problem.scales, whole.problem.floor
-    terms = [t for t in candidates(problem) if t.joint < 0 or t.joint in causes]
-    floor = problem.signal_floor
+    terms = [
+        t
+        for t in candidates(problem)
+        # A stretch's clock begins anew, and what warms up does so over minutes.
+        if (t.joint < 0 or t.joint in causes) and not t.law.asks_temperature
+    ]
+    # Positions come first, and are what is held; what efforts are off may be another law's.
+    signals = np.flatnonzero(counted)
     nominal = problem.residuals([EMPTY], problem.fit)[0]
-    effective = effective_samples(nominal, problem.lengths(problem.fit))
     answers, mean = responses(problem, terms, problem.fit, residual=nominal)
+    seen = [replace(r, change=r.change[:, signals]) for r in answers if r.change[:, signals].any()]
     binned = bins(problem, problem.fit)
-    view = View(mean, np.empty((*mean.shape, 0)), floor, binned.lengths)
-    lens = Lens(view, Answers(answers))
+    left = mean[:, signals]
+    view = View(left, np.empty((*left.shape, 0)), problem.signal_floor[signals], binned.lengths)
+    lens = Lens(view, Answers(seen))
     found = [
         next(iter(lens.structure(chosen).starts.items()))
         for chosen in lens.children(lens.bare, _RIVALS)
     ]
     if not found:
         return None
-    fitted, evidence = _weighed(problem, found, nominal, effective)
+    fitted, evidence = _weighed(problem, found, nominal, signals)
     best = int(np.argmax(evidence))
     named = found[best][0]
     share = np.exp(np.clip(evidence - evidence.max(), -700.0, 0.0))
@@ -245,7 +278,8 @@ def _suspect(
     share[[t.joint == named.joint and named.effect in _plainer(t) for t, _ in found]] = 0.0
     share /= share.sum()
     after = whole.problem.residuals([fitted[best].hypothesis], whole.problem.fit)[0]
-    removed = 1.0 - _squared(after, whole.problem) / _squared(before, whole.problem)
+    squared_after, squared_before = (_squared(r, whole.problem, counted) for r in (after, before))
+    removed = 1.0 - squared_after / squared_before
     if evidence[best] < _EARNS or not removed >= _WORTH:
         return None
     rivals = [i for i in np.argsort(-share) if i != best and share[i] >= 1.0 - _MOST_SURE]
@@ -256,6 +290,7 @@ def _suspect(
         share=min(float(share[best]), _MOST_SURE),
         removed=float(removed),
         rivals=tuple((found[i][0].effect, _joint(problem, found[i][0])) for i in rivals),
+        of=() if counted.all() else tuple(np.array(problem.joints)[counted].tolist()),
     )
 
 
@@ -268,34 +303,42 @@ def _weighed(
     problem: Problem,
     found: Sequence[tuple[Term, FloatArray]],
     nominal: FloatArray,
-    effective: FloatArray,
+    signals: NDArray[np.int64],
 ) -> tuple[list[Fitted], FloatArray]:
-    """The candidates after a short fit, and the evidence of each over the model as it came."""
-    floor = np.maximum(problem.signal_floor, _COARSE * np.sqrt(np.mean(nominal**2, axis=0)))
+    """The candidates after a short fit, and the evidence of each over the model as it came.
+
+    Args:
+        nominal: (samples, signals) residual of the model as it came.
+        signals: columns of those that count.
+    """
+    left = nominal[:, signals]
+    mean_square = np.mean(left**2, axis=0)
+    floor = np.maximum(problem.signal_floor[signals], _COARSE * np.sqrt(mean_square))
     starts = [EMPTY.with_term(term, start) for term, start in found]
-    weights = 1.0 / np.sqrt(np.mean(nominal**2, axis=0) + floor**2)
+    weights = np.zeros(nominal.shape[1])
+    weights[signals] = 1.0 / np.sqrt(mean_square + floor**2)
     fitted = fit(problem, starts, weights, problem.fit, iterations=_ITERATIONS)
+    effective = effective_samples(left, problem.lengths(problem.fit))
     price = 0.5 * np.log(max(float(effective.mean()), 2.0))
-    base = log_likelihood(nominal, floor, effective)
-    evidence = np.array(
-        [
-            log_likelihood(f.residual, floor, effective) - base - price * f.hypothesis.free
-            for f in fitted
-        ]
-    )
+    base = log_likelihood(left, floor, effective)
+    evidence = np.array([
+        log_likelihood(f.residual[:, signals], floor, effective) - base - price * f.hypothesis.free
+        for f in fitted
+    ])  # fmt: skip
     if len(problem.held_out):
         hypotheses = [EMPTY, *(f.hypothesis for f in fitted)]
-        without, *with_term = problem.residuals(hypotheses, problem.held_out)
+        predicted = problem.residuals(hypotheses, problem.held_out)
+        without, *with_term = (r[:, signals] for r in predicted)
         worth = effective_samples(without, problem.lengths(problem.held_out))
         base = log_likelihood(without, floor, worth)
         evidence += [log_likelihood(r, floor, worth) - base for r in with_term]
     return fitted, np.nan_to_num(evidence, nan=-np.inf)
 
 
-def _squared(residual: FloatArray, problem: Problem) -> float:
+def _squared(residual: FloatArray, problem: Problem, counted: NDArray[np.bool_]) -> float:
     """Sum of squared position errors in floors; infinite where a simulation diverged."""
     positions = residual[:, : len(problem.joints)] / problem.floor
-    value = float(np.sum(positions**2))
+    value = float(np.sum(positions[:, counted] ** 2))
     return value if np.isfinite(value) else float("inf")
 
 

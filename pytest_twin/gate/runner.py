@@ -66,7 +66,9 @@ class Runner:
             error = "nothing was compared"
         passed = error is None and all(measure.passed for measure in measures)
         seconds = time.perf_counter() - start
-        looked_at = error is None and not passed and check_of(golden.kind).recorded
+        failed = [m.subject for m in measures if not m.passed]
+        looked_at = bool(failed) and check_of(golden.kind).recorded
+        look = self._glance(twin, golden, realization, failed, seconds) if looked_at else None
         return Outcome(
             golden=golden.id,
             kind=golden.kind,
@@ -77,15 +79,17 @@ class Runner:
             error=error,
             reasons=reasons,
             plot=_keep_plot(twin, golden, realization, result.get("plot")),
-            diagnosis=self._glance(twin, golden, realization, seconds) if looked_at else None,
+            diagnosis=look,
             seconds=seconds,
         )
 
-    def _glance(self, twin: Twin, golden: Golden, realization: str, seconds: float) -> str:
+    def _glance(
+        self, twin: Twin, golden: Golden, realization: str, failed: list[str], seconds: float
+    ) -> str:
         """What a failure looks like, in one line; or why nobody can say."""
         bound = min(self.seconds, max(_GLANCE_SECONDS, _GLANCE_SHARE * seconds))
         try:
-            said = self._call("glance", twin, golden, realization, None, bound=bound)
+            said = self._call("glance", twin, golden, realization, None, bound=bound, failed=failed)
         except TwinError as problem:
             return f"could not be made: {' '.join(str(problem).split())}"
         return str(said["line"])

@@ -47,8 +47,13 @@ def prove(twin: str, spec: str, realization: str, plots: str, progress: Progress
     return _compared(golden, check, observation, stored, plots=plots)
 
 
-def glance(twin: str, spec: str, realization: str) -> dict[str, str]:
+def glance(twin: str, spec: str, realization: str, failed: list[str]) -> dict[str, str]:
     """A first look at why a golden fails against its recording, in one line.
+
+    Args:
+        twin, spec: paths of ``twin.yaml`` and of the golden.
+        realization: its name in ``twin.yaml``.
+        failed: what left its tolerance, joints among it.
 
     Returns:
         ``line``.
@@ -62,7 +67,7 @@ def glance(twin: str, spec: str, realization: str) -> dict[str, str]:
 
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
     with quiet():
-        seen = look(loaded, check.trial(golden, loaded), patched_of(loaded))
+        seen = look(loaded, check.trial(golden, loaded), patched_of(loaded), failed)
     return {"line": glance_words(seen)}
 
 

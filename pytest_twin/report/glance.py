@@ -34,11 +34,12 @@ def _suspect(found: Suspect) -> str:
         f"{name.replace('_', ' ')} about {_about(value, unit)}"
         for name, (value, unit) in list(found.values.items())[:_MOST_PARAMETERS]
     ]
+    of = f" of {' and '.join(found.of)}" if found.of else ""
     rivals = "".join(f" or {_place(effect, joint)}" for effect, joint in found.rivals)
     return (
         f"looks like {_place(found.term.effect, found.joint)}, {', '.join(values)} "
         f"({math.floor(100 * found.share)} % sure{', could be' + rivals[3:] if rivals else ''}); "
-        f"would remove {math.floor(100 * found.removed)} % of the squared error"
+        f"would remove {math.floor(100 * found.removed)} % of the squared error{of}"
     )
 
 

@@ -21,6 +21,15 @@ def test_a_name_comes_with_size_doubt_and_what_it_buys() -> None:
     )
 
 
+def test_of_some_joints_alone_it_says_of_which() -> None:
+    values = {"delay": (0.02, "s")}
+    suspect = Suspect(Term("command_delay", 1), "elbow", values, 0.9, 0.95, of=("elbow", "wrist"))
+    assert glance_words(Glance(suspect, "elbow", WHERE, 40.0)) == (
+        "looks like command_delay at elbow, delay about 20 ms (90 % sure); "
+        "would remove 95 % of the squared error of elbow and wrist"
+    )
+
+
 def test_without_a_name_it_says_where_and_when() -> None:
     assert glance_words(Glance(None, "elbow", WHERE, 40.0)) == (
         "no known effect stands out; force is missing at elbow, fast, |velocity| > 3 rad/s, "

@@ -1,0 +1,55 @@
+"""A first look explains the joints that failed, whatever else is off."""
+
+from __future__ import annotations
+
+import pytest
+from two_pendulums import DAMPING, mjcf, record
+
+from pytest_twin.diagnosis.glance import Suspect, glance
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.realization import Realization, load
+from pytest_twin.trial import Trial, make_trial
+
+TOO_MUCH = 0.1
+"""N*m*s/rad that the model damps the right joint more than its reality does."""
+
+
+@pytest.fixture(scope="module")
+def both_off(tmp_path_factory: pytest.TempPathFactory) -> tuple[Realization, Trial]:
+    """Too much damping on the right, which is most of the error; late commands on the left."""
+    folder = tmp_path_factory.mktemp("both")
+    right = f'name="right" axis="0 1 0" damping="{DAMPING}"'
+    text = mjcf()
+    assert right in text
+    model = folder / "model.xml"
+    model.write_text(text.replace(right, right.replace(f"{DAMPING}", f"{DAMPING + TOO_MUCH}")))
+    path = record(folder / "seen.mcap", 1, delay=0.02)
+    return load(model), make_trial(read_recording(path))
+
+
+def suspect(both_off: tuple[Realization, Trial], *failed: str) -> Suspect:
+    seen = glance(*both_off, failed=failed)
+    assert seen.suspect is not None
+    return seen.suspect
+
+
+def test_the_joint_that_failed_is_explained(both_off: tuple[Realization, Trial]) -> None:
+    found = suspect(both_off, "right")
+    assert (found.term.effect, found.joint, found.of) == ("viscous_friction", "right", ("right",))
+    value, unit = found.values["coefficient"]
+    assert (value, unit) == (pytest.approx(-TOO_MUCH, rel=0.15), "N*m*s/rad")
+    assert found.removed > 0.95
+
+
+def test_so_is_one_whose_error_is_the_smaller(both_off: tuple[Realization, Trial]) -> None:
+    found = suspect(both_off, "left")
+    assert (found.term.effect, found.joint, found.of) == ("command_delay", "left", ("left",))
+    assert found.values["delay"][0] == pytest.approx(0.02, abs=0.002)
+
+
+@pytest.mark.parametrize("failed", [("left", "right"), ("tcp",), ()])
+def test_where_no_joint_is_told_from_others_all_count(
+    both_off: tuple[Realization, Trial], failed: tuple[str, ...]
+) -> None:
+    found = suspect(both_off, *failed)
+    assert (found.term.effect, found.joint, found.of) == ("viscous_friction", "right", ())
