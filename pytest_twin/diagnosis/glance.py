@@ -109,13 +109,13 @@ def glance(
         SimulationError: the model diverges.
         SpecError: a controller, payload or actuator that the model lacks.
     """
-    seen, since = _worst_part(realization, trial, patched)
+    seen, since = _worst_part(realization, trial, patched, failed)
     whole = _prepared(realization, [seen], [], patched)
     before = whole.problem.residuals([EMPTY], whole.problem.fit)[0]
     if not np.isfinite(before).all():
         raise SimulationError("the model diverges under the recorded commands", path=trial.path)
     joints = len(whole.problem.joints)
-    counted = _counted(whole.problem, failed)
+    counted = _counted(whole.problem.joints, failed)
     size = np.sqrt(np.mean(before[:, :joints] ** 2, axis=0)) / whole.problem.floor
     force = missing_force(whole.problem, before, whole.floor_parts[NOISE])
     causes = _causes(force, size, counted)
@@ -159,7 +159,7 @@ def cut(trial: Trial, start: float, end: float) -> Trial:
 
 
 def _worst_part(
-    realization: Realization, trial: Trial, patched: Patched | None
+    realization: Realization, trial: Trial, patched: Patched | None, failed: Collection[str]
 ) -> tuple[Trial, float]:
     """The trial, or, of a long one, what lies around its largest error; and where that begins."""
     if trial.duration <= _LOOKED_AT:
@@ -170,7 +170,7 @@ def _worst_part(
         replayed = replay_whole(realization, patched, trial)
     if replayed.error is not None:
         raise replayed.error
-    off = trial.position - replayed.position
+    off = (trial.position - replayed.position)[:, _counted(trial.joints, failed)]
     off = off / np.maximum(np.sqrt(np.mean(off**2, axis=0)), 1e-12)
     start = _fullest(trial.time, (off**2).sum(axis=1), _LOOKED_AT)
     return cut(trial, start, start + _LOOKED_AT), start
@@ -182,9 +182,9 @@ def _prepared(
     return Given.of(realization, patched).prepared(fit, aside)
 
 
-def _counted(problem: Problem, failed: Collection[str]) -> NDArray[np.bool_]:
+def _counted(joints: Sequence[str], failed: Collection[str]) -> NDArray[np.bool_]:
     """(joints,) whose errors are to be explained."""
-    named = np.array([j in failed for j in problem.joints])
+    named = np.array([j in failed for j in joints])
     return named if named.any() else np.ones_like(named)
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 import pytest
 from two_pendulums import DAMPING, mjcf, record
 
@@ -54,3 +58,18 @@ def test_where_no_joint_is_told_from_others_all_count(
 ) -> None:
     found = suspect(both_off, *failed)
     assert (found.term.effect, found.joint, found.of) == ("viscous_friction", "right", ())
+
+
+def test_of_a_long_recording_it_looks_where_what_failed_is_worst(tmp_path: Path) -> None:
+    path = record(tmp_path / "long.mcap", 1, seconds=45.0)
+    (tmp_path / "model.xml").write_text(mjcf())
+    trial = make_trial(read_recording(path))
+    read = trial.position.copy()
+    # All that the left joint is off by is early; the right one, never right, is knocked late.
+    for column, start in ((0, 5.0), (1, 38.0)):
+        knocked = (trial.time > start) & (trial.time < start + 0.5)
+        read[knocked, column] += 0.2 * np.sin(2 * np.pi * (trial.time[knocked] - start)) ** 2
+    read[:, 1] += 0.01 * np.sin(3.0 * trial.time)
+    seen = glance(load(tmp_path / "model.xml"), replace(trial, position=read), failed=("right",))
+    spans = [span for windows in seen.where.windows.values() for span in windows]
+    assert any(start < 38.5 and end > 38.0 for start, end in spans)
