@@ -64,9 +64,9 @@ class Runner:
         measures = tuple(Measure.from_json(fields) for fields in result.get("measures", ()))
         if error is None and not measures:
             error = "nothing was compared"
-        passed = error is None and all(measure.passed for measure in measures)
+        failed = [measure.subject for measure in measures if not measure.passed]
+        passed = error is None and not failed
         seconds = time.perf_counter() - start
-        failed = [m.subject for m in measures if not m.passed]
         looked_at = bool(failed) and check_of(golden.kind).recorded
         look = self._glance(twin, golden, realization, failed, seconds) if looked_at else None
         return Outcome(
