@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ HELP = (
 )
 EXPLAINED, LEFT_OVER = 0, 1
 _SECONDS = 4 * 3600.0
+# s between two lines of a log.
+_EACH = 60.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -130,15 +133,21 @@ def diagnose_files(
 
 
 class _ProgressLine:
-    """The fraction done, rewritten on a terminal; silence elsewhere."""
+    """The fraction done, rewritten on a terminal; elsewhere, in a log, a line each minute."""
 
     def __init__(self) -> None:
         self.shown = False
+        self.since = self.told = time.monotonic()
 
     def show(self, fraction: float) -> None:
+        percent, now = f"{100 * fraction:3.0f} %", time.monotonic()
         if sys.stderr.isatty():
-            print(f"\rdiagnosing {100 * fraction:3.0f} %", end="", file=sys.stderr, flush=True)
+            print(f"\rdiagnosing {percent}", end="", file=sys.stderr, flush=True)
             self.shown = True
+        elif now - self.told >= _EACH:
+            minutes = round((now - self.since) / 60.0)
+            print(f"diagnosing {percent} after {minutes} min", file=sys.stderr, flush=True)
+            self.told = now
 
     def close(self) -> None:
         if self.shown:

@@ -376,7 +376,6 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
     mode = segments[0].mode
     wanted = {"position": rate, "velocity": command, "effort": velocity}[mode]
     ones = np.ones(joints)
-    subtree = float(model.body_mass[simulator.layout.body_index[-1]])
     return Scales(
         {
             "one": ones,
@@ -395,7 +394,7 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
             "inverse_velocity": 1.0 / np.maximum(np.nan_to_num(wanted), velocity),
             "inverse_effort": 1.0 / np.maximum(peak, 1e-4),
             "command": np.maximum(np.nan_to_num(command), 1e-4),
-            "mass": ones * max(subtree, 0.05),
+            "mass": ones * max(simulator.layout.tool_mass, 0.05),
             "clearance": 0.01 * ones,
             "length": ones * simulator.layout.tool_length,
             "gyration": simulator.layout.gyration,

@@ -91,10 +91,10 @@ REFERENCES: Mapping[str, str] = {
     "inverse_velocity": "the rms speed that is asked for",
     "inverse_effort": "the drive's peak effort",
     "command": "the rms command (a position servo's tracking error)",
-    "mass": "the last link's mass",
+    "mass": "the last link's mass, of a flange a fiftieth of the arm's at least",
     "clearance": "1 cm",
     "length": "the way from the last joint to its link's centre of mass, a twentieth of the "
-    "arm's length at least",
+    "arm's length at least, of a flange 0.15 of it",
     "gyration": "the link's radius of gyration about the joint",
 }
 """Scale of a joint that bounds and starts are multiples of -> what it is."""
@@ -458,8 +458,8 @@ class ModelFields:
         gravity: (rows, 3) m/s^2, world frame.
         added_mass: (rows, joints) kg, on the link that the joint moves.
         added_at: (rows, joints, 3) where, m from the joint: along the link's own direction (from
-            the joint to the link's centre of mass), the way that the joint turns it there, and
-            across both.
+            the joint to the link's centre of mass; of a flange, along the joint's axis), the way
+            that the joint turns it there, and across both.
         mass_scale, inertia_scale: (rows, joints) factors on that link's mass, and on its inertia
             about its centre of mass.
         center_radial, center_tangential: (rows, joints) m by which that centre is moved away from

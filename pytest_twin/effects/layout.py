@@ -14,6 +14,14 @@ from pytest_twin.realization.inputs import command_input
 
 _ON_AXIS = 1e-4
 """m from a joint's axis within which a centre of mass has no direction from it."""
+_FLANGE = 0.03
+"""Share of the arm's length within which the last link's centre is a flange's: it says nothing of
+what that carries."""
+_TOOL, _LEAST_TOOL, _TOOL_MASS = 0.15, 0.05, 0.02
+"""Shares of the arm's length that a flange carries and that any last link does at least, and of the
+arm's mass that a flange carries at least."""
+_NEARER = 0.5**0.5
+"""Cosine of an angle to a joint's axis, within which a centre lies nearer to it than across it."""
 
 
 class Layout:
@@ -35,8 +43,9 @@ class Layout:
         radial, tangential: (joints, 3) unit vectors away from each joint's axis to that centre, and
             the way that the joint turns it, frame of the link.
         gyration: (joints,) m, the link's radius of gyration about the joint.
-        tool_length: m, of what the last link carries: as long as that link, at least a twentieth of
-            the way from the first joint through all others.
+        tool_length, tool_mass: m and kg, of what the last link carries: as long and as heavy as
+            that link, at least a twentieth of the way from the first joint through all others; a
+            flange carries more.
     """
 
     def __init__(
@@ -56,9 +65,29 @@ class Layout:
         self.radial, self.tangential = self._around_axes(model)
         mass = np.maximum(model.body_mass[self.body_index], 1e-6)
         own = model.body_inertia[self.body_index].mean(axis=1) / mass
-        ways = np.linalg.norm(model.body_pos[self.body_index[1:]], axis=1)
-        self.tool_length = max(float(self.link_length[-1]), 0.05 * float(ways.sum()))
+        self._find_tool(model)
         self.gyration = np.sqrt(self.link_length**2 + own)
+
+    def _find_tool(self, model: mujoco.MjModel) -> None:
+        """How long and heavy what the last link carries may be, and which way it lies."""
+        body = self.body_index[-1]
+        ways = np.linalg.norm(model.body_pos[self.body_index[1:]], axis=1)
+        arm, own = float(ways.sum()), float(self.link_length[-1])
+        self.tool_length = max(own, _LEAST_TOOL * arm)
+        self.tool_mass = float(model.body_mass[body])
+        self._tool_direction = self.directions[-1]
+        if own >= _FLANGE * arm:
+            return
+        moved = float(model.body_mass[self.body_index].sum())
+        self.tool_length = _TOOL * arm
+        self.tool_mass = max(self.tool_mass, _TOOL_MASS * moved)
+        axis = model.jnt_axis[self.joint_ids[-1]]
+        if abs(float(axis @ self.directions[-1])) > _NEARER:
+            # What a flange turns about its own axis stands on it, away from the arm.
+            back, outwards = np.zeros(4), np.zeros(3)
+            mujoco.mju_negQuat(back, model.body_quat[body])
+            mujoco.mju_rotVecQuat(outwards, model.body_pos[body], back)
+            self._tool_direction = axis if axis @ outwards >= 0.0 else -axis
 
     def _find_drives(self, model: mujoco.MjModel, segments: Sequence[Segment]) -> None:
         count = len(self.joints)
@@ -86,8 +115,8 @@ class Layout:
         return np.where(length > 1e-6, offset / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
 
     def in_link(self, place: FloatArray, joint: NDArray[np.int64]) -> FloatArray:
-        """(n, 3) m in the frames of links, of places along their own direction, the way that their
-        joints turn them there, and across both.
+        """(n, 3) m in the frames of links, of places along their own direction (of a flange, along
+        its joint's axis), the way that their joints turn them there, and across both.
         """
         found: FloatArray = np.einsum("nk,nki->ni", place, self.own_axes(joint))
         return found
@@ -95,6 +124,7 @@ class Layout:
     def own_axes(self, joint: NDArray[np.int64]) -> FloatArray:
         """(n, 3, 3) unit vectors of :meth:`in_link`, frames of the links."""
         along, turning = self.directions[joint], self.tangential[joint]
+        along = np.where((joint == len(self.joints) - 1)[:, None], self._tool_direction, along)
         return np.stack([along, turning, np.cross(along, turning)], axis=1)
 
     def shift(
