@@ -18,8 +18,16 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.restraint import in_floors
+from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import Searched, concluded, left_everywhere, pose
+from pytest_twin.diagnosis.searched import (
+    Searched,
+    concluded,
+    from_start,
+    left_everywhere,
+    pose,
+    search,
+)
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS, STANDS_OUT
 from pytest_twin.effects.rows import RowSimulator
@@ -50,6 +58,51 @@ def posed(given: Given, trials: TrialSet, notes: list[str]) -> tuple[Given, Prep
         given = replace(given, creeps=not given.creeps)
         prepared, _ = pose(given, kept, [])
     return given, prepared, kept
+
+
+def searched_so(
+    given: Given,
+    prepared: Prepared,
+    trials: TrialSet,
+    problems: list[Problem],
+    say: Callable[[str], None],
+    start: Hypothesis,
+) -> tuple[Given, Searched]:
+    """What a search finds, gone on with dry friction the other way once that leaves far less.
+
+    Where the model has dry friction at every joint, what a simulation's does otherwise hides behind
+    what was hidden, and stands out when that is nearly explained: a search that went on would
+    gather names for it at every joint.
+
+    Args:
+        given: the model.
+        prepared, trials: its problem.
+        problems: gets the one of the other way, if it was asked.
+        say: told what is considered.
+        start: what is known already.
+    """
+    problem = prepared.problem
+    stepped = replace(given, creeps=not given.creeps)
+    others: list[Prepared] = []
+
+    def better_so(best: Rival) -> bool:
+        left = np.concatenate([best.fitted.residual, best.held_residual])
+        if _greatest(problem, left) <= STANDS_OUT:
+            return False
+        if not others:
+            others.append(pose(stepped, trials, [])[0])
+            problems.append(others[0].problem)
+        return _leaves_less(problem, left_everywhere(others[0].problem, best.hypothesis), left)
+
+    if not has_dry_friction(problem, EMPTY):
+        return given, search(prepared, trials, Selection(problem, say), start)
+    selection = Selection(problem, say, leave=better_so)
+    selected = from_start(selection, start)
+    if not selection.left_off:
+        return given, concluded(prepared, trials, selection, selected)
+    (other,) = others
+    best = selected.best.hypothesis
+    return stepped, search(other, trials, Selection(other.problem, say), best)
 
 
 def found_so(

@@ -12,7 +12,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.coarse_step import coarse_step
 from pytest_twin.diagnosis.cost import Cost, cost
-from pytest_twin.diagnosis.creep import CREEPS, found_so, posed
+from pytest_twin.diagnosis.creep import CREEPS, found_so, posed, searched_so
 from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
@@ -241,7 +241,7 @@ def _sought(
             problems.append(away[0].problem)
             clear = _found_away(*away, say)
             start = _with_contact(prepared.problem, clear, say)
-    found = search(prepared, trials, Selection(prepared.problem, say), start)
+    given, found = searched_so(given, prepared, trials, problems, say, start)
     if found.astray and contact.world.size:
         found = _once_more(found, say)
     elif found.far_from and not contact.world.size:

@@ -20,8 +20,6 @@ what that carries."""
 _TOOL, _LEAST_TOOL, _TOOL_MASS = 0.15, 0.05, 0.02
 """Shares of the arm's length that a flange carries and that any last link does at least, and of the
 arm's mass that a flange carries at least."""
-_NEARER = 0.5**0.5
-"""Cosine of an angle to a joint's axis, within which a centre lies nearer to it than across it."""
 
 
 class Layout:
@@ -82,7 +80,9 @@ class Layout:
         self.tool_length = _TOOL * arm
         self.tool_mass = max(self.tool_mass, _TOOL_MASS * moved)
         axis = model.jnt_axis[self.joint_ids[-1]]
-        if abs(float(axis @ self.directions[-1])) > _NEARER:
+        center = model.body_ipos[body] - model.jnt_pos[self.joint_ids[-1]]
+        height = float(axis @ center)
+        if np.linalg.norm(center - height * axis) <= abs(height):
             # What a flange turns about its own axis stands on it, away from the arm.
             back, outwards = np.zeros(4), np.zeros(3)
             mujoco.mju_negQuat(back, model.body_quat[body])

@@ -17,8 +17,8 @@ class Payload(Effect):
     family = "rigid_body"
     law = (
         "mass on the last link, a point at distance along the link's own direction (from its joint "
-        "to its centre of mass, or, where that is within 0.03 of the arm's length as a flange's "
-        "is, along its joint's axis); "
+        "to its centre of mass, or, where that is within 0.03 of the arm's length and nearer to "
+        "the joint's axis than across it, as a flange's is, along that axis); "
         "form 1: and sideways, the way that the joint turns it there; "
         "form 2: and across both"
     )

@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.creep import CREEPS
+from pytest_twin.diagnosis.creep import CREEPS, searched_so
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
-from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.searched import pose
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.effects.constraint import hold, stiff
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import JointSeries, write_recording
@@ -71,17 +75,21 @@ def recorded(folder: Path, seed: int, role: str, *, delay: float, holds: bool) -
     return path
 
 
-def diagnosed(
-    folder: Path, *, delay: float = 0.0, holds: bool = False
-) -> tuple[Realization, Diagnosis]:
+def given_by(folder: Path, *, delay: float, holds: bool) -> tuple[Realization, TrialSet]:
     (folder / "model.xml").write_text(ARM)
     loaded = load_model(folder / "model.xml")
     files = [
         recorded(folder, seed, role, delay=delay, holds=holds)
         for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
     ]
-    trials = read_trials(files, (), loaded.topics, loaded.realization.structure)
-    return loaded.realization, diagnose(loaded.realization, trials, threads=1)
+    return loaded.realization, read_trials(files, (), loaded.topics, loaded.realization.structure)
+
+
+def diagnosed(
+    folder: Path, *, delay: float = 0.0, holds: bool = False
+) -> tuple[Realization, Diagnosis]:
+    realization, trials = given_by(folder, delay=delay, holds=holds)
+    return realization, diagnose(realization, trials, threads=1)
 
 
 @pytest.mark.parametrize("holds", [False, True], ids=["creeps", "holds"])
@@ -122,6 +130,22 @@ def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: P
     (folder / "effects.json").write_text(json.dumps({**effects, "dry_friction": "melts"}))
     with pytest.raises(SpecError, match=r"dry_friction.*expected creeps"):
         load_model(find_model(tmp_path))
+
+
+@pytest.mark.parametrize("holds", [False, True], ids=["creeps", "holds"])
+def test_a_search_goes_on_the_way_that_it_sees(tmp_path: Path, holds: bool) -> None:
+    """As soon as something was found: what creeping makes is not searched for names."""
+    realization, trials = given_by(tmp_path, delay=0.012, holds=holds)
+    given = Given.of(realization, None, threads=1)
+    prepared, trials = pose(given, trials, [])
+    problems: list[Problem] = []
+    said: list[str] = []
+    stepped, found = searched_so(given, prepared, trials, problems, said.append, EMPTY)
+    assert stepped.creeps is not holds
+    assert [t.effect for t in found.explained.hypothesis.terms] == ["command_delay"]
+    # Nothing that was left in the one way was held against more names.
+    assert [text[0] for text in said if text[0] in "+-~="] == ["+"]
+    assert found.verdict == "explained"
 
 
 def test_a_model_that_sets_its_friction_constraint_is_taken_at_its_word() -> None:

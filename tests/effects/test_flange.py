@@ -15,6 +15,8 @@ JOINTS = ("lift", "bend", "turn")
 KG, AWAY = 0.8, 0.2
 # Its centre lies behind the flange, towards the arm.
 FLANGE = '<inertial pos="0 .005 -.011" mass=".17" diaginertia="6e-5 9e-5 1e-4"/>'
+# As some suppliers have it: no centre at all.
+POINT = FLANGE.replace("0 .005 -.011", "0 0 0")
 TOOL = '<inertial pos="0 .005 .15" mass=".17" diaginertia="6e-5 9e-5 1e-4"/>'
 LOAD = f"""<body pos="0 0 {AWAY}">
 <inertial pos="0 0 0" mass="{KG}" diaginertia="1e-9 1e-9 1e-9"/></body>"""
@@ -49,8 +51,9 @@ def simulator(model: mujoco.MjModel) -> RowSimulator:
     return RowSimulator([segment], JOINTS, threads=1)
 
 
-def test_a_load_stands_on_its_axis_away_from_the_arm() -> None:
-    bare, loaded = (simulator(arm(FLANGE, load, TOWARDS_X)) for load in ("", LOAD))
+@pytest.mark.parametrize("flange", [FLANGE, POINT], ids=["behind", "point"])
+def test_a_load_stands_on_its_axis_away_from_the_arm(flange: str) -> None:
+    bare, loaded = (simulator(arm(flange, load, TOWARDS_X)) for load in ("", LOAD))
     payload = catalogue()["payload"]
     values = {p.name: np.zeros((1, 3)) for p in payload.parameters}
     values["mass"][:], values["distance"][:] = KG, AWAY

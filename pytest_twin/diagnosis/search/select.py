@@ -78,6 +78,7 @@ class Selection:
         problem: Problem,
         say: Callable[[str], None] = lambda text: None,
         share_left: float = 1.0,
+        leave: Callable[[Rival], bool] = lambda rival: False,
     ) -> None:
         """A search over all structures.
 
@@ -86,10 +87,14 @@ class Selection:
             say: told what is considered.
             share_left: of the squared mismatch. Below 1 the search is a second look: given up where
                 along the motion no structure leaves less, or where those in front fail.
+            leave: asked of each fit with more terms, before a crowd is grown once more; whether the
+                search ends there.
         """
         self.problem = problem
         self.say = say
         self.share_left = share_left
+        self.leave = leave
+        self.left_off = False
         self.attempts = _ATTEMPTS if share_left >= 1.0 else 1
         self.contest = Contest(problem)
         self.regrown: tuple[Term, ...] = ()
@@ -107,7 +112,7 @@ class Selection:
         if start is not None:
             selected.best = self._backward(start)
         self._grow(selected)
-        return self._regrown(selected)
+        return selected if self.left_off else self._regrown(selected)
 
     def anew(self) -> Selection:
         """Another search of the same problem, which may have changed."""
@@ -125,6 +130,9 @@ class Selection:
                 and not self._spent(best)
             ):
                 better = self._forward(best)
+                if better is not None and not self.regrown and self.leave(better):
+                    selected.best, self.left_off = better, True
+                    break
             if better is not None:
                 selected.best = self._backward(better)
                 if self._strained(selected.best):
