@@ -83,26 +83,25 @@ def searched_so(
     """
     problem = prepared.problem
     stepped = replace(given, creeps=not given.creeps)
-    others: list[Prepared] = []
+    other: tuple[Prepared, TrialSet] | None = None
 
     def better_so(best: Rival) -> bool:
+        nonlocal other
         left = np.concatenate([best.fitted.residual, best.held_residual])
-        if _greatest(problem, left) <= STANDS_OUT:
+        if not has_dry_friction(problem, EMPTY) or _greatest(problem, left) <= STANDS_OUT:
             return False
-        if not others:
-            others.append(pose(stepped, trials, [])[0])
-            problems.append(others[0].problem)
-        return _leaves_less(problem, left_everywhere(others[0].problem, best.hypothesis), left)
+        if other is None:
+            other = pose(stepped, trials, [])
+            problems.append(other[0].problem)
+        return _leaves_less(problem, left_everywhere(other[0].problem, best.hypothesis), left)
 
-    if not has_dry_friction(problem, EMPTY):
-        return given, search(prepared, trials, Selection(problem, say), start)
     selection = Selection(problem, say, leave=better_so)
     selected = from_start(selection, start)
-    if not selection.left_off:
+    if other is None or not selection.left_off:
         return given, concluded(prepared, trials, selection, selected)
-    (other,) = others
-    best = selected.best.hypothesis
-    return stepped, search(other, trials, Selection(other.problem, say), best)
+    # Trials on which the model diverges that way are left out of it.
+    there, kept = other
+    return stepped, search(there, kept, Selection(there.problem, say), selected.best.hypothesis)
 
 
 def found_so(

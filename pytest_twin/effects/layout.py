@@ -73,7 +73,7 @@ class Layout:
         arm, own = float(ways.sum()), float(self.link_length[-1])
         self.tool_length = max(own, _LEAST_TOOL * arm)
         self.tool_mass = float(model.body_mass[body])
-        self._tool_direction = self.directions[-1]
+        self._load_directions = self.directions.copy()
         if own >= _FLANGE * arm:
             return
         moved = float(model.body_mass[self.body_index].sum())
@@ -87,7 +87,7 @@ class Layout:
             back, outwards = np.zeros(4), np.zeros(3)
             mujoco.mju_negQuat(back, model.body_quat[body])
             mujoco.mju_rotVecQuat(outwards, model.body_pos[body], back)
-            self._tool_direction = axis if axis @ outwards >= 0.0 else -axis
+            self._load_directions[-1] = axis if axis @ outwards >= 0.0 else -axis
 
     def _find_drives(self, model: mujoco.MjModel, segments: Sequence[Segment]) -> None:
         count = len(self.joints)
@@ -123,8 +123,7 @@ class Layout:
 
     def own_axes(self, joint: NDArray[np.int64]) -> FloatArray:
         """(n, 3, 3) unit vectors of :meth:`in_link`, frames of the links."""
-        along, turning = self.directions[joint], self.tangential[joint]
-        along = np.where((joint == len(self.joints) - 1)[:, None], self._tool_direction, along)
+        along, turning = self._load_directions[joint], self.tangential[joint]
         return np.stack([along, turning, np.cross(along, turning)], axis=1)
 
     def shift(
