@@ -28,8 +28,8 @@ _FEWEST = {"position": 2, "velocity": 2, "effort": 1}
 # Replayed until a hinge has gone this part of its way, and s on: under effort commands small errors
 # grow.
 _PART, _ON = {"position": 0.5, "velocity": 0.5, "effort": 0.05}, 0.3
-# Error beside the motion that the reading as it came leaves at least, another one at most, and how
-# much less that is.
+# Error beside the motion that the reading as it came leaves somewhere (what is slow a servo follows
+# in any unit), that another one leaves in most recordings at most, and how much less that is.
 _FAILS, _FOLLOWS, _CLOSER = 0.5, 0.3, 0.25
 # Degrees are what people write: counts have to be that much closer.
 _COUNTS_CLOSER = 0.5
@@ -99,13 +99,17 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
         read = replay(realization, [_scaled(*row) for row in rows], tcp=False)
     except SpecError:
         return None  # what the model lacks is said where it is needed
-    off = [_error(r, hinges) for r, (_, hinges, _) in zip(read, rows, strict=True)]
-    came, degrees, *counts = np.median(np.reshape(off, (-1, len(scales))), axis=0)
-    best = int(np.argmin(counts)) + 1 if min(counts) < _COUNTS_CLOSER * degrees else 0
-    left = (degrees, *counts)[best]
-    if came < _FAILS or left > _FOLLOWS or left > _CLOSER * came:
+    off = np.reshape(
+        [_error(r, hinges) for r, (_, hinges, _) in zip(read, rows, strict=True)], (-1, len(scales))
+    )
+    came, degrees, *counts = off.T
+    least = np.median(counts, axis=1)
+    best = int(np.argmin(least)) if least.min() < _COUNTS_CLOSER * np.median(degrees) else None
+    left = degrees if best is None else counts[best]
+    closer = np.median(left <= _CLOSER * came) > 0.5
+    if came.max() < _FAILS or np.median(left) > _FOLLOWS or not closer:
         return None
-    return list(_UNITS)[best]
+    return list(_UNITS)[0 if best is None else best + 1]
 
 
 def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:

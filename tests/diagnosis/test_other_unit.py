@@ -20,9 +20,9 @@ TURN = 2.0 * np.pi
 INERTIA, DAMPING = 0.02, 0.05
 
 
-def servos(path: Path, seed: int, scale: float = 1.0) -> Path:
+def servos(path: Path, seed: int, scale: float = 1.0, slower: int = 1) -> Path:
     """A recording of two pendulums, all of its angles times ``scale``."""
-    wanted = reference(seed, 2.0, 2)
+    wanted = np.repeat(reference(seed, 2.0, 2)[: 20000 // slower], slower, axis=0)
     moved = swing(wanted, viscous=0.02)
     sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
     noise = 1e-4 * np.random.default_rng(seed).standard_normal((len(seen), 2))
@@ -106,6 +106,16 @@ def test_of_several_the_ones_in_degrees_are_left_out(
     assert {t.path for t in (*found.fit, *found.held_out)} == set(good)
     (note,) = notes
     assert note.startswith(f"left out: {odd}: states and commands as if in degrees")
+
+
+def test_degrees_are_told_where_most_recordings_are_slow(
+    pendulums: LoadedModel, tmp_path: Path
+) -> None:
+    """A slow motion a servo follows in any unit, if less well in a wrong one."""
+    slow = [servos(tmp_path / f"slow{k}.mcap", k, np.degrees(1.0), slower=2) for k in range(2)]
+    odd = read(pendulums, *slow, servos(tmp_path / "fast.mcap", 2, np.degrees(1.0)))
+    with pytest.raises(RecordingError, match="states and commands as if in degrees"):
+        without_other_units(pendulums.realization, odd, [])
 
 
 def test_states_in_degrees_under_effort_commands_are_refused(tmp_path: Path) -> None:
