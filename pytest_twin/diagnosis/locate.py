@@ -260,11 +260,13 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
     end = np.concatenate([np.full(len(m.time), m.time[-1]) for m in paths])
     speed, push = np.abs(v), np.abs(a)
     slow, fast = (float(x) for x in np.quantile(speed, (0.3, 0.75)))
-    # A joint that mostly stands has no slow and fast in all of its time, but while it moves.
+    hard = float(np.quantile(push, 0.75))
+    # A joint that mostly stands has no slow, fast and hard in all of its time, but while it moves.
     slow = max(slow, _STILL * float(speed.max()))
     if fast <= slow < speed.max():
         fast = float(np.median(speed[speed > slow]))
-    hard = float(np.quantile(push, 0.75))
+    if hard <= (least := _STILL * float(push.max())) < push.max():
+        hard = float(np.median(push[push > least]))
     heavy, light = (float(x) for x in np.quantile(np.abs(load), (0.75, 0.3)))
     low, high = (float(x) for x in np.quantile(q, (0.25, 0.75)))
     force = "N" if unit == "m" else "N*m"

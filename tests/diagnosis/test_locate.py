@@ -103,6 +103,8 @@ def test_a_joint_that_mostly_rests_is_slow_and_fast_while_it_moves() -> None:
     top = np.abs(rested.velocity).max()
     assert float(slow.split("<")[1].split()[0]) == pytest.approx(0.02 * top, rel=0.1)
     assert float(fast.split(">")[1].split()[0]) > 0.1 * top
+    (hard,) = [text for text in found if text.startswith("accelerating")]
+    assert float(hard.split(">")[1].split()[0]) > 0.02 * np.abs(rested.acceleration).max()
     (turns,) = [mask for text, mask in found.items() if text.startswith("reversals")]
     # It turns once: where it stops and where it starts again.
     assert time[turns].min() > 4.0
