@@ -1,4 +1,4 @@
-"""Where what is left may be the error of the model's own step."""
+"""Where what is left, or what was explained, may be the error of the model's own step."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pytest_twin.diagnosis.verdict import JointError
 
 _STANDS, _OF_IT = 2.0, 3.0
 """Floors that are left, and times as much that the step's own error has to be."""
+_OF_ALL = 0.5
+"""Share of what was to be explained beyond which the step's own error may have been what was."""
 
 
 def off_by_the_step(
@@ -37,7 +39,7 @@ def coarse_step(
     problem: Problem, hypothesis: Hypothesis, errors: Mapping[str, JointError]
 ) -> list[str]:
     """A line for each joint where the step's own error is far more than what is left over the
-    floor.
+    floor, or about what was to be explained where something was found.
 
     Every prediction is corrected by that error, measured by refining the step, to first order: of a
     gear that rings or a push that is sudden some stays, and what was found bends to it.
@@ -50,10 +52,22 @@ def coarse_step(
     if not hypothesis.terms:
         return []
     problem.refine_at(hypothesis)
+    of_what = {
+        joint: f"{rms / errors[joint].after:.0f} times what is left: that, and sizes, may be"
+        for joint, rms in off_by_the_step(problem, errors, _OF_IT).items()
+    }
+    own = dict(zip(problem.joints, discretization(problem).tolist(), strict=True))
+    for joint in {problem.joints[t.joint]: None for t in hypothesis.terms if t.joint >= 0}:
+        if joint in errors and own[joint] > _OF_ALL * errors[joint].before:
+            of_what.setdefault(
+                joint,
+                f"and {errors[joint].before:.2g} {errors[joint].unit} were to be explained: what "
+                "was found at it may be",
+            )
     step = 1e3 * problem.simulator.timestep
     return [
         f"joint {joint!r}: with what was found the simulator's step of {step:g} ms is itself "
-        f"{rms:.2g} {errors[joint].unit} off, {rms / errors[joint].after:.0f} times what is "
-        "left: that, and sizes, may be the step's; a smaller timestep of the model says more"
-        for joint, rms in off_by_the_step(problem, errors, _OF_IT).items()
+        f"{own[joint]:.2g} {errors[joint].unit} off, {words} the step's; a smaller timestep of the "
+        "model says more"
+        for joint, words in of_what.items()
     ]

@@ -50,6 +50,23 @@ def test_what_is_left_above_the_floor_may_be_the_steps(
         assert "a smaller timestep of the model says more" in line
 
 
+@pytest.mark.parametrize(("mismatch", "doubted"), [(1.5, True), (3.0, False)])
+def test_what_was_explained_may_be_the_steps(
+    soft: tuple[Problem, Hypothesis], mismatch: float, doubted: bool
+) -> None:
+    """Of a joint that was off by little more than the step is, all may be the step's."""
+    problem, hypothesis = soft
+    problem.refine_at(hypothesis)
+    own = float(np.sqrt(np.mean(problem.defect[0].position[:, ELBOW] ** 2)))
+    errors = {"elbow": JointError(mismatch * own, 0.1 * own, 0.1 * own, "rad")}
+    found = coarse_step(problem, hypothesis, errors)
+    assert len(found) == doubted
+    if doubted:
+        (line,) = found
+        assert "step of 2 ms is itself" in line
+        assert "were to be explained: what was found at it may be the step's" in line
+
+
 def test_without_a_finding_nothing_bends_to_it(soft: tuple[Problem, Hypothesis]) -> None:
     problem, _ = soft
     errors = dict.fromkeys(("shoulder", "elbow"), JointError(1.0, 1e-3, 1e-4, "rad"))
