@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from pytest_twin.formats import atomic
 from pytest_twin.formats.mcap import TOPICS
 from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report.each_minute import EachMinute
 from pytest_twin.report.text import printable
 
 HELP = (
@@ -23,8 +23,6 @@ HELP = (
 )
 EXPLAINED, LEFT_OVER = 0, 1
 _SECONDS = 4 * 3600.0
-# s between two lines of a log.
-_EACH = 60.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -137,17 +135,14 @@ class _ProgressLine:
 
     def __init__(self) -> None:
         self.shown = False
-        self.since = self.told = time.monotonic()
+        self.log = EachMinute("diagnosing")
 
     def show(self, fraction: float) -> None:
-        percent, now = f"{100 * fraction:3.0f} %", time.monotonic()
         if sys.stderr.isatty():
-            print(f"\rdiagnosing {percent}", end="", file=sys.stderr, flush=True)
+            print(f"\rdiagnosing {100 * fraction:3.0f} %", end="", file=sys.stderr, flush=True)
             self.shown = True
-        elif now - self.told >= _EACH:
-            minutes = round((now - self.since) / 60.0)
-            print(f"diagnosing {percent} after {minutes} min", file=sys.stderr, flush=True)
-            self.told = now
+        elif (line := self.log.line(fraction)) is not None:
+            print(line, file=sys.stderr, flush=True)
 
     def close(self) -> None:
         if self.shown:

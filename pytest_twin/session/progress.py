@@ -1,13 +1,15 @@
-"""A live line on a terminal while a golden takes long; silence everywhere else."""
+"""A live line on a terminal while a golden takes long; a line a minute in a log."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import pytest
+
+from pytest_twin.report.each_minute import EachMinute
 
 _FIRST_SECONDS = 1.0
 _EACH_SECONDS = 0.25
@@ -27,14 +29,24 @@ class ProgressLine:
             self._reporter.write_line(text)
 
     def of(self, item: pytest.Item) -> AbstractContextManager[Callable[[float], None] | None]:
-        """A callback for the fraction done of an item, None where nobody is watching."""
+        """A callback for the fraction done of an item, None in a process without output."""
         return self.named(item.name)
 
     @contextmanager
     def named(self, name: str) -> Iterator[Callable[[float], None] | None]:
-        """A callback for the fraction done of ``name``, None where nobody is watching."""
-        if self._reporter is None or not getattr(self._reporter, "isatty", False):
+        """A callback for the fraction done of ``name``, None in a process without output."""
+        if self._reporter is None:
             yield None
+            return
+        if not getattr(self._reporter, "isatty", False):
+            log = EachMinute(name)
+
+            def told(fraction: float) -> None:
+                if (line := log.line(fraction)) is not None:
+                    with self._uncaptured():
+                        self.say(line)
+
+            yield told
             return
         next_time = time.monotonic() + _FIRST_SECONDS
         shown = False
@@ -52,11 +64,14 @@ class ProgressLine:
             self._write("", first=False)
 
     def _write(self, text: str, *, first: bool) -> None:
+        with self._uncaptured():
+            self._rewrite(text, first=first)
+
+    def _uncaptured(self) -> AbstractContextManager[None]:
         if self._capture is None:
-            self._rewrite(text, first=first)
-            return
-        with self._capture.global_and_fixture_disabled():
-            self._rewrite(text, first=first)
+            return nullcontext()
+        uncaptured: AbstractContextManager[None] = self._capture.global_and_fixture_disabled()
+        return uncaptured
 
     def _rewrite(self, text: str, *, first: bool) -> None:
         if first:

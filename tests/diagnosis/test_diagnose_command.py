@@ -13,12 +13,12 @@ import pytest
 from two_pendulums import JOINTS, case, record
 
 from pytest_twin import cli
-from pytest_twin.commands import diagnose as command
 from pytest_twin.commands.diagnose import _ProgressLine
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.report import each_minute
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def test_a_log_is_told_each_minute_how_far_a_long_diagnosis_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = 0.0
-    monkeypatch.setattr(command.time, "monotonic", lambda: now)
+    monkeypatch.setattr(each_minute.time, "monotonic", lambda: now)
     line = _ProgressLine()
     for seconds, fraction in ((30.0, 0.1), (61.0, 0.2), (90.0, 0.3), (125.0, 0.4)):
         now = seconds

@@ -1,4 +1,4 @@
-"""A live line on a terminal for long work, and silence where nobody watches."""
+"""A live line on a terminal for long work; in a file a line a minute."""
 
 from __future__ import annotations
 
@@ -32,6 +32,20 @@ class Slow(Check):
 
     def compare(self, golden, observation, stored):
         return [Measure("done", "it", 1.0, 1.0, 0.0, 1.0, "1")]
+"""
+
+# Inside a run of its own, for a worker of pytest-xdist has no terminal: a golden of two minutes.
+INNER = """
+from pytest_twin.report import each_minute
+from pytest_twin.session.progress import ProgressLine
+
+def test_long(pytestconfig, monkeypatch):
+    now = 0.0
+    monkeypatch.setattr(each_minute.time, "monotonic", lambda: now)
+    with ProgressLine(pytestconfig).named("diagnosis of arm") as progress:
+        for now, fraction in ((30.0, 0.1), (61.0, 0.2), (90.0, 0.3), (125.0, 0.4)):
+            progress(fraction)
+    monkeypatch.undo()
 """
 
 
@@ -73,8 +87,17 @@ def test_a_terminal_sees_the_fraction_done(slow) -> None:
     assert b"1 recorded" in seen
 
 
-def test_a_file_does_not(slow) -> None:
+def test_a_file_does_not_of_what_takes_seconds(slow) -> None:
     result = slow.run_apart("--twin-update", "-k", "slow")
     assert " %\n" not in result.stdout.str().replace("100%", "")
     assert "\r" not in result.stdout.str()
     assert result.ret == 0
+
+
+def test_a_log_is_told_each_minute_how_far_a_long_golden_is(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(INNER)
+    told = [
+        line for line in pytester.runpytest_subprocess().outlines
+        if line.startswith("diagnosis of arm")
+    ]  # fmt: skip
+    assert told == ["diagnosis of arm  20 % after 1 min", "diagnosis of arm  40 % after 2 min"]
