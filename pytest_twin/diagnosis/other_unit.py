@@ -102,14 +102,13 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     off = np.reshape(
         [_error(r, hinges) for r, (_, hinges, _) in zip(read, rows, strict=True)], (-1, len(scales))
     )
-    came, degrees, *counts = off.T
-    least = np.median(counts, axis=1)
-    best = int(np.argmin(least)) if least.min() < _COUNTS_CLOSER * np.median(degrees) else None
-    left = degrees if best is None else counts[best]
-    closer = np.median(left <= _CLOSER * came) > 0.5
-    if came.max() < _FAILS or np.median(left) > _FOLLOWS or not closer:
+    came, others = off[:, 0], off[:, 1:]
+    least = np.median(others, axis=0)
+    best = int(np.argmin(least * [_COUNTS_CLOSER, *[1.0] * (len(least) - 1)]))
+    closer = np.median(others[:, best] <= _CLOSER * came) > 0.5
+    if came.max() < _FAILS or least[best] > _FOLLOWS or not closer:
         return None
-    return list(_UNITS)[0 if best is None else best + 1]
+    return list(_UNITS)[best]
 
 
 def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
