@@ -1,11 +1,11 @@
 """A supplier's robot from ``example-robot-data``, something hidden in it, and its diagnosis.
 
-    python benchmarks/suppliers.py --out DIR [--robot ur5 | xarm7] [--bare] [--steps]
+    python benchmarks/suppliers.py --out DIR [--robot ur5 | xarm7] [--bare] [--steps] [--timestep S]
 
-MuJoCo records at a twentieth of the model's step: positions alone, jittered stamps, noise of an
-ordinary encoder, three recordings to fit and two held out. Hidden are a load, and a late elbow with
-a shoulder that drags more (ur5), or dry friction and a zero that is off (xarm7). Prints what was
-hidden beside what the command says.
+MuJoCo records at a step of 0.1 ms, a twentieth of the model's: positions alone, jittered stamps,
+noise of an ordinary encoder, three recordings to fit and two held out. Hidden are a load, and a
+late elbow with a shoulder that drags more (ur5), or dry friction and a zero that is off (xarm7).
+Prints what was hidden beside what the command says.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ ROBOTS = {
 }
 
 
-def realized(robot: Supplied, out: Path, *, bare: bool) -> Path:
+def realized(robot: Supplied, out: Path, *, bare: bool, timestep: float) -> Path:
     """The supplier's URDF as MJCF with position servos; returns the file."""
     place = distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data")
     robots = Path(str(place)) / "robots"
@@ -110,7 +110,7 @@ def realized(robot: Supplied, out: Path, *, bare: bool) -> Path:
     )  # fmt: skip
     (written,) = out.glob("*.xml")
     spec = mujoco.MjSpec.from_file(str(written))
-    spec.option.timestep = STEP
+    spec.option.timestep = timestep
     for i, actuator in enumerate(spec.actuators):
         actuator.set_to_position(kp=robot.kp[i], kv=robot.kv[i])
         # The supplier's drive is bounded in effort; its command is an angle now.
@@ -192,10 +192,11 @@ def main() -> int:
     parser.add_argument("--robot", choices=sorted(ROBOTS), default="ur5")
     parser.add_argument("--bare", action="store_true", help="no dry friction in the model")
     parser.add_argument("--steps", action="store_true", help="steps of 0.1 rad in two recordings")
+    parser.add_argument("--timestep", type=float, default=STEP, help="of the model, s")
     args = parser.parse_args()
     robot, out = ROBOTS[args.robot], args.out
     out.mkdir(parents=True, exist_ok=True)
-    nominal = realized(robot, out / "model", bare=args.bare)
+    nominal = realized(robot, out / "model", bare=args.bare, timestep=args.timestep)
     model = real(robot, nominal)
     files = []
     for i, role in enumerate(ROLES):
