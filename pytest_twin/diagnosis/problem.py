@@ -370,7 +370,9 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
     effort_rate = rms([
         _slope(p.effort, s.time) for s, p in zip(segments, nominal, strict=True)
     ])  # fmt: skip
-    peak = np.max([np.nanmax(np.abs(p.effort), axis=0) for p in nominal], axis=0)
+    # Where the model as it came diverges no sample may be known.
+    given = np.concatenate([np.abs(p.effort) for p in nominal])
+    peak = np.max(np.where(np.isfinite(given), given, 0.0), axis=0)
     command = rms([_tracking_error(s) if s.mode == "position" else s.command for s in segments])
     # A speed that is asked for, where commands say one.
     mode = segments[0].mode

@@ -31,7 +31,7 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import NOISE, prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.windows import segments_of
-from pytest_twin.errors import RecordingError
+from pytest_twin.errors import RecordingError, SimulationError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 
 
@@ -433,6 +433,34 @@ def test_a_recording_that_lacks_a_joint_is_left_out_where_most_have_it(bench: Be
     assert any("one.mcap: it lacks right, which others have" in note for note in trials.notes)
     alone = bench.read(*whole, held_out=(one,))
     assert names(alone.held_out) == ["one.mcap"]
+
+
+def test_a_recording_on_which_the_model_diverges_is_left_out(tmp_path: Path) -> None:
+    """A set of gains that nobody has is no effect: the rest tells what is missing."""
+    wild = mjcf().replace("implicitfast", "Euler").replace('forcerange="-5.0 5.0"', "")
+    (tmp_path / "model.xml").write_text(wild)
+    (tmp_path / "twin.yaml").write_text(
+        "model: model.xml\ncontrollers: {usual: {}, wild: {left: {kp: 1.0e+9, kv: 0}}}\n"
+    )
+    usual = [
+        record(tmp_path / f"{k}.mcap", k, viscous=0.12, told={"controller": "usual"})
+        for k in range(2)
+    ]
+    odd = record(tmp_path / "odd.mcap", 2, told={"controller": "wild"})
+    loaded = load_model(tmp_path / "twin.yaml")
+
+    def trials(*fit: Path) -> TrialSet:
+        return read_trials(fit, usual[1:], loaded.topics, loaded.realization.structure)
+
+    found = diagnose(loaded.realization, trials(usual[0], odd))
+    assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
+    (note,) = [n for n in found.notes if n.startswith("left out: ")]
+    assert note == f"left out: {odd}: the model as it came diverges there"
+    with pytest.raises(SimulationError) as refused:
+        diagnose(loaded.realization, trials(odd))
+    assert "odd.mcap: the model as it came diverges under the recorded commands" in str(
+        refused.value
+    )
 
 
 def test_unusable_input_is_one_line_and_leaves_nothing(
