@@ -52,22 +52,24 @@ def coarse_step(
     if not hypothesis.terms:
         return []
     problem.refine_at(hypothesis)
-    of_what = {
-        joint: f"{rms / errors[joint].after:.0f} times what is left: that, and sizes, may be"
-        for joint, rms in off_by_the_step(problem, errors, _OF_IT).items()
-    }
     own = dict(zip(problem.joints, discretization(problem).tolist(), strict=True))
-    for joint in {problem.joints[t.joint]: None for t in hypothesis.terms if t.joint >= 0}:
-        if joint in errors and own[joint] > _OF_ALL * errors[joint].before:
-            of_what.setdefault(
-                joint,
-                f"and {errors[joint].before:.2g} {errors[joint].unit} were to be explained: what "
-                "was found at it may be",
-            )
+    off = off_by_the_step(problem, errors, _OF_IT)
+    found_at = {problem.joints[t.joint] for t in hypothesis.terms if t.joint >= 0}
     step = 1e3 * problem.simulator.timestep
-    return [
-        f"joint {joint!r}: with what was found the simulator's step of {step:g} ms is itself "
-        f"{own[joint]:.2g} {errors[joint].unit} off, {words} the step's; a smaller timestep of the "
-        "model says more"
-        for joint, words in of_what.items()
-    ]
+    lines = []
+    for joint, error in errors.items():
+        if joint in off:
+            words = f"{own[joint] / error.after:.0f} times what is left: that, and sizes, may be"
+        elif joint in found_at and own[joint] > _OF_ALL * error.before:
+            words = (
+                f"and {error.before:.2g} {error.unit} were to be explained: what was found at it "
+                "may be"
+            )
+        else:
+            continue
+        lines.append(
+            f"joint {joint!r}: with what was found the simulator's step of {step:g} ms is itself "
+            f"{own[joint]:.2g} {error.unit} off, {words} the step's; a smaller timestep of the "
+            "model says more"
+        )
+    return lines
