@@ -105,7 +105,7 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     came, others = off[:, 0], off[:, 1:]
     least = np.median(others, axis=0)
     best = int(np.argmin(least * [_COUNTS_CLOSER, *[1.0] * (len(least) - 1)]))
-    closer = np.median(others[:, best] <= _CLOSER * came) > 0.5
+    closer = np.mean(others[:, best] <= _CLOSER * came) > 0.5
     if came.max() < _FAILS or least[best] > _FOLLOWS or not closer:
         return None
     return list(_UNITS)[best]
