@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats import limits
@@ -38,12 +39,12 @@ class JointSeries:
 
     Attributes:
         topic: the topic.
-        names: joints, as the first message orders them; later messages are reordered to it.
+        names: joints, in the order in which messages first name them.
         stamp: (n,) ns, ``header.stamp``: the clock of whoever sent the message. Where no message
             has one it is ``log_time``, and the recording's damage says so.
         log_time: (n,) ns, the recorder's clock.
-        position: (n, j) rad or m. None where every message left it empty, NaN in the rows of
-            those that did.
+        position: (n, j) rad or m. None where every message left it empty, NaN where a message
+            left it empty or does not name the joint.
         velocity: (n, j) rad/s or m/s, likewise.
         effort: (n, j) N*m or N, likewise.
     """
@@ -90,7 +91,7 @@ def read_recording(path: Path, topics: Mapping[str, str] = TOPICS) -> Recording:
         FormatError: not an MCAP file, or one that no writer makes.
         LimitError: beyond ``limits.MCAP``.
         RecordingError: a topic of another type or encoding, no message of it that can be decoded,
-            joints that change within it, or metadata records ``trial`` that differ.
+            or metadata records ``trial`` that differ.
     """
     contents = Contents()
     readers = {topic: _TopicReader(topic, path, contents) for topic in topics.values()}
@@ -208,8 +209,7 @@ class _TopicReader:
     topic: str
     path: Path
     contents: Contents
-    names: tuple[str, ...] | None = None
-    named_at: int = 0
+    first_named: dict[str, tuple[int, int]] = field(default_factory=dict)
     order: list[Integers] = field(default_factory=list)
     log_times: list[Integers] = field(default_factory=list)
     batches: list[Batch] = field(default_factory=list)
@@ -265,18 +265,11 @@ class _TopicReader:
         self.bad_stamps += found.bad_stamp
 
     def take_names(self, names: tuple[str, ...], message: int) -> None:
-        """Keep the names of the first message; batches of one region come in any order."""
-        if self.names is not None and set(names) != set(self.names):
-            (_, first), (later, other) = sorted([(self.named_at, self.names), (message, names)])
-            raise RecordingError(
-                "joints change within the topic",
-                path=self.path,
-                where=f"{self.topic} message {later}",
-                value=", ".join(other),
-                expected=", ".join(first),
-            )
-        if self.names is None or message < self.named_at:
-            self.names, self.named_at = names, message
+        """Add joints to the topic's, with the message that names each first."""
+        for place, name in enumerate(names):
+            first = (message, place)
+            if first < self.first_named.get(name, (message + 1, 0)):
+                self.first_named[name] = first
 
     def check(self, channel: Channel) -> None:
         if channel in self.checked:
@@ -315,35 +308,52 @@ class _TopicReader:
                 f"{self.bad} of {self.seen} messages are lost, they cannot be decoded; first "
                 f"{self.first_bad}",
             )
-        if not self.batches or self.names is None:
+        if not self.batches:
             return None
+        # Messages of one region come in any order.
+        names = tuple(sorted(self.first_named, key=self.first_named.__getitem__))
+        self.refuse_wide(len(names))
         order = np.argsort(np.concatenate(self.order), kind="stable")
         log_time = np.concatenate(self.log_times)[order]
         stamp = np.concatenate([batch.stamp for batch in self.batches])[order]
         series = JointSeries(
             topic=self.topic,
-            names=self.names,
+            names=names,
             stamp=self.mend_stamps(stamp, log_time),
             log_time=log_time,
-            position=self.table("position", order),
-            velocity=self.table("velocity", order),
-            effort=self.table("effort", order),
+            position=self.table("position", names, order),
+            velocity=self.table("velocity", names, order),
+            effort=self.table("effort", names, order),
         )
+        carried = self.carried(names, order)
         for name in QUANTITIES:
-            self.note_not_finite(name, getattr(series, name))
+            self.note_not_finite(name, getattr(series, name), names, carried)
         return series
 
-    def table(self, name: str, order: Integers) -> Floats | None:
-        assert self.names is not None
+    def refuse_wide(self, joints: int) -> None:
+        """Messages of different joints make one table: it can be far larger than the file."""
+        rows = sum(len(batch.rows) for batch in self.batches)
+        if rows * joints > limits.MCAP.samples_count:
+            raise LimitError(
+                f"too many samples: {rows} messages that name {joints} joints between them",
+                path=self.path,
+                where=self.topic,
+                expected=f"at most {limits.MCAP.samples_count}",
+            )
+
+    def table(self, name: str, names: tuple[str, ...], order: Integers) -> Floats | None:
+        """(n, j) of one quantity; NaN where a message does not carry a joint."""
         if all(batch.values[name] is None for batch in self.batches):
             return None
+        column = {joint: at for at, joint in enumerate(names)}
         parts = []
         for batch in self.batches:
             values = batch.values[name]
-            if values is None:
-                values = np.full((len(batch.rows), len(self.names)), np.nan)
-            elif batch.names != self.names:
-                values = values[:, [batch.names.index(joint) for joint in self.names]]
+            if values is None or batch.names != names:
+                whole = np.full((len(batch.rows), len(names)), np.nan)
+                if values is not None:
+                    whole[:, [column[joint] for joint in batch.names]] = values
+                values = whole
             parts.append(values)
         table = np.concatenate(parts)
         in_order = bool((np.diff(order) == 1).all())
@@ -369,18 +379,32 @@ class _TopicReader:
                 notes.add(self.topic, f"{int(bad.sum())} stamps {what}, first message {at}")
         return stamp
 
-    def note_not_finite(self, name: str, table: Floats | None) -> None:
+    def carried(self, names: tuple[str, ...], order: Integers) -> NDArray[np.bool_]:
+        """(n, j) which joints each message names."""
+        parts = []
+        for batch in self.batches:
+            named = set(batch.names)
+            parts.append(np.tile([joint in named for joint in names], (len(batch.rows), 1)))
+        table: NDArray[np.bool_] = np.concatenate(parts)[order]
+        return table
+
+    def note_not_finite(
+        self,
+        name: str,
+        table: Floats | None,
+        names: tuple[str, ...],
+        carried: NDArray[np.bool_],
+    ) -> None:
         if table is None:
             return
-        bad = ~np.isfinite(table)
+        bad = carried & ~np.isfinite(table)
         if not bad.any():
             return
         # A whole row of NaN is how an empty field reads.
         empty = np.isnan(table).all(axis=1)
         odd = np.flatnonzero(bad.any(axis=1) & ~empty)
-        assert self.names is not None
         if odd.size:
-            joint = self.names[int(np.flatnonzero(bad[odd[0]])[0])]
+            joint = names[int(np.flatnonzero(bad[odd[0]])[0])]
             self.contents.notes.add(
                 self.topic,
                 f"{name} is not finite in {odd.size} messages, first message {int(odd[0])}, "

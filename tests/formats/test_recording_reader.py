@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from mcap_files import BARE, SCHEMA, START, Message, mcap, put, sines
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
-from pytest_twin.errors import PathError, RecordingError
+from pytest_twin.errors import LimitError, PathError, RecordingError
+from pytest_twin.formats import limits
 from pytest_twin.formats.joint_state import SCHEMA_TEXT
 from pytest_twin.formats.mcap import JointSeries, Recording, read_recording, write_recording
 
@@ -186,12 +188,31 @@ def test_trial_metadata_is_read(tmp_path: Path) -> None:
     assert read_recording(put(tmp_path, data)).metadata == {"role": "fit", "payload": "kg05"}
 
 
-def test_joints_that_change_are_an_error(tmp_path: Path) -> None:
-    messages = [*sines(3), Message(START + 10**9, ("shoulder", "wrist"), (1.0, 2.0))]
-    with pytest.raises(RecordingError, match="joints change within the topic") as caught:
+def test_messages_of_different_joints_make_one_table(tmp_path: Path) -> None:
+    messages = [
+        Message(START, ("shoulder", "elbow"), (1.0, 2.0)),
+        Message(START + 10, ("gripper",), (0.1,)),
+        Message(START + 20, ("elbow", "shoulder"), (3.0, 4.0)),
+        Message(START + 30, ("wrist", "elbow"), (5.0, 6.0)),
+    ]
+    recording = read_recording(put(tmp_path, mcap(messages)))
+    found = recording.series["state"]
+    assert found.names == ("shoulder", "elbow", "gripper", "wrist")
+    assert found.stamp.tolist() == [START, START + 10, START + 20, START + 30]
+    nan = np.nan
+    expected = [[1, 2, nan, nan], [nan, nan, 0.1, nan], [4, 3, nan, nan], [nan, 6, nan, 5]]
+    assert found.position is not None
+    assert np.array_equal(found.position, expected, equal_nan=True)
+    assert recording.damage == ()
+
+
+def test_a_joint_in_every_message_of_its_own_cannot_make_a_table_of_any_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "MCAP", replace(limits.MCAP, samples_count=100))
+    messages = [Message(START + k, (f"joint{k}",), (1.0,)) for k in range(11)]
+    with pytest.raises(LimitError, match="11 messages that name 11 joints between them"):
         read_recording(put(tmp_path, mcap(messages)))
-    assert caught.value.where == "/joint_states message 3"
-    assert "got 'shoulder, wrist'; expected shoulder, elbow" in str(caught.value)
 
 
 @pytest.mark.parametrize(
