@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
-from pytest_twin.formats.mcap import JointSeries, Recording
+from pytest_twin.formats.recording import JointSeries, Recording
 
 CommandMode = Literal["position", "velocity", "effort"]
 MarkKind = Literal[

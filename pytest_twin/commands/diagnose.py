@@ -12,7 +12,7 @@ from typing import Any
 from pytest_twin.commands.replay import find_model, parse_topics
 from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats import atomic
-from pytest_twin.formats.mcap import TOPICS
+from pytest_twin.formats.recording import TOPICS
 from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.each_minute import EachMinute

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
-from pytest_twin.formats.mcap import TOPICS, JointSeries, read_recording, write_recording
+from pytest_twin.formats.mcap import read_recording, write_recording
+from pytest_twin.formats.recording import TOPICS, JointSeries
 from pytest_twin.metrics.residual import residual
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.trial import Trial, make_trial

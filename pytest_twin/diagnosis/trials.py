@@ -10,7 +10,8 @@ import numpy as np
 
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError, TwinError
-from pytest_twin.formats.mcap import Recording, read_recording
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.formats.recording import Recording
 from pytest_twin.trial import Trial, make_trial
 
 # Of this many whole recordings one is held out where nobody says which.

@@ -24,55 +24,18 @@ from pytest_twin.formats.joint_state import (
     decode_json,
     encode_cdr,
 )
-from pytest_twin.formats.mcap_walk import Channel, Contents, Damage, Region, walk
+from pytest_twin.formats.mcap_walk import Channel, Contents, Region, walk
 from pytest_twin.formats.paths import open_regular
+from pytest_twin.formats.recording import TOPICS, Damage, JointSeries, Recording
 
-__all__ = ["Damage", "JointSeries", "Recording", "read_recording", "write_recording"]
-
-TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
-"""Role -> topic, where neither ``twin.yaml`` nor ``--topics`` says otherwise."""
-
-
-@dataclass(frozen=True)
-class JointSeries:
-    """All JointState messages of one topic, in the order of the file.
-
-    Attributes:
-        topic: the topic.
-        names: joints, in the order in which messages first name them.
-        stamp: (n,) ns, ``header.stamp``: the clock of whoever sent the message. Where no message
-            has one it is ``log_time``, and the recording's damage says so.
-        log_time: (n,) ns, the recorder's clock.
-        position: (n, j) rad or m. None where every message left it empty, NaN where a message
-            left it empty or does not name the joint.
-        velocity: (n, j) rad/s or m/s, likewise.
-        effort: (n, j) N*m or N, likewise.
-    """
-
-    topic: str
-    names: tuple[str, ...]
-    stamp: Integers
-    log_time: Integers
-    position: Floats | None
-    velocity: Floats | None
-    effort: Floats | None
-
-
-@dataclass(frozen=True)
-class Recording:
-    """What one MCAP file holds of a robot's motion.
-
-    Attributes:
-        path: the file.
-        series: role (``state``, ``command``) -> its messages; roles without messages are left out.
-        metadata: the metadata record ``trial``; empty where there is none.
-        damage: what is wrong with the file or the times; empty for a sound one.
-    """
-
-    path: Path
-    series: Mapping[str, JointSeries]
-    metadata: Mapping[str, str]
-    damage: tuple[Damage, ...]
+__all__ = [
+    "TOPICS",
+    "Damage",
+    "JointSeries",
+    "Recording",
+    "read_recording",
+    "write_recording",
+]
 
 
 def read_recording(path: Path, topics: Mapping[str, str] = TOPICS) -> Recording:

@@ -19,6 +19,7 @@ import numpy as np
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.joint_state import Integers
+from pytest_twin.formats.recording import Notes
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -29,7 +30,6 @@ SUMMARY_OFFSET, DATA_END = 14, 15
 _RECORD = struct.Struct("<BQ")
 _MESSAGE_BYTES = 22
 _BLOCK_BYTES = 4 * 2**20
-_NOTES = 40
 _MESSAGE_HEAD = np.dtype(
     {
         "names": ["size", "channel", "log_time"],
@@ -38,43 +38,6 @@ _MESSAGE_HEAD = np.dtype(
         "itemsize": 9 + _MESSAGE_BYTES,
     }
 )
-
-
-@dataclass(frozen=True)
-class Damage:
-    """Something that is wrong with a recording, so that what was read is not all that was sent.
-
-    Attributes:
-        place: where: a byte offset in the file, a chunk, a topic's message.
-        lost: what is missing or doubtful.
-    """
-
-    place: str
-    lost: str
-
-    def __str__(self) -> str:
-        return f"{self.place}: {self.lost}"
-
-
-class Notes:
-    """Damage as it is found; a bounded list, the rest is counted."""
-
-    def __init__(self) -> None:
-        self._found: list[Damage] = []
-        self._more = 0
-
-    def add(self, place: str, lost: str) -> None:
-        """Note one damage."""
-        if len(self._found) < _NOTES:
-            self._found.append(Damage(place, lost))
-        else:
-            self._more += 1
-
-    def all(self) -> tuple[Damage, ...]:
-        """All notes; the last says how many were left out."""
-        if not self._more:
-            return tuple(self._found)
-        return (*self._found, Damage("further on", f"{self._more} more places like these"))
 
 
 @dataclass(frozen=True)

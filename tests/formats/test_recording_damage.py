@@ -30,7 +30,8 @@ from mcap_files import (
 )
 
 from pytest_twin.errors import FormatError, LimitError, RecordingError, TwinError
-from pytest_twin.formats import limits, mcap_walk
+from pytest_twin.formats import limits
+from pytest_twin.formats import recording as recording_types
 from pytest_twin.formats.mcap import Recording, read_recording
 
 ONE, TWO = (message_record(message) for message in sines(3)[1:])
@@ -260,7 +261,7 @@ def test_sizes_need_not_stand_in_the_frame(tmp_path: Path) -> None:
 
 def test_notes_are_bounded(tmp_path: Path) -> None:
     recording = read(tmp_path, HEADER + record(200, b"") * 1000 + DECLARED + ONE + END)
-    assert len(recording.damage) == mcap_walk._NOTES + 1
+    assert len(recording.damage) == recording_types._NOTES + 1
     assert str(recording.damage[-1]) == "further on: 960 more places like these"
 
 

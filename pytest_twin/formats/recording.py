@@ -1,0 +1,93 @@
+"""What a recording is once it is read, whatever file it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pytest_twin.formats.joint_state import Floats, Integers
+
+_NOTES = 40
+
+TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
+"""Role -> topic, where neither ``twin.yaml`` nor ``--topics`` says otherwise."""
+
+
+@dataclass(frozen=True)
+class JointSeries:
+    """All JointState messages of one topic, in the order of the file.
+
+    Attributes:
+        topic: the topic.
+        names: joints, in the order in which messages first name them.
+        stamp: (n,) ns, ``header.stamp``: the clock of whoever sent the message. Where no message
+            has one it is ``log_time``, and the recording's damage says so.
+        log_time: (n,) ns, the recorder's clock.
+        position: (n, j) rad or m. None where every message left it empty, NaN where a message
+            left it empty or does not name the joint.
+        velocity: (n, j) rad/s or m/s, likewise.
+        effort: (n, j) N*m or N, likewise.
+    """
+
+    topic: str
+    names: tuple[str, ...]
+    stamp: Integers
+    log_time: Integers
+    position: Floats | None
+    velocity: Floats | None
+    effort: Floats | None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What one recording holds of a robot's motion.
+
+    Attributes:
+        path: the file.
+        series: role (``state``, ``command``) -> its messages; roles without messages are left out.
+        metadata: the metadata record ``trial``; empty where there is none.
+        damage: what is wrong with the file or the times; empty for a sound one.
+    """
+
+    path: Path
+    series: Mapping[str, JointSeries]
+    metadata: Mapping[str, str]
+    damage: tuple[Damage, ...]
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Something that is wrong with a recording, so that what was read is not all that was sent.
+
+    Attributes:
+        place: where: a byte offset in the file, a chunk, a topic's message.
+        lost: what is missing or doubtful.
+    """
+
+    place: str
+    lost: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.lost}"
+
+
+class Notes:
+    """Damage as it is found; a bounded list, the rest is counted."""
+
+    def __init__(self) -> None:
+        self._found: list[Damage] = []
+        self._more = 0
+
+    def add(self, place: str, lost: str) -> None:
+        """Note one damage."""
+        if len(self._found) < _NOTES:
+            self._found.append(Damage(place, lost))
+        else:
+            self._more += 1
+
+    def all(self) -> tuple[Damage, ...]:
+        """All notes; the last says how many were left out."""
+        if not self._more:
+            return tuple(self._found)
+        return (*self._found, Damage("further on", f"{self._more} more places like these"))
