@@ -9,6 +9,8 @@ import sys
 from collections.abc import Sequence
 
 from pytest_twin import __version__
+from pytest_twin.commands import json_output, terminal
+from pytest_twin.commands.help import UNUSABLE_INPUT, Parser, did_you_mean, epilog, options_of
 from pytest_twin.errors import TwinError
 
 COMMANDS: tuple[str, ...] = (
@@ -20,39 +22,76 @@ COMMANDS: tuple[str, ...] = (
     "diagnose",
     "effects",
     "verify",
+    "completion",
 )
-UNUSABLE_INPUT = 2
 READER_GONE = 141
+INTERRUPTED = 130
+_PROGRAM = "pytest-twin"
+
+
+def parser(commands: Sequence[str] = COMMANDS) -> Parser:
+    """The command line's parser, with the named commands."""
+    main_parser = Parser(
+        prog=_PROGRAM,
+        description="Test a robot's digital twin, sign what passes, and name the physics that it "
+        "lacks.",
+        epilog=f"{_PROGRAM} COMMAND --help shows the options, an example and the exit statuses.\n"
+        "The gate itself runs in pytest: pytest --twin-release, pytest --help (group twin).",
+    )
+    main_parser.add_argument("--version", action="version", version=f"{_PROGRAM} {__version__}")
+    subparsers = main_parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name in commands:
+        module = importlib.import_module(f"pytest_twin.commands.{name}")
+        command = subparsers.add_parser(
+            name,
+            help=module.HELP,
+            description=f"{module.HELP[0].upper()}{module.HELP[1:]}.",
+            epilog=epilog(module.EXAMPLES, module.EXIT_STATUS),
+        )
+        module.add_arguments(command)
+        if getattr(module, "JSON", True):
+            json_output.add_argument(command)
+        command.set_defaults(run=module.run, parser=command, every_command=parser)
+    return main_parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit status, or 2 with one line on standard error."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    parser = argparse.ArgumentParser(
-        prog="pytest-twin", description="Keep a robot's digital twin trustworthy."
-    )
-    parser.add_argument("--version", action="version", version=f"pytest-twin {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    # The imports of all take longer than some commands do.
-    for name in words[:1] if words and words[0] in COMMANDS else COMMANDS:
-        module = importlib.import_module(f"pytest_twin.commands.{name}")
-        command = commands.add_parser(name, help=module.HELP, description=module.HELP)
-        module.add_arguments(command)
-        command.set_defaults(run=module.run)
-    args = parser.parse_args(words)
+    args = _parsed(words)
     try:
-        status: int = args.run(args)
+        with json_output.text_stream(args):
+            status: int = args.run(args)
+        json_output.write(args)
     except TwinError as error:
-        print(f"pytest-twin {args.command}: {error}", file=sys.stderr)
+        terminal.show_error(f"{_PROGRAM} {args.command}", str(error))
         return UNUSABLE_INPUT
     except BrokenPipeError:
-        # Whoever read the output has gone (`| head`): what was to be written stands in its files.
+        # Whoever read the output has gone (`| head`); the files are written.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return READER_GONE
     except KeyboardInterrupt:
-        print(f"pytest-twin {args.command}: interrupted; nothing was half written", file=sys.stderr)
-        return 130
+        terminal.show_error(f"{_PROGRAM} {args.command}", "interrupted; no file is half written")
+        return INTERRUPTED
     return status
+
+
+def _parsed(words: list[str]) -> argparse.Namespace:
+    first = words[0] if words else ""
+    if first and not first.startswith("-") and first not in COMMANDS:
+        Parser(prog=_PROGRAM).error(
+            f"there is no command {first!r}{did_you_mean(first, COMMANDS)} "
+            f"(commands: {', '.join(COMMANDS)})"
+        )
+    # The imports of all commands take longer than some commands do.
+    args, unknown = parser(words[:1] if first in COMMANDS else COMMANDS).parse_known_args(words)
+    if unknown:
+        word = unknown[0]
+        args.parser.error(
+            f"there is no option or argument {word!r}"
+            + did_you_mean(word.split("=")[0], options_of(args.parser))
+        )
+    return args
 
 
 if __name__ == "__main__":

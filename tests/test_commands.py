@@ -1,14 +1,20 @@
-"""The door of ``pytest-twin``: every command is listed, one that is named is alone loaded."""
+"""The door of ``pytest-twin``: help, errors in one line, and a command's result as JSON."""
 
 from __future__ import annotations
 
+import importlib
+import json
+import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from pytest_twin import cli
 
+GOLDEN = Path(__file__).parents[1] / "golden"
 LOADED = """
 import sys
 from pytest_twin import cli
@@ -26,18 +32,90 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         cli.main(["--help"])
     assert end.value.code == 0
     said = capsys.readouterr().out
-    assert all(f"    {name} " in said for name in cli.COMMANDS)
+    assert all(re.search(rf"^    {name}\s", said, re.MULTILINE) for name in cli.COMMANDS)
 
 
-def test_what_is_no_command_is_answered_with_those_there_are(
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_help_of_a_command_has_its_purpose_an_example_and_each_exit_status(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main([name, "--help"])
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    module = importlib.import_module(f"pytest_twin.commands.{name}")
+    assert re.search(rf"^examples?:\n(  .*\n)*  .*pytest-twin {name} ", said, re.MULTILINE)
+    statuses = re.findall(r"^  (\d)  \w", said[said.index("exit status:") :], re.MULTILINE)
+    assert statuses == [str(status) for status in sorted({*module.EXIT_STATUS, 2})]
+    assert "." not in module.HELP.removesuffix(".").replace(".yaml", "")
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_the_options_of_an_example_exist(name: str) -> None:
+    """An example that the parser refuses teaches a reader to distrust all of them."""
+    module = importlib.import_module(f"pytest_twin.commands.{name}")
+    for line in module.EXAMPLES:
+        found = re.search(rf"pytest-twin {name} [^|>#)\"]*", line)
+        if found is None:
+            continue
+        words = found[0].replace("'", "").split()[1:]
+        args, unknown = cli.parser((name,)).parse_known_args(words)
+        assert args.command == name
+        assert [word for word in unknown if word.startswith("-")] == []
+
+
+def test_a_misspelled_command_is_answered_with_the_one_that_was_meant(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(["diagnoze"])
     assert end.value.code == 2
-    said = capsys.readouterr().err
-    assert "diagnoze" in said
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(
+        "pytest-twin: there is no command 'diagnoze'; did you mean 'diagnose'? (commands: init, "
+    )
     assert all(name in said for name in cli.COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            ["audit", "arm.urdf", "--evidnce", "notes.yaml"],
+            "pytest-twin audit: there is no option or argument '--evidnce'; did you mean "
+            "'--evidence'?; see pytest-twin audit --help",
+        ),
+        (
+            ["replay", "model.xml"],
+            "pytest-twin replay: the following arguments are required: RECORDING, --out; "
+            "see pytest-twin replay --help",
+        ),
+        (
+            ["completion", "csh"],
+            "pytest-twin completion: argument SHELL: invalid choice: 'csh' (choose from 'bash', "
+            "'zsh', 'fish'); see pytest-twin completion --help",
+        ),
+        (
+            ["audit", "--json", "arm.urdf"],
+            "pytest-twin audit: argument --json: 'arm.urdf' is no name for a JSON file (expected "
+            "FILE.json, or - for standard output); see pytest-twin audit --help",
+        ),
+    ],
+)
+def test_a_wrong_command_line_is_answered_in_one_line(
+    words: list[str], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(words)
+    assert end.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    said = err.splitlines()
+    if sys.version_info >= (3, 12):
+        said = [
+            re.sub(r"choose from bash, zsh, fish", "choose from 'bash', 'zsh', 'fish'", said[0])
+        ]
+    assert said == [line]
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
@@ -48,3 +126,81 @@ def test_a_command_loads_no_other_but_what_it_builds_on(name: str) -> None:
     )
     loaded = set(run.stdout.splitlines()[-1].split())
     assert loaded == {name, *(["replay"] if name == "diagnose" else [])}
+
+
+JSON_COMMANDS = {
+    "init": (["{golden}/arm.xml", "--out", "twin"], "goldens"),
+    "intake": (["{golden}", "--out", "arm"], "states"),
+    "audit": (["{golden}/arm.urdf"], "counts"),
+    "realize": (["{golden}/arm.urdf", "--out", "arm"], "manifest"),
+    "replay": (
+        ["{golden}/twin.yaml", "{golden}/recordings/moves.mcap", "--out", "predicted.mcap"],
+        "joints",
+    ),
+    "effects": ([], "viscous_friction"),
+}
+"""What each command is called with, and a field of its result; ``diagnose`` and ``verify`` have
+tests of their own beside the others of the command."""
+
+
+def test_every_command_that_writes_json_is_tested() -> None:
+    assert {*JSON_COMMANDS, "diagnose", "verify", "completion"} == set(cli.COMMANDS)
+
+
+@pytest.mark.parametrize("name", JSON_COMMANDS)
+def test_json_alone_is_on_standard_output_and_the_text_on_standard_error(
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words, field = JSON_COMMANDS[name]
+    words = [word.format(golden=GOLDEN) for word in words]
+    assert cli.main([name, *words, "--json", "-"]) in (0, 1)
+    out, err = capsys.readouterr()
+    assert field in json.loads(out)
+    assert len(err.splitlines()) > 1
+
+
+def test_json_in_a_file_leaves_the_text_on_standard_output(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["audit", str(GOLDEN / "arm.urdf"), "--json", "found.json"]) in (0, 1)
+    out, err = capsys.readouterr()
+    assert "report: arm.urdf.audit.html" in out
+    assert err == ""
+    assert json.loads(Path("found.json").read_text()) == json.loads(
+        Path("arm.urdf.audit.json").read_text()
+    )
+
+
+def test_unusable_input_writes_no_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["audit", "missing.urdf", "--json", "-"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_every_command_and_option(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(name in script for name in cli.COMMANDS)
+    assert "held-out" in script
+    if shutil.which(shell):
+        subprocess.run([shell, "-n"], input=script, text=True, check=True)
+
+
+def test_completion_without_its_package_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert cli.main(["completion", "bash"]) == 2
+    assert capsys.readouterr().err == (
+        "pytest-twin completion: shell completion needs the package shtab "
+        "(expected pip install 'pytest-twin[completion]')\n"
+    )

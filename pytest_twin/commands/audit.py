@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
-from pytest_twin.commands import folders, packages
+from pytest_twin.commands import folders, json_output, packages
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.audit import render, table
 
-HELP = "audit a URDF, MJCF or USD file, layer by layer: what is wrong, doubtful, or unknown"
+HELP = "check a robot's URDF, MJCF or USD file and list what is wrong, doubtful or unknown in it"
+EXAMPLES = (
+    "pytest-twin audit arm.urdf",
+    "pytest-twin audit arm.urdf --package arm_description=../arm_description --json - | jq .counts",
+)
+EXIT_STATUS = {0: "no critical finding", 1: "at least one critical finding"}
 CLEAN, CRITICAL = 0, 1
 
 
@@ -52,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         raise TwinError("no such file", path=asset, expected="a URDF, MJCF or USD file")
     if not asset.is_file():
         raise TwinError("no file", path=asset, expected="a URDF, MJCF or USD file")
-    with Sandbox() as sandbox:
+    with Sandbox() as sandbox, Progress("auditing") as progress:
         found = sandbox.call(
             "pytest_twin.audit.run:audit_file",
             {
@@ -60,19 +66,14 @@ def run(args: argparse.Namespace) -> int:
                 "packages": packages.parse(args.package),
                 "evidence_path": None if args.evidence is None else str(args.evidence.resolve()),
             },
-            progress=_say_progress,
+            progress=progress,
         )
     renders = found.pop("renders", [])
     folders.make(out)
     name = f"{asset.name}.audit"
     atomic.write_text(out / f"{name}.json", json.dumps(found, indent=2) + "\n")
     atomic.write_text(out / f"{name}.html", render(found, renders))
-    print(table(found, every=args.all))
-    print(f"report: {out / name}.html, {out / name}.json")
+    json_output.give(args, found)
+    show(table(found, every=args.all))
+    show(f"report: {out / name}.html, {out / name}.json")
     return CRITICAL if found["counts"]["critical"] else CLEAN
-
-
-def _say_progress(fraction: float) -> None:
-    if sys.stderr.isatty():
-        end = "\n" if fraction >= 1.0 else ""
-        print(f"\rauditing {100 * fraction:3.0f} %", end=end, file=sys.stderr, flush=True)

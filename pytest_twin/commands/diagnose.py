@@ -3,26 +3,45 @@
 from __future__ import annotations
 
 import argparse
-import sys
+import json
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.commands import json_output
+from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.replay import find_model, parse_topics
+from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.report.each_minute import EachMinute
 from pytest_twin.report.text import printable
 
 HELP = (
-    "say which physics a model lacks: locate, name, fit, and show the gain on held-out recordings"
+    "name the physics that a model lacks, fit it, and show the error that is gone on held-out "
+    "recordings"
 )
+EXAMPLES = (
+    "pytest-twin diagnose twin.yaml moves.mcap sines.mcap --held-out check.mcap --out diagnosis",
+    "pytest-twin replay diagnosis check.mcap --out predicted.mcap",
+)
+EXIT_STATUS = {
+    0: "nothing is left unexplained",
+    1: "a mismatch is left that no known effect explains",
+}
 EXPLAINED, LEFT_OVER = 0, 1
 _SECONDS = 4 * 3600.0
+# As diagnosis.diagnose and gate.diagnosis_folder report the fraction done.
+_STAGES = (
+    (0.0, "reading the recordings"),
+    (0.02, "measuring the noise floor"),
+    (0.06, "searching for effects"),
+    (0.9, "computing confidence intervals"),
+    (0.94, "writing the report"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,9 +94,11 @@ def run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
         staging = Path(scratch) / "diagnosis"
         staging.mkdir()
-        line = _ProgressLine()
-        # The simulator writes its log into the working folder: into one that goes.
-        with Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox:
+        # The simulator writes its log into the working folder, so that is one that goes.
+        with (
+            Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox,
+            Progress("diagnosing", _STAGES) as progress,
+        ):
             summary = sandbox.call(
                 "pytest_twin.commands.diagnose:diagnose_files",
                 {
@@ -87,12 +108,12 @@ def run(args: argparse.Namespace) -> int:
                     "out": str(staging),
                     "topics": args.topics,
                 },
-                progress=line.show,
+                progress=progress,
             )
-        line.close()
         atomic.replace_directory(staging, out)
-    print("\n".join(_printed(text) for text in summary["words"]))
-    print(f"{args.out / REPORT_FILE}")
+    json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
+    show("\n".join(printable(text) for text in summary["words"]))
+    show(f"report: {args.out / REPORT_FILE}")
     return EXPLAINED if summary["verdict"] in ("no_mismatch", "explained") else LEFT_OVER
 
 
@@ -130,25 +151,6 @@ def diagnose_files(
     )
 
 
-class _ProgressLine:
-    """The fraction done, rewritten on a terminal; elsewhere, in a log, a line each minute."""
-
-    def __init__(self) -> None:
-        self.shown = False
-        self.log = EachMinute("diagnosing")
-
-    def show(self, fraction: float) -> None:
-        if sys.stderr.isatty():
-            print(f"\rdiagnosing {100 * fraction:3.0f} %", end="", file=sys.stderr, flush=True)
-            self.shown = True
-        elif (line := self.log.line(fraction)) is not None:
-            print(line, file=sys.stderr, flush=True)
-
-    def close(self) -> None:
-        if self.shown:
-            print("\r" + " " * 24 + "\r", end="", file=sys.stderr, flush=True)
-
-
 def _check_out(out: Path) -> None:
     if not out.parent.is_dir():
         raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
@@ -160,11 +162,6 @@ def _check_out(out: Path) -> None:
             path=out,
             expected="a new folder, or that of an earlier diagnosis",
         )
-
-
-def _printed(text: str) -> str:
-    # Names come from files and may carry terminal escapes.
-    return printable(text)
 
 
 __all__ = ["HELP", "add_arguments", "diagnose_files", "run"]

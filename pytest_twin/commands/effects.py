@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 
+from pytest_twin.commands import json_output
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.card import cards
+from pytest_twin.effects.card import as_json, cards
 
-HELP = "list what a diagnosis can name: laws, parameters, bounds, and what each is confused with"
+HELP = "list the physical effects that a diagnosis can name, with laws, parameters and sources"
+EXAMPLES = ("pytest-twin effects | less", "pytest-twin effects --json - | jq 'keys'")
+EXIT_STATUS = {0: "the catalogue is printed"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,5 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the catalogue as Markdown; always 0."""
-    sys.stdout.write(cards(catalogue()))
+    effects = catalogue()
+    json_output.give(args, as_json(effects))
+    sys.stdout.write(cards(effects))
     return 0

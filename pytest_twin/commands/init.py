@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import sys
 from pathlib import Path
 
-from pytest_twin.commands import folders
+from pytest_twin.commands import folders, json_output
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.gate.gate import Gate
@@ -17,7 +18,9 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.setup import writing
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
 
-HELP = "write a working twin around a URDF or MJCF file: twin.yaml and first golden specs, recorded"
+HELP = "set up a twin for a robot's URDF or MJCF file: twin.yaml and recorded golden specs"
+EXAMPLES = ("pytest-twin init arm.urdf", "pytest-twin init vendor/arm.xml --out arm_twin")
+EXIT_STATUS = {0: "the twin stands and its goldens are recorded"}
 DONE = 0
 
 
@@ -49,11 +52,11 @@ def run(args: argparse.Namespace) -> int:
     if (folder / FILE_NAME).exists():
         raise SpecError("there is a twin already", path=folder / FILE_NAME, expected="a new folder")
     with writing.all_or_nothing(folder):
-        return _set_up(robot, folder)
+        return _set_up(robot, folder, args)
 
 
-def _set_up(robot: Path, folder: Path) -> int:
-    with Sandbox(cwd=None) as sandbox:
+def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
+    with Sandbox(cwd=None) as sandbox, Progress("reading the robot") as progress:
         seen = sandbox.call("pytest_twin.setup.inspection:look", {"model": str(robot)})
         folders.make(folder)
         files = [Path(path) for path in seen["files"]]
@@ -68,13 +71,14 @@ def _set_up(robot: Path, folder: Path) -> int:
         )
         writing.write_schemas(folder)
         writing.ignore_scratch(folder)
+        progress.begin("choosing goldens")
         found = sandbox.call(
             "pytest_twin.setup.inspection:first_specs",
             {"twin": str(twin_file)},
-            progress=lambda fraction: _say_progress("looking", fraction),
+            progress=progress,
         )
     for note in seen["notes"]:
-        print(f"note: {note}")
+        show(f"note: {note}")
     specs = [writing.write_spec(folder, spec) for spec in found["specs"]]
     recorded, failing, left_out = _record(twin_file, specs)
     summary = {
@@ -85,16 +89,17 @@ def _set_up(robot: Path, folder: Path) -> int:
         "nothing_to_propose": found["none"],
         "notes": seen["notes"],
     }
+    json_output.give(args, summary)
     atomic.write_text(folder / ".twin" / "init.json", json.dumps(summary, indent=2) + "\n")
     kinds = sorted({Path(golden).parts[1] for golden in recorded})
-    print(f"{twin_file}: {len(recorded)} goldens of {len(kinds)} kinds: {', '.join(kinds)}")
+    show(f"{twin_file}: {len(recorded)} goldens of {len(kinds)} kinds: {', '.join(kinds)}")
     if found["none"]:
-        print(f"nothing to propose for: {', '.join(found['none'])}")
+        show(f"nothing to propose for: {', '.join(found['none'])}")
     for where, why in summary["left_out"].items():
-        print(f"left out: {where}: {why}")
+        show(f"left out: {where}: {why}")
     for where, why in failing.items():
-        print(f"FAILS as it stands: {where}: {why}")
-    print("next: pytest --twin-release")
+        show(f"FAILS as it stands: {where}: {why}")
+    show("next: pytest --twin-release")
     return DONE
 
 
@@ -103,10 +108,10 @@ def _record(twin_file: Path, specs: list[Path]) -> tuple[list[str], dict[str, st
     recorded: list[str] = []
     failing: dict[str, str] = {}
     left_out: dict[str, str] = {}
-    with Runner() as runner:
+    with Runner() as runner, Progress("recording goldens") as progress:
         gate = Gate(twin_file, runner)
         for done, path in enumerate(specs):
-            _say_progress("recording", done / max(len(specs), 1))
+            progress(done / len(specs))
             try:
                 golden = gate.golden(path)
                 outcome, _ = gate.record(golden, None)
@@ -125,11 +130,4 @@ def _record(twin_file: Path, specs: list[Path]) -> tuple[list[str], dict[str, st
                     f"{worst.name} of {worst.subject}: {worst.error:.3g} {worst.unit}, "
                     f"tolerance {worst.tolerance:.3g} {worst.unit}"
                 )
-    _say_progress("recording", 1.0)
     return recorded, failing, left_out
-
-
-def _say_progress(what: str, fraction: float) -> None:
-    if sys.stderr.isatty():
-        end = "\n" if fraction >= 1.0 else ""
-        print(f"\r{what} {100 * fraction:3.0f} %", end=end, file=sys.stderr, flush=True)

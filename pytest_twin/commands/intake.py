@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import json
 import shutil
 import tempfile
 from pathlib import Path
 
 from pytest_twin.asset import evidence, manifest
 from pytest_twin.asset.manifest import Manifest, State
-from pytest_twin.commands import folders
+from pytest_twin.commands import folders, json_output
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show
 from pytest_twin.errors import FormatError, PathError, SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.sandbox import Sandbox
 
-HELP = "freeze a supplier's archive or folder: a digest of every file, and what evidence came"
+HELP = "copy a supplier's archive or folder unchanged, with a digest of every file"
+EXAMPLES = ("pytest-twin intake arm_v3.zip --out arm --supplier 'Arms Ltd'",)
+EXIT_STATUS = {0: "the files are kept and the manifest is written"}
 DONE = 0
 SOURCE = manifest.SOURCE_FOLDER
 _MEMORY_BYTES = 2 * 2**30
@@ -61,7 +66,10 @@ def run(args: argparse.Namespace) -> int:
     folders.make(out)
     staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
     try:
-        with Sandbox(memory_bytes=_MEMORY_BYTES, seconds=_SECONDS) as sandbox:
+        with (
+            Sandbox(memory_bytes=_MEMORY_BYTES, seconds=_SECONDS) as sandbox,
+            Progress("unpacking"),
+        ):
             names = sandbox.call(
                 "pytest_twin.asset.unpack:unpack",
                 {"origin": str(origin.resolve()), "folder": str(staging)},
@@ -86,7 +94,9 @@ def run(args: argparse.Namespace) -> int:
     }
     files = {f"{SOURCE}/{file}": file_sha256(out / SOURCE / file) for file in names}
     state = State(files, facts)
-    manifest.write(out / manifest.FILE_NAME, Manifest(name, {"source": state}))
+    written = Manifest(name, {"source": state})
+    manifest.write(out / manifest.FILE_NAME, written)
+    json_output.give(args, json.loads(written.to_text()))
     _tell(out, found, lacking, state)
     return DONE
 
@@ -101,12 +111,12 @@ def _date(text: str | None) -> str:
 
 
 def _tell(out: Path, found: dict[str, list[str]], lacking: list[str], state: State) -> None:
-    print(f"{out / SOURCE}: {len(state.files)} files frozen, {state.digest[:16]}")
+    show(f"{out / SOURCE}: {len(state.files)} files frozen, {state.digest[:16]}")
     for kind, files in found.items():
         shown = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
-        print(f"  {kind}: {len(files)}: {shown}")
+        show(f"  {kind}: {len(files)}: {shown}")
     for kind in lacking:
-        print(f"  missing: {kind}")
+        show(f"  missing: {kind}")
     for file in found.get("model", ()):
         if file.endswith(".urdf"):
-            print(f"next: pytest-twin realize {out / SOURCE / file} --out {out}")
+            show(f"next: pytest-twin realize {out / SOURCE / file} --out {out}")

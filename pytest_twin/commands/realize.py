@@ -6,18 +6,27 @@ import argparse
 import json
 import re
 import shutil
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.asset.placing import frozen_source, put_in_place
-from pytest_twin.commands import folders, packages
+from pytest_twin.commands import folders, json_output, packages
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.realization.sandbox import Sandbox
 
-HELP = "write a URDF's normalized form, MJCF and USD, with digests and the semantic-loss matrix"
+HELP = "convert a URDF to a normalized URDF, MJCF and USD, and list what each conversion loses"
+EXAMPLES = (
+    "pytest-twin realize arm.urdf --out arm",
+    "pytest-twin realize arm.urdf --out arm --accept inertia-repair:wrist",
+)
+EXIT_STATUS = {
+    0: "every form holds what the URDF states",
+    1: "a critical field is lost or invalid",
+}
 CLEAN, CRITICAL = 0, 1
 _PATCH = re.compile(r"[a-z-]+:.+")
 
@@ -61,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     folders.make(out)
     staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
     try:
-        with Sandbox() as sandbox:
+        with Sandbox() as sandbox, Progress("realizing") as progress:
             made = sandbox.call(
                 "pytest_twin.asset.realize:realize",
                 {
@@ -70,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
                     "accept": args.accept,
                     "packages": packages.parse(args.package),
                 },
-                progress=_say_progress,
+                progress=progress,
             )
             put_in_place(staging, out, source, made)
             normalized = out / source.name
@@ -86,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
                 ]
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+    json_output.give(args, made)
     _tell(args.out, made)
     return CRITICAL if made["critical"] else CLEAN
 
@@ -94,19 +104,13 @@ def _tell(out: Path, made: dict[str, Any]) -> None:
     for name in manifest.STATES:
         state = made["manifest"]["states"].get(name)
         if state is not None:
-            print(f"{name}: {len(state['files'])} files, {state['digest'][:16]}")
+            show(f"{name}: {len(state['files'])} files, {state['digest'][:16]}")
     for conversion, counts in made["counts"].items():
-        print(f"{conversion}: " + ", ".join(f"{n} {word}" for word, n in counts.items()))
-    print(f"{made['changes']} changes: {out / 'changes.md'}; loss: {out / 'loss.html'}")
+        show(f"{conversion}: " + ", ".join(f"{n} {word}" for word, n in counts.items()))
+    show(f"{made['changes']} changes: {out / 'changes.md'}; loss: {out / 'loss.html'}")
     for line in made["left_out"]:
-        print(f"pytest-twin realize: {line}", file=sys.stderr)
+        show(f"pytest-twin realize: {line}", error=True)
     for line in made["critical"]:
-        print(f"FAILS: {line}", file=sys.stderr)
+        show(f"FAILS: {line}", error=True)
     for patch in made["patches"]:
-        print(f"to accept its repair: --accept {json.dumps(patch)}", file=sys.stderr)
-
-
-def _say_progress(fraction: float) -> None:
-    if sys.stderr.isatty():
-        end = "\n" if fraction >= 1.0 else ""
-        print(f"\rrealizing {100 * fraction:3.0f} %", end=end, file=sys.stderr, flush=True)
+        show(f"to accept its repair: --accept {json.dumps(patch)}", error=True)

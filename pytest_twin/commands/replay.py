@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pytest_twin.commands import json_output
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.mcap import read_recording, write_recording
@@ -25,7 +28,12 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
     from pytest_twin.replay import Replayed
 
-HELP = "replay a recording on a model, open loop: write the joint states that it predicts"
+HELP = "simulate a model under a recording's commands, open loop, and write the predicted states"
+EXAMPLES = (
+    "pytest-twin replay twin.yaml moves.mcap --out predicted.mcap",
+    "pytest-twin replay diagnosis/ moves.mcap --out predicted.mcap --topics state=/arm/states",
+)
+EXIT_STATUS = {0: "the prediction is written, however far it is from the recording"}
 DONE = 0
 STATE_TOPIC = TOPICS["state"]
 # In a folder that diagnose wrote, the first of these that is there.
@@ -69,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     out: Path = args.out
     recording = args.recording.resolve()
     _check_out(out, recording)
-    with Sandbox() as sandbox:
+    with Sandbox() as sandbox, Progress("replaying") as progress:
         summary = sandbox.call(
             "pytest_twin.commands.replay:replay_file",
             {
@@ -78,9 +86,11 @@ def run(args: argparse.Namespace) -> int:
                 "out": str(out.absolute()),
                 "topics": args.topics,
             },
+            progress=progress,
         )
     atomic.write_text(out.with_suffix(".json"), json.dumps(summary, indent=2) + "\n")
-    print(_words(summary))
+    json_output.give(args, summary)
+    show(_words(summary))
     return DONE
 
 
@@ -106,7 +116,13 @@ def find_model(given: Path) -> Path:
     return given.resolve()
 
 
-def replay_file(model: str, recording: str, out: str, topics: Mapping[str, str]) -> dict[str, Any]:
+def replay_file(
+    model: str,
+    recording: str,
+    out: str,
+    topics: Mapping[str, str],
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> dict[str, Any]:
     """Load, replay, write; runs in the child process.
 
     Returns:
@@ -119,7 +135,7 @@ def replay_file(model: str, recording: str, out: str, topics: Mapping[str, str])
     trial = make_trial(
         read_recording(Path(recording), {**loaded.topics, **topics}), realization.structure
     )
-    predicted, notes = _predict(loaded, trial)
+    predicted, notes = _predict(loaded, trial, progress)
     write_recording(Path(out), [predicted], trial.metadata)
     return {
         "schema": 1,
@@ -185,7 +201,9 @@ def load_model(file: Path) -> LoadedModel:
     return LoadedModel(realization, topics, patched_of(realization))
 
 
-def _predict(loaded: LoadedModel, trial: Trial) -> tuple[JointSeries, tuple[str, ...]]:
+def _predict(
+    loaded: LoadedModel, trial: Trial, progress: Callable[[float], None]
+) -> tuple[JointSeries, tuple[str, ...]]:
     """The joint states that the model predicts for a trial, and notes."""
     from pytest_twin.diagnosis.patched.replay import beside_in_words, replay_patched
     from pytest_twin.replay import replay
@@ -204,7 +222,7 @@ def _predict(loaded: LoadedModel, trial: Trial) -> tuple[JointSeries, tuple[str,
         )
 
     if loaded.patched is None:
-        result = replay(loaded.realization, [trial], tcp=False)[0]
+        result = replay(loaded.realization, [trial], tcp=False, progress=progress)[0]
         if result.error is not None:
             raise result.error
         return series(trial.joints, result), result.notes

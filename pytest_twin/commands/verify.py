@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from pathlib import Path
 
 from pytest_twin import release
+from pytest_twin.commands import json_output
+from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
-from pytest_twin.formats import atomic
 from pytest_twin.release.envelope import short
 
-HELP = "check a release: its signature, every digest, its age, and that none newer is known"
+HELP = "check a release: its signature, every digest, its age, and that no newer one is known"
+EXAMPLES = (
+    "pytest-twin verify releases/0001",
+    "pytest-twin verify received/ --keys trusted-keys/ --json -",
+)
+EXIT_STATUS = {0: "the release holds", 1: "it does not hold; each reason is listed"}
 HOLDS, DOES_NOT_HOLD = 0, 1
 
 
@@ -23,14 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--keys", metavar="DIR", type=Path, help="trusted public keys (default: the twin's keys/)"
-    )
-    parser.add_argument(
-        "--json",
-        metavar="FILE",
-        nargs="?",
-        const="-",
-        help="write the verdict as JSON too; without FILE to standard output, the text then goes "
-        "to standard error",
     )
 
 
@@ -43,14 +39,11 @@ def run(args: argparse.Namespace) -> int:
     folder = _folder(args.release)
     if args.keys is not None and not args.keys.is_dir():
         raise ReleaseError("no such folder of keys", path=args.keys)
+    if args.json not in (None, json_output.STANDARD_OUTPUT):
+        _check_outside(Path(args.json), folder)
     verdict = release.check(folder, keys=args.keys, remember=True)
-    fields = verdict.to_json() | {"path": str(folder)}
-    text = json.dumps(fields, indent=2) + "\n"
-    if args.json == "-":
-        sys.stdout.write(text)
-    elif args.json is not None:
-        atomic.write_text(_outside(Path(args.json), folder), text)
-    print(_words(verdict, folder), file=sys.stderr if args.json == "-" else sys.stdout)
+    json_output.give(args, verdict.to_json() | {"path": str(folder)})
+    show(_words(verdict, folder))
     return HOLDS if verdict.holds else DOES_NOT_HOLD
 
 
@@ -65,12 +58,11 @@ def _folder(given: Path) -> Path:
     return given
 
 
-def _outside(path: Path, folder: Path) -> Path:
+def _check_outside(path: Path, folder: Path) -> None:
     if path.resolve().is_relative_to(folder.resolve()):
         raise ReleaseError(
             "would lie in the release and break it", path=path, expected="another folder"
         )
-    return path
 
 
 def _words(verdict: release.Verdict, folder: Path) -> str:

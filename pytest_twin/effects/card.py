@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from pytest_twin.effects.base import MODES, REFERENCES, Effect, Parameter
 
@@ -19,6 +20,32 @@ def cards(effects: Mapping[str, Effect]) -> str:
     )
     each = [card(e) for path in sorted(paths) for e in sorted(paths[path], key=lambda e: e.id)]
     return "\n".join([overview, *each])
+
+
+def as_json(effects: Mapping[str, Effect]) -> dict[str, Any]:
+    """The catalogue for programs: effect id -> what :func:`card` says of it."""
+    return {
+        effect.id: {
+            "family": effect.family,
+            "path": effect.path,
+            "scope": effect.scope,
+            "summary": _summary(effect),
+            "law": effect.law,
+            "command_modes": list(effect.modes),
+            "parameters": {
+                p.reported_name: {
+                    "unit": {mode: p.unit("hinge", mode) for mode in MODES},
+                    "unit_of_a_slide": {mode: p.unit("slide", mode) for mode in MODES},
+                    "absent_at": _absent(p) or None,
+                    "range": _range(p),
+                }
+                for p in effect.parameters
+            },
+            "confused_with": dict(effect.confused_with),
+            "source": effect.source,
+        }
+        for effect in effects.values()
+    }
 
 
 def card(effect: Effect) -> str:

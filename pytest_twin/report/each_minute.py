@@ -1,24 +1,38 @@
-"""What a log is told of long work."""
+"""How far long work is, for a log."""
 
 from __future__ import annotations
 
 import time
 
-_EACH = 60.0
+_INTERVAL_SECONDS = 60.0
 
 
 class EachMinute:
-    """The fraction done in words, each minute once; a terminal has better."""
+    """Says once a minute how much of the work is done and how long it still takes.
 
-    def __init__(self, name: str) -> None:
-        """``name``: what is at work."""
-        self.name = name
-        self.since = self.told = time.monotonic()
+    Args:
+        work: what is done.
+    """
 
-    def line(self, fraction: float) -> str | None:
-        """A line, where none was asked for within a minute."""
+    def __init__(self, work: str) -> None:
+        self.work = work
+        self.started = self.last = time.monotonic()
+
+    def line(self, fraction: float, stage: str = "") -> str | None:
+        """Return one line of text, or None where the last is less than a minute old.
+
+        Args:
+            fraction: done so far, 0 to 1.
+            stage: what is done at the moment.
+        """
         now = time.monotonic()
-        if now - self.told < _EACH:
+        if now - self.last < _INTERVAL_SECONDS:
             return None
-        self.told = now
-        return f"{self.name} {100.0 * fraction:3.0f} % after {(now - self.since) / 60.0:.0f} min"
+        self.last = now
+        elapsed = now - self.started
+        line = f"{self.work} {100.0 * fraction:3.0f} % after {elapsed / 60.0:.0f} min"
+        if 0.0 < fraction < 1.0:
+            # At the pace so far.
+            left = elapsed * (1.0 - fraction) / fraction
+            line += f", about {max(1.0, left / 60.0):.0f} min left"
+        return f"{line}: {stage}" if stage else line

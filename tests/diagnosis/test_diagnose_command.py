@@ -13,12 +13,10 @@ import pytest
 from two_pendulums import JOINTS, case, record
 
 from pytest_twin import cli
-from pytest_twin.commands.diagnose import _ProgressLine
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import read_recording
-from pytest_twin.report import each_minute
 
 
 @pytest.fixture(scope="module")
@@ -159,15 +157,11 @@ def test_one_recording_alone_is_said_to_be_untested(tmp_path: Path) -> None:
     assert any("of the recordings that were fitted" in note for note in found.notes)
 
 
-def test_a_log_is_told_each_minute_how_far_a_long_diagnosis_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_result_for_programs_is_the_file_that_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    now = 0.0
-    monkeypatch.setattr(each_minute.time, "monotonic", lambda: now)
-    line = _ProgressLine()
-    for seconds, fraction in ((30.0, 0.1), (61.0, 0.2), (90.0, 0.3), (125.0, 0.4)):
-        now = seconds
-        line.show(fraction)
-    line.close()
-    told = ["diagnosing  20 % after 1 min", "diagnosing  40 % after 2 min"]
-    assert capsys.readouterr().err.splitlines() == told
+    arguments = case(tmp_path, joints=("left",))
+    assert cli.main(["diagnose", *arguments, "--out", str(tmp_path / "out"), "--json", "-"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out) == said(tmp_path)
+    assert "No mismatch" in err

@@ -1,0 +1,44 @@
+"""``pytest-twin completion``: what a shell needs to complete the command line.
+
+The script is written once by shtab. A completer that asks the program at every key press would
+load the program each time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from pytest_twin.errors import TwinError
+
+HELP = "print a script that completes pytest-twin's commands and options in your shell"
+EXAMPLES = (
+    'eval "$(pytest-twin completion bash)"                # in ~/.bashrc',
+    "pytest-twin completion zsh > ~/.zfunc/_pytest-twin    # a folder of zsh's fpath",
+    "pytest-twin completion fish > ~/.config/fish/completions/pytest-twin.fish",
+)
+EXIT_STATUS = {0: "the script is on standard output"}
+SHELLS = ("bash", "zsh", "fish")
+JSON = False
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("shell", metavar="SHELL", choices=SHELLS, help=", ".join(SHELLS))
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once the script is printed.
+
+    Raises:
+        TwinError: the extra ``completion`` is not installed.
+    """
+    try:
+        import shtab
+    except ImportError:
+        raise TwinError(
+            "shell completion needs the package shtab",
+            expected="pip install 'pytest-twin[completion]'",
+        ) from None
+    sys.stdout.write(shtab.complete(args.every_command(), args.shell) + "\n")
+    return 0

@@ -1,0 +1,50 @@
+"""What ``--help`` says, and how a wrong command line is answered: in one line."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NoReturn
+
+UNUSABLE_INPUT = 2
+_UNUSABLE = "unusable input; one line on standard error names the file, the place and the remedy"
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that keeps line breaks in its help and answers errors in one line."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(*args, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line on standard error and exit with status 2."""
+        line = "".join(c if c.isprintable() else "�" for c in message)
+        self.exit(UNUSABLE_INPUT, f"{self.prog}: {line}; see {self.prog} --help\n")
+
+
+def epilog(examples: Sequence[str], exit_status: Mapping[int, str]) -> str:
+    """The end of a command's help: examples, one a line, and what each exit status means."""
+    rows = {**exit_status, UNUSABLE_INPUT: _UNUSABLE}
+    return "\n".join(
+        [
+            "examples:" if len(examples) > 1 else "example:",
+            *(f"  {line}" for line in examples),
+            "",
+            "exit status:",
+            *(f"  {status}  {meaning}" for status, meaning in sorted(rows.items())),
+        ]
+    )
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean 'audit'?`` where a known word is spelled alike, else nothing."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def options_of(parser: argparse.ArgumentParser) -> list[str]:
+    """The long options that a parser knows."""
+    return sorted(set(re.findall(r"--[a-z][a-z-]*", parser.format_usage())))

@@ -1,0 +1,73 @@
+"""``--json``, the same for every command: its result for programs.
+
+``--json -`` makes standard output hold the JSON document and nothing else; what people read goes
+to standard error. ``--json FILE.json`` writes the document to a file and leaves the rest as it is.
+A command that ends with exit status 2 writes no document.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.formats import atomic
+
+STANDARD_OUTPUT = "-"
+
+
+def add_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare the option."""
+    parser.add_argument(
+        "--json",
+        metavar="FILE.json",
+        nargs="?",
+        const=STANDARD_OUTPUT,
+        type=_target,
+        help="write the result as JSON too; '-' or no name: to standard output, and the text for "
+        "people to standard error",
+    )
+
+
+def give(args: argparse.Namespace, document: Mapping[str, Any]) -> None:
+    """Hand over the command's result; it is written once the command has ended."""
+    args.result = document
+
+
+def text_stream(args: argparse.Namespace) -> AbstractContextManager[object]:
+    """Where the command's text goes while it runs."""
+    if getattr(args, "json", None) == STANDARD_OUTPUT:
+        return contextlib.redirect_stdout(sys.stderr)
+    return contextlib.nullcontext()
+
+
+def write(args: argparse.Namespace) -> None:
+    """Write the result where ``--json`` asked for it.
+
+    Raises:
+        PathError: the file cannot be written.
+    """
+    target = getattr(args, "json", None)
+    if target is None:
+        return
+    text = json.dumps(args.result, indent=2) + "\n"
+    if target == STANDARD_OUTPUT:
+        sys.stdout.write(text)
+    else:
+        atomic.write_text(Path(target), text)
+
+
+def _target(word: str) -> str:
+    # Without this rule `audit --json robot.urdf` would replace the robot by its own report.
+    if word != STANDARD_OUTPUT and not word.endswith(".json"):
+        raise argparse.ArgumentTypeError(
+            f"{word!r} is no name for a JSON file (expected FILE.json, or - for standard output)"
+        )
+    if word != STANDARD_OUTPUT and not Path(word).absolute().parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{word!r}: its folder does not exist")
+    return word

@@ -1,0 +1,88 @@
+"""How far long work is: a live line on a terminal, a plain line each minute in a log."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from pytest_twin.report.each_minute import EachMinute
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+
+
+class Progress:
+    """Shows stage, fraction done and time left on standard error while it is entered.
+
+    Args:
+        work: what is done, ``diagnosing``.
+        stages: fraction at which each stage begins, ascending, and the stage's name.
+    """
+
+    def __init__(self, work: str, stages: Sequence[tuple[float, str]] = ()) -> None:
+        self.work = work
+        self._stages = stages
+        self._log = EachMinute(work)
+        self._live: RichProgress | None = None
+
+    def __enter__(self) -> Self:
+        # A terminal alone is worth the time that rich takes to load.
+        if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+            self._live = _live_line()
+            self._live.start()
+            self._live.add_task(self.work, total=1.0)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def begin(self, work: str) -> None:
+        """Start the next piece of work, at nothing done."""
+        self.work = work
+        self._log = EachMinute(work)
+        if self._live is not None:
+            self._live.reset(self._live.task_ids[0], description=work, total=1.0)
+
+    def __call__(self, fraction: float) -> None:
+        """Show that ``fraction``, 0 to 1, is done."""
+        stage = next((name for start, name in reversed(self._stages) if fraction >= start), "")
+        if self._live is not None:
+            text = f"{self.work}: {stage}" if stage else self.work
+            self._live.update(self._live.task_ids[0], completed=fraction, description=text)
+        elif (line := self._log.line(fraction, stage)) is not None:
+            print(line, file=sys.stderr, flush=True)
+
+
+def _live_line() -> RichProgress:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=24),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )

@@ -1,0 +1,26 @@
+"""What a log says of long work."""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_twin.report import each_minute
+from pytest_twin.report.each_minute import EachMinute
+
+
+def test_a_line_a_minute_has_the_fraction_the_time_left_and_the_stage(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(each_minute.time, "monotonic", lambda: now)
+    log = EachMinute("diagnosing")
+    said = []
+    for seconds, fraction in ((30.0, 0.1), (61.0, 0.2), (90.0, 0.3), (125.0, 0.5)):
+        now = seconds
+        said.append(log.line(fraction, "searching for effects"))
+    assert said == [
+        None,
+        "diagnosing  20 % after 1 min, about 4 min left: searching for effects",
+        None,
+        "diagnosing  50 % after 2 min, about 2 min left: searching for effects",
+    ]

@@ -1,0 +1,81 @@
+"""Progress and colour: on a terminal, in a log, and where colour is refused."""
+
+from __future__ import annotations
+
+import io
+from contextlib import redirect_stderr, redirect_stdout
+
+import pytest
+
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show, show_error
+from pytest_twin.report import each_minute
+
+TEXT = "X inertia.negative: a mass below zero\nExplained: nothing is left\nnote: one recording"
+
+
+class Terminal(io.StringIO):
+    """A stream that claims to be a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    return Terminal()
+
+
+def test_a_terminal_has_colour_and_the_same_words(terminal: Terminal) -> None:
+    with redirect_stdout(terminal):
+        show(TEXT)
+    said = terminal.getvalue()
+    assert "\x1b[1;31mX inertia.negative" in said
+    assert "\x1b[1;32mExplained" in said
+
+
+def test_no_color_is_honoured(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+    with redirect_stdout(terminal):
+        show("note: one recording")
+    assert terminal.getvalue() == "note: one recording\n"
+
+
+def test_a_pipe_gets_the_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    show(TEXT)
+    assert capsys.readouterr().out == TEXT + "\n"
+
+
+def test_text_from_a_file_is_no_markup(terminal: Terminal) -> None:
+    with redirect_stderr(terminal):
+        show_error("pytest-twin audit", "link '[bold]wrist[/bold]': no mass")
+    assert "link '[bold]wrist[/bold]': no mass" in terminal.getvalue()
+
+
+def test_a_terminal_shows_stage_fraction_and_time_left(terminal: Terminal) -> None:
+    stages = ((0.0, "reading"), (0.5, "searching"))
+    with redirect_stderr(terminal), Progress("diagnosing", stages) as progress:
+        progress(0.25)
+        progress(0.75)
+        assert progress._live is not None
+        progress._live.refresh()
+    said = terminal.getvalue()
+    assert "diagnosing: searching" in said
+    assert "75%" in said
+    assert "left" in said
+
+
+def test_a_log_has_a_plain_line_a_minute_of_each_piece_of_work(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(each_minute.time, "monotonic", lambda: now)
+    with Progress("choosing goldens") as progress:
+        progress(0.5)
+        progress.begin("recording goldens")
+        now = 61.0
+        progress(0.5)
+    assert capsys.readouterr().err == "recording goldens  50 % after 1 min, about 1 min left\n"
