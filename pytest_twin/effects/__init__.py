@@ -1,4 +1,4 @@
-"""Effects: the physics that a model can have or lack, one file per family."""
+"""Effects: physics that a model can have or lack, one file per family."""
 
 from __future__ import annotations
 
@@ -19,11 +19,15 @@ def catalogue() -> Mapping[str, Effect]:
     """Every installed effect by id, in the order of the entry points ``pytest_twin.effects``.
 
     Raises:
-        SpecError: one cannot be loaded, does not hold together, or is brought twice.
+        SpecError: one cannot be loaded, has a wrong declaration, or has the id of another.
     """
     effects: dict[str, Effect] = {}
     for point in entry_points(group="pytest_twin.effects"):
         if point.name in effects:
-            raise SpecError("two packages bring this effect", where="effect", value=point.name)
+            raise SpecError(
+                "two packages define this effect; uninstall one of them",
+                where="effect",
+                value=point.name,
+            )
         effects[point.name] = checked(brought(point, "effect"), point.name)
     return effects

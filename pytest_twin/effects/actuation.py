@@ -1,4 +1,4 @@
-"""Actuation: what the drive makes of its command."""
+"""Actuation effects: how a drive responds to its command."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from pytest_twin.effects.within import within
 
 
 class _Follower(Protocol):
-    """Something that what comes in is followed by."""
+    """A filter with memory."""
 
     acts: bool
 
     def mean(self, asked: FloatArray) -> FloatArray:
-        """(rows, joints) mean over the next step of what follows ``asked``."""
+        """(rows, joints) mean output over the next step for the input ``asked``."""
 
     def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
-        """Follow (rows, joints) ``asked`` for so many steps, and fractions of them."""
+        """Hold the (rows, joints) input ``asked`` for a number of steps, fractions included."""
 
 
 class _Follows(Effect):
-    """The setpoint that a drive's law sees follows its command, or its effort follows its law."""
+    """A filter on the setpoint before the control law, or on the effort after it."""
 
     remembers = True
 
     def memories(self, world: World, values: Values) -> tuple[_Follower, _Follower]:
-        """Of the setpoint and of the effort, as a motion begins."""
+        """Filters of the setpoint and of the effort at the start of a motion."""
         raise NotImplementedError
 
     def command(self, world: World, values: Values) -> None:
@@ -57,31 +57,36 @@ class _Follows(Effect):
 
 
 class ActuatorLag(_Follows):
-    """The drive answers with a first-order lag: its effort does, or, behind a smoothed command, the
-    setpoint that its law sees.
-    """
+    """The drive responds with a first-order lag, in its effort or in its setpoint."""
 
     id = "actuator_lag"
     family = "actuation"
     law = (
-        "time_constant d(delivered)/dt = drive - delivered; with of_setpoint 1, of a servo: "
-        "time_constant d(setpoint)/dt = command - setpoint"
+        "of_setpoint 0: time_constant d(delivered)/dt = drive - delivered; "
+        "of_setpoint 1 (servos): time_constant d(setpoint)/dt = command - setpoint"
     )
     source = (
         "current loop as a first-order lag; Siciliano et al., Robotics (2009), sec. 8.3; of the "
         "setpoint: MuJoCo's filtered activation (timeconst)"
     )
     parameters = (
-        Parameter("time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.03, 0.08)),
-        Parameter("of_setpoint", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
-    )
+        Parameter(
+            "time_constant", "time", 0.0, 0.0, 0.5, (0.01, 0.03, 0.08),
+            meaning="lag time constant",
+        ),
+        Parameter(
+            "of_setpoint", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True,
+            meaning="signal with the lag",
+            choices=("lag of the effort", "lag of the setpoint"),
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "command_delay": "steps: a lag rises at once, a delay leaves a dead time",
-        "armature": "two payloads: a lag does not depend on what is carried",
+        "command_delay": "record steps: a lag responds at once, a delay leaves a dead time",
+        "armature": "repeat the recording with two payloads: a lag does not depend on the payload",
     }
 
     def memories(self, world: World, values: Values) -> tuple[_Lag, _Lag]:
-        # What an effort drive is sent is what it gives: its lag is that of the effort.
+        # For an effort drive command and effort are one signal: its lag counts as the effort's.
         of_setpoint = values["of_setpoint"] * (world.servo != "effort")
         of_effort = 1.0 - values["of_setpoint"]
         each = (values["time_constant"] * share for share in (of_setpoint, of_effort))
@@ -91,13 +96,13 @@ class ActuatorLag(_Follows):
 
 @dataclass(slots=True)
 class _Lag:
-    """A first-order lag of a step: exact for an input that is held over it.
+    """A first-order lag, exact for an input that is constant over the step.
 
     Attributes:
-        kept: (rows, joints) share of what it is behind that is left at the end of a step.
-        mean_kept: that in the mean over the step.
-        acts: whether there is a lag anywhere; where there is none, what comes in goes through.
-        followed: (rows, joints) where it has come to.
+        kept: (rows, joints) share of the difference to the input that remains after a step.
+        mean_kept: the mean of that share over the step.
+        acts: whether any time constant is positive; otherwise the input passes unchanged.
+        followed: (rows, joints) output.
     """
 
     kept: FloatArray
@@ -107,12 +112,12 @@ class _Lag:
 
     @classmethod
     def of(cls, lag: FloatArray, timestep: float) -> _Lag:
-        """Of (rows, joints) time constants, s."""
+        """The lag with (rows, joints) time constants, s."""
         steps = timestep / np.maximum(lag, 1e-9)
         return cls(np.exp(-steps), -np.expm1(-steps) / steps, bool(lag.any()))
 
     def mean(self, asked: FloatArray) -> FloatArray:
-        """(rows, joints) mean over the next step of what follows ``asked``."""
+        """(rows, joints) mean output over the next step for the input ``asked``."""
         if not self.acts:
             return asked
         behind = (asked if self.followed is None else self.followed) - asked
@@ -121,7 +126,7 @@ class _Lag:
         return mean
 
     def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
-        """Follow (rows, joints) ``asked`` for so many steps, and fractions of them."""
+        """Hold the (rows, joints) input ``asked`` for a number of steps, fractions included."""
         behind = (asked if self.followed is None else self.followed) - asked
         self.followed = asked + self.kept**steps * behind
 
@@ -130,34 +135,42 @@ _SLOWNESSES = tuple(0.15 * 1.25**k for k in range(16))
 
 
 class RateLimit(_Follows):
-    """The setpoint moves no faster than a profile generator or the firmware allows; or the effort
-    of a servo changes no faster than its current loop allows.
-    """
+    """A limit on how fast the setpoint (profile generator, firmware) or the effort may change."""
 
     id = "rate_limit"
     family = "actuation"
-    law = "|d(setpoint)/dt| <= rate; with of_effort 1, of a servo: |d(delivered)/dt| <= effort_rate"
+    law = (
+        "of_effort 0: |d(setpoint)/dt| <= rate; "
+        "of_effort 1 (servos): |d(delivered)/dt| <= effort_rate"
+    )
     source = "slew-rate limit; Klein, Rundqwist, J. Guidance 1996"
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the rate.
         Parameter(
             "inverse_rate", "one", 0.0, 0.0, 60.0, _SLOWNESSES, "slowness",
             ("rate", "command_rate"), under=("of_effort", (0.0,)),
+            meaning="rate limit of the setpoint",
         ),
         Parameter(
             "inverse_effort_rate", "one", 0.0, 0.0, 60.0, _SLOWNESSES, "effort_slowness",
             ("effort_rate", "effort_rate"), under=("of_effort", (1.0,)),
+            meaning="rate limit of the effort",
         ),
-        Parameter("of_effort", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
+        Parameter(
+            "of_effort", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True,
+            meaning="limited signal", choices=("limits the setpoint", "limits the effort"),
+        ),
     )  # fmt: skip
     confused_with: ClassVar = {
-        "torque_saturation": "a load added: a rate limit does not depend on it",
-        "command_delay": "steps of two sizes: a delay does not grow with the step",
-        "actuator_lag": "steps of two sizes: a lag scales, a rate limit does not",
+        "torque_saturation": "repeat the recording with a payload: a rate limit does not depend on "
+        "the load",
+        "command_delay": "record steps of two sizes: a delay is the same for both",
+        "actuator_lag": "record steps of two sizes: the response of a lag scales with the step, "
+        "that of a rate limit does not",
     }
 
     def memories(self, world: World, values: Values) -> tuple[_Slew, _Slew]:
-        # What an effort drive is sent is what it gives: one limit for both.
+        # For an effort drive command and effort are one signal: one limit for both.
         of_effort = values["inverse_effort_rate"] * (world.servo != "effort")
         before = _Slew.of(values["inverse_rate"], world.timestep)
         return before, _Slew.of(of_effort, world.timestep)
@@ -165,12 +178,12 @@ class RateLimit(_Follows):
 
 @dataclass(slots=True)
 class _Slew:
-    """A limit of rate, exact for an input that is held over the step.
+    """A rate limit, exact for an input that is constant over the step.
 
     Attributes:
-        reach: (rows, joints) most that is gone in a step.
-        acts: whether there is a limit anywhere; where there is none, what comes in goes through.
-        held: (rows, joints) where it has come to.
+        reach: (rows, joints) largest change in a step.
+        acts: whether any limit exists; otherwise the input passes unchanged.
+        held: (rows, joints) output.
     """
 
     reach: FloatArray
@@ -179,11 +192,11 @@ class _Slew:
 
     @classmethod
     def of(cls, inverse_rate: FloatArray, timestep: float) -> _Slew:
-        """Of (rows, joints) reciprocals of rates."""
+        """The limit with (rows, joints) reciprocal rates."""
         return cls(timestep / np.maximum(inverse_rate, 1e-9), bool(inverse_rate.any()))
 
     def mean(self, asked: FloatArray) -> FloatArray:
-        """(rows, joints) mean over the next step of what follows ``asked``."""
+        """(rows, joints) mean output over the next step for the input ``asked``."""
         if not self.acts:
             return asked
         held = asked if self.held is None else self.held
@@ -193,25 +206,31 @@ class _Slew:
         return mean
 
     def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
-        """Follow (rows, joints) ``asked`` for so many steps, and fractions of them."""
+        """Hold the (rows, joints) input ``asked`` for a number of steps, fractions included."""
         held = asked if self.held is None else self.held
         reach = steps * self.reach
         self.held = held + within(asked - held, -reach, reach)
 
 
 class TorqueConstant(Effect):
-    """The drive gives more or less effort than its current says."""
+    """The drive delivers more or less torque per ampere than the model assumes."""
 
     id = "torque_constant"
     family = "actuation"
     of_every_drive = True
     law = "delivered = (1 + relative_error) drive"
     source = "Nm per A; Siciliano et al., Robotics (2009), sec. 5.2"
-    parameters = (Parameter("relative_error", "one", 0.0, -0.8, 1.5, (0.1,)),)
+    parameters = (
+        Parameter(
+            "relative_error", "one", 0.0, -0.8, 1.5, (0.1,), meaning="torque constant",
+            relation="relative",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "controller_gain": "feed-forward effort: a gain does not act on it",
-        "inertial_parameters": "a known payload added: only a torque constant misjudges it",
-        "effort_scale": "the motion: a sensor does not change it",
+        "controller_gain": "command a feed-forward effort: a servo gain does not act on it",
+        "inertial_parameters": "add a known payload: only a wrong torque constant misjudges its "
+        "weight",
+        "effort_scale": "compare the motion: an effort sensor does not change it",
     }
 
     def gains(self, world: World, values: Values) -> None:
@@ -225,7 +244,7 @@ class TorqueConstant(Effect):
 
 
 class TorqueSaturation(Effect):
-    """The drive gives no more than its current limit."""
+    """The drive's effort is limited, by its current limit for example."""
 
     id = "torque_saturation"
     family = "actuation"
@@ -242,12 +261,15 @@ class TorqueSaturation(Effect):
             tuple(0.7 * 1.3**k for k in range(14)),
             "inverse_effort",
             ("limit", "effort"),
+            meaning="effort limit",
         ),
     )
     confused_with: ClassVar = {
-        "torque_speed_limit": "a stall against a stop: only there the speed is zero",
-        "rate_limit": "a load added: a rate limit does not depend on it",
-        "controller_gain": "steps of two sizes: a gain scales",
+        "torque_speed_limit": "stall the joint against a stop: at zero speed only saturation "
+        "limits the effort",
+        "rate_limit": "repeat the recording with a payload: a rate limit does not depend on the "
+        "load",
+        "controller_gain": "record steps of two sizes: the response of a gain scales with the step",
     }
 
     def gains(self, world: World, values: Values) -> None:
@@ -257,7 +279,7 @@ class TorqueSaturation(Effect):
 
 
 class TorqueSpeedLimit(Effect):
-    """The available effort falls with speed: the supply's voltage is used up by back-EMF."""
+    """The available effort falls with speed, because back-EMF uses up the supply voltage."""
 
     id = "torque_speed_limit"
     family = "actuation"
@@ -273,14 +295,18 @@ class TorqueSpeedLimit(Effect):
             tuple(0.15 * 1.5**k for k in range(6)),
             "inverse_velocity",
             ("no_load_speed", "velocity"),
+            meaning="no-load speed",
         ),
         Parameter(
-            "stall", "effort", None, 0.05, 20.0, (0.2, 0.35, 0.6, 1.0, 1.5, 2.5, 4.0, 7.0), "effort"
+            "stall", "effort", None, 0.05, 20.0, (0.2, 0.35, 0.6, 1.0, 1.5, 2.5, 4.0, 7.0),
+            "effort", meaning="stall effort",
         ),
-    )
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "torque_saturation": "a stall against a stop",
-        "viscous_friction": "a slow move under load: the limit acts at high effort and speed only",
+        "torque_saturation": "stall the joint against a stop: at zero speed only saturation limits "
+        "the effort",
+        "viscous_friction": "record a slow move under load: the limit acts at high effort and "
+        "speed only",
     }
     has_in_it = frozenset({"torque_saturation"})
 
@@ -298,24 +324,32 @@ class TorqueSpeedLimit(Effect):
 
 
 class DeadZone(Effect):
-    """A servo that ignores small errors, or gives no small efforts; an effort drive that ignores
-    small commands.
+    """The servo ignores small errors or delivers no small efforts; an effort drive ignores small
+    commands.
     """
 
     id = "dead_zone"
     family = "actuation"
     law = (
-        "error -> sign(error) max(|error| - width, 0); an effort drive: the same of its command; "
-        "with of_effort 1, of a servo: the same of its effort, beyond gain width"
+        "of_effort 0: error -> sign(error) max(|error| - width, 0), for an effort drive its "
+        "command; of_effort 1 (servos): effort -> sign(effort) max(|effort| - gain width, 0)"
     )
     source = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities"
     parameters = (
-        Parameter("width", "command", 0.0, 0.0, 1.0, (0.01, 0.03, 0.1), "command"),
-        Parameter("of_effort", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
-    )
+        Parameter(
+            "width", "command", 0.0, 0.0, 1.0, (0.01, 0.03, 0.1), "command",
+            meaning="dead-zone half-width",
+        ),
+        Parameter(
+            "of_effort", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True,
+            meaning="signal with the dead zone",
+            choices=("dead zone of the error", "dead zone of the effort"),
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "coulomb_friction": "release at rest: friction holds, a dead zone lets go",
-        "backlash": "hold the link by hand: only backlash lets it move freely",
+        "coulomb_friction": "switch the drive off at rest: friction holds the joint, a dead zone "
+        "does not",
+        "backlash": "move the link by hand with the motor held: only backlash gives free play",
     }
 
     def servo(self, world: World, values: Values) -> None:
@@ -333,12 +367,12 @@ class DeadZone(Effect):
     def _known(
         self, world: World, values: Values
     ) -> tuple[FloatArray | None, NDArray[np.bool_], FloatArray | None]:
-        """(rows, joints) width of errors that are ignored, whether a servo is of position, and
-        efforts that are not given; None where there are none.
+        """(rows, joints) width of the error's dead zone, whether the servo controls position, and
+        width of the effort's dead zone; None where there is none.
         """
         found: tuple[FloatArray | None, NDArray[np.bool_], FloatArray | None]
         if self.id not in world.state:
-            # What an effort drive gives is its command: one dead zone for both.
+            # For an effort drive command and effort are one signal: one dead zone for both.
             of_effort = values["of_effort"] * (world.servo != "effort")
             width = values["width"] * (1.0 - values["of_effort"])
             none = world.gain * values["width"] * of_effort
@@ -351,16 +385,19 @@ class DeadZone(Effect):
 
 
 class Cogging(Effect):
-    """Effort that varies with the rotor's angle: teeth that prefer the magnets."""
+    """Effort that varies periodically with the rotor angle: torque ripple of magnets and slots."""
 
     id = "cogging"
     family = "actuation"
-    law = "effort = sine sin(harmonic q) + cosine cos(harmonic q)"
+    law = (
+        "effort = sine sin(harmonic q) + cosine cos(harmonic q); "
+        "harmonic: periods per turn on a hinge"
+    )
     source = "Holtz, Springob, IEEE Trans. Ind. Electron. 43 (1996): torque ripple"
     of_position = True
     parameters = (
-        Parameter("sine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort"),
-        Parameter("cosine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort"),
+        Parameter("sine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort", meaning="sine amplitude"),
+        Parameter("cosine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort", meaning="cosine amplitude"),
         Parameter(
             "harmonic",
             "wavenumber",
@@ -369,11 +406,13 @@ class Cogging(Effect):
             200.0,
             tuple(float(k) for k in (3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24)),
             "one",
+            meaning="wavenumber",
         ),
     )
     confused_with: ClassVar = {
-        "position_dependent_friction": "both directions: friction changes its sign",
-        "joint_spring": "half a turn: cogging repeats",
+        "position_dependent_friction": "repeat the motion in both directions: friction changes its "
+        "sign",
+        "joint_spring": "move through half a turn: cogging repeats, a spring does not",
     }
 
     def force(self, world: World, values: Values) -> None:
@@ -382,24 +421,31 @@ class Cogging(Effect):
 
 
 class ControllerGain(Effect):
-    """The servo's stiffness and damping are not those of the model."""
+    """The servo's stiffness or damping differs from the model's."""
 
     id = "controller_gain"
     family = "actuation"
     law = "effort = (1 + stiffness_error) kp (setpoint - q) - (1 + damping_error) kv v"
     source = "PD law; Siciliano et al., Robotics (2009), sec. 8.5"
     parameters = (
-        # A vendor's model may have a gain that is fifty times what the firmware holds.
-        Parameter("stiffness_error", "one", 0.0, -0.998, 4.0, (0.1,)),
-        Parameter("damping_error", "one", 0.0, -1.0, 4.0, (0.1,)),
-    )
+        # A vendor's model may have a gain 50 times the firmware's.
+        Parameter(
+            "stiffness_error", "one", 0.0, -0.998, 4.0, (0.1,), meaning="servo stiffness",
+            relation="relative",
+        ),
+        Parameter(
+            "damping_error", "one", 0.0, -1.0, 4.0, (0.1,), meaning="servo damping",
+            relation="relative",
+        ),
+    )  # fmt: skip
     modes = ("position", "velocity")
     confused_with: ClassVar = {
-        "torque_constant": "feed-forward effort, or a stall: a gain leaves the limit where it is",
-        "viscous_friction": "the drive off: only friction remains",
-        "joint_spring": "the drive off: only a spring pulls",
+        "torque_constant": "command a feed-forward effort, or stall the joint: a gain does not "
+        "change the effort limit",
+        "viscous_friction": "move the joint with the drive off: only friction remains",
+        "joint_spring": "move the joint with the drive off: only a spring remains",
     }
-    # Damping alone is a brake.
+    # Servo damping without stiffness acts like viscous friction.
     has_in_it = frozenset({"torque_constant", "viscous_friction"})
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
@@ -408,14 +454,14 @@ class ControllerGain(Effect):
     def with_other(
         self, own: Mapping[str, float], effect: str, other: Mapping[str, float]
     ) -> Mapping[str, float]:
-        """A drive's constant multiplies both gains."""
+        """A torque constant multiplies both gains."""
         if effect != "torque_constant":
             return super().with_other(own, effect, other)
         factor = 1.0 + other["relative_error"]
         return {name: (1.0 + value) * factor - 1.0 for name, value in own.items()}
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
-        """A softer servo gives way in proportion to the reciprocal of its stiffness."""
+        """Logarithm of the stiffness: a servo's deflection is proportional to its reciprocal."""
         stiffness, damping = parameters
         return np.array([np.log1p(stiffness), damping])
 

@@ -1,9 +1,8 @@
-"""What an effect is: one piece of physics that a model can have or lack.
+"""The interface of an effect: one piece of physics that a model can have or lack.
 
-An effect states its law, its parameters, where it acts, what it is confused with, and the
-experiment that tells them apart. Its hooks change a :class:`World`, the arrays of many simulations
-at one step; every array is (rows, joints), so that trials, perturbations and rival hypotheses are
-stepped at once.
+An effect states its law, its parameters, where it acts, which other effects it is confused with,
+and the experiment that separates them. Its hooks change a :class:`World`: the state of many
+simulations at one time step. Every array is (rows, joints), one row per simulation.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from pytest_twin.effects.motor_side import Gear, MotorSide
 from pytest_twin.trial import CommandMode
 
 Values = Mapping[str, FloatArray]
-"""Parameter name -> (rows, joints) values in SI units; neutral where the effect is absent."""
+"""Parameter name -> (rows, joints) values in SI units; the neutral value where it is absent."""
 
 Quantity = Literal[
     "one", "effort", "position", "velocity", "time", "damping", "stiffness", "inertia", "drag",
@@ -40,9 +39,9 @@ PATHS: Mapping[str, str] = {
     "contact": "contact",
     "environment": "surroundings",
 }
-"""Family -> where its effects sit, those that change the command aside."""
+"""Family -> part of the signal path of its effects; effects on the command sit in ``command``."""
 SMOOTH_STEP = 1e-3
-"""Finite difference of a parameter that the motion follows smoothly."""
+"""Finite-difference step for a parameter on which the motion depends smoothly."""
 
 _UNITS: Mapping[str, tuple[str, str]] = {
     # quantity -> (unit on a hinge, unit on a slide)
@@ -77,53 +76,56 @@ _COMMANDED: Mapping[tuple[str, str], tuple[str, str]] = {
 REFERENCES: Mapping[str, str] = {
     # of a parameter that is a reciprocal: that of the reported value
     "one": "",
-    "twelfth": "a twelfth of the longest recording",
-    "effort": "the drive's rms effort",
-    "velocity": "the rms speed",
-    "position": "the positions' standard deviation",
-    "damping": "rms effort / rms speed",
-    "stiffness": "rms effort / standard deviation of positions",
-    "drag": "rms effort / rms speed^2",
-    "inertia": "the inertia that the joint moves",
-    "compliance": "rms effort / standard deviation of positions",
-    "slowness": "the command's rms rate",
-    "effort_slowness": "the rms rate of the effort that the drive's law asks for",
-    "inverse_velocity": "the rms speed that is asked for",
+    "twelfth": "1/12 of the longest recording",
+    "effort": "the drive's RMS effort",
+    "velocity": "the RMS speed",
+    "position": "the standard deviation of the position",
+    "damping": "RMS effort / RMS speed",
+    "stiffness": "RMS effort / standard deviation of the position",
+    "drag": "RMS effort / RMS speed^2",
+    "inertia": "the inertia about the joint",
+    "compliance": "RMS effort / standard deviation of the position",
+    "slowness": "the RMS rate of the command",
+    "effort_slowness": "the RMS rate of the effort that the control law requests",
+    "inverse_velocity": "the RMS commanded speed",
     "inverse_effort": "the drive's peak effort",
-    "command": "the rms command (a position servo's tracking error)",
-    "mass": "the last link's mass, of a flange a fiftieth of the arm's at least",
+    "command": "the RMS command (for a position servo: the RMS tracking error)",
+    "mass": "the last link's mass (for a flange: at least 1/50 of the arm's mass)",
     "clearance": "1 cm",
-    "length": "the way from the last joint to its link's centre of mass, a twentieth of the "
-    "arm's length at least, of a flange 0.15 of it",
+    "length": "the distance from the last joint to its link's centre of mass (at least 1/20 of the "
+    "arm's length; for a flange at least 0.15 of it)",
     "gyration": "the link's radius of gyration about the joint",
 }
-"""Scale of a joint that bounds and starts are multiples of -> what it is."""
+"""Reference scale of a joint -> its definition; bounds and starting values are multiples of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number of a law.
+    """One parameter of a law.
 
     Attributes:
-        name: as findings report it.
-        quantity: what it measures; gives the unit on a hinge or a slide.
-        neutral: the value at which the effect is absent, or None where another parameter switches
-            the effect off and this one only shapes it.
+        name: key in ``diagnosis.json``.
+        quantity: physical quantity; gives the unit on a hinge or a slide.
+        neutral: value at which the effect is absent; None where another parameter switches the
+            effect off and this one only shapes it.
         lower, upper: physical bounds, in multiples of ``reference``.
-        starts: values to start a fit from, in multiples of ``reference``; signed effects are
-            tried with the sign that the data ask for.
-        reference: the joint's own scale that bounds and starts are multiples of, one of
-            ``REFERENCES``.
-        reciprocal_of: name and quantity of what is reported in its place: a law that is absent at
-            infinity is fitted by its reciprocal.
-        step: finite difference of a fit's Jacobian, in multiples of ``reference``; wide where the
-            motion follows the parameter in small leaps, as impacts between steps make it.
-        choice: whether it is one of its starts, never between: no fit moves it. A wavenumber may be
-            any whole one within its bounds.
-        reach: how far a fit tries it beside its slope, in multiples of ``reference``: where an edge
-            belongs in time, the slope says no further than the drive takes to answer.
-        under: name of a choice and its values in which the law has this parameter; in others it is
-            neutral. None where the law always has it.
+        starts: starting values of a fit, in multiples of ``reference``; a signed effect starts
+            with the sign that the data require.
+        reference: scale of the joint, one of ``REFERENCES``.
+        reciprocal_of: name and quantity of the reported value where the fit uses its reciprocal,
+            because the law is absent at infinity.
+        step: finite-difference step of the Jacobian, in multiples of ``reference``. It is wide
+            where the motion depends on the parameter in small jumps, as impacts cause.
+        choice: whether the parameter only takes the values in ``starts``; no fit moves it. A
+            wavenumber may be any integer within its bounds.
+        reach: how far a fit also searches beyond the local slope, in multiples of ``reference``.
+            Start and end times need it: their slope is valid only over the drive's response time.
+        under: name of a choice and its values for which the law has this parameter; None where
+            the law always has it. Otherwise the parameter is neutral.
+        meaning: what the reported value is, as a noun phrase; the name where it is empty.
+        relation: how the reported value relates to the model's own: ``added`` to it, ``relative``
+            to it (0.1: 10 % above), or empty for a value by itself.
+        choices: one phrase for each value in ``starts`` of a choice.
     """
 
     name: str
@@ -138,10 +140,13 @@ class Parameter:
     choice: bool = False
     reach: float | None = None
     under: tuple[str, tuple[float, ...]] | None = None
+    meaning: str = ""
+    relation: Literal["", "added", "relative"] = ""
+    choices: tuple[str, ...] = ()
 
     @property
     def absent(self) -> float:
-        """What stands for it where the law is not there, or its form lacks it; in multiples of
+        """Value where the law is absent or its form lacks the parameter, in multiples of
         ``reference``.
         """
         if self.neutral is not None:
@@ -150,11 +155,11 @@ class Parameter:
 
     @property
     def reported_name(self) -> str:
-        """As findings name it."""
+        """Key of the reported value in ``diagnosis.json``."""
         return self.name if self.reciprocal_of is None else self.reciprocal_of[0]
 
     def reported(self, value: float) -> float:
-        """The value that goes with :attr:`reported_name`: of a reciprocal, infinite at zero."""
+        """The value for :attr:`reported_name`; the reciprocal of zero is infinity."""
         if self.reciprocal_of is None:
             return value
         return 1.0 / value if value else float("inf")
@@ -163,7 +168,7 @@ class Parameter:
         """SI unit of the reported value on a ``hinge`` or a ``slide``.
 
         Args:
-            servo: what is commanded: a ``command`` quantity is in its unit.
+            servo: command mode; a ``command`` quantity has its unit.
         """
         quantity = self.quantity if self.reciprocal_of is None else self.reciprocal_of[1]
         commanded = servo if servo in MODES else MODES[0]
@@ -173,30 +178,30 @@ class Parameter:
 
 @dataclass(slots=True)
 class World:
-    """Many simulations at one step. Arrays are (rows, joints) unless said otherwise.
+    """State of many simulations at one time step; arrays are (rows, joints) unless noted.
 
-    The drive's law is ``gain setpoint - stiffness position - damping velocity + offset`` within
-    ``lower`` and ``upper``; for a position servo ``gain`` is its stiffness, for a velocity servo
-    its damping, for an effort drive 1 (MuJoCo's affine actuators).
+    The control law is ``gain setpoint - stiffness position - damping velocity + offset``, limited
+    to ``lower`` and ``upper``. ``gain`` is the stiffness of a position servo, the damping of a
+    velocity servo, 1 for an effort drive (MuJoCo's affine actuators).
 
     Attributes:
         time: (rows,) s since the start of the trial.
         timestep: s.
-        position, velocity: of the joints, rad and rad/s or m and m/s.
-        setpoint: command to the drive as it stands after every earlier hook.
-        gain, stiffness, damping, offset: of the drive's law, SI units at the joint.
-        lower, upper: bounds of the drive's effort, N*m or N.
+        position, velocity: joint state, rad and rad/s or m and m/s.
+        setpoint: command to the drive, after all earlier hooks.
+        gain, stiffness, damping, offset: coefficients of the control law, SI units at the joint.
+        lower, upper: limits of the drive's effort, N*m or N.
         servo: (joints,) ``position``, ``velocity``, ``effort``, or ``none`` without a drive.
-        delivered: effort that reaches the joint; hooks of the drive change it.
-        friction_level: dry friction that the solver may use up to, N*m or N.
+        delivered: effort that reaches the joint; the ``drive`` hooks change it.
+        friction_level: largest dry friction that the solver may apply, N*m or N.
         applied: added generalized force, N*m or N.
         load: gravity and Coriolis effort that the drive carries, N*m or N.
-        motor_armature, motor_damping, motor_constant: of the motor's side, where a gear gives:
-            there the link has no armature, damping, dry friction or drive of its own. The last is
-            effort that always acts on the motor, N*m or N.
-        link_inertia: least that a link puts against its gear, kg*m^2 or kg.
-        coldness: (rows,) of the trial: 1 in the coldest, 0 in the warmest.
-        motor: its side of the gears; None where all are rigid.
+        motor_armature, motor_damping, motor_constant: motor side of an elastic transmission, which
+            then holds the joint's armature, damping, dry friction and drive. The last is a
+            constant effort on the motor, N*m or N.
+        link_inertia: smallest inertia of the link as the transmission sees it, kg*m^2 or kg.
+        coldness: (rows,) normalized temperature of the trial: 1 in the coldest, 0 in the warmest.
+        motor: state of the motor sides; None where all transmissions are rigid.
         state: memory of effects between steps, by effect id.
     """
 
@@ -226,30 +231,30 @@ class World:
 
     @property
     def motor_position(self) -> FloatArray:
-        """Of the motors, seen from the links."""
+        """Motor positions, converted to the joint side."""
         return self.position if self.motor is None else self.motor.angle
 
     @property
     def motor_velocity(self) -> FloatArray:
-        """Of the motors, seen from the links."""
+        """Motor velocities, converted to the joint side."""
         return self.velocity if self.motor is None else self.motor.speed
 
     def push_motor(self, effort: FloatArray) -> None:
-        """Add effort on the motor's side of the gears, N*m or N at the joint."""
+        """Add effort on the motor side of the transmission, N*m or N at the joint."""
         if self.motor is None:
             self.applied += effort
         else:
             self.motor.applied += effort
 
     def drag_motor(self, damping: FloatArray) -> None:
-        """Resist the motors' speed in this step, N*m s/rad or N s/m at the joint."""
+        """Add viscous damping on the motor side in this step, N*m*s/rad or N*s/m at the joint."""
         if self.motor is None:
             self.applied -= damping * self.velocity
         else:
             self.motor.drag += damping
 
     def asked(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """What the drive's law asks for at a state of its motor, (rows, joints), without bounds."""
+        """(rows, joints) effort that the control law requests at a motor state, without limits."""
         return (
             self.gain * self.setpoint
             - self.stiffness * position
@@ -261,34 +266,33 @@ class World:
 class Effect:
     """One effect. Subclasses state the class attributes and override the hooks that they need.
 
-    ``fields`` and ``gains`` run once before the first step; ``command``, ``servo``, ``drive``,
-    ``friction`` and ``force`` at every step, in this order (an effect without them costs nothing
-    between steps); ``gear`` once before the first of them; ``command_delay``, ``sample_time`` and
-    ``sense`` on whole trajectories. A hook must leave the world as it found it where every
-    parameter is neutral.
+    ``fields`` and ``gains`` run once before the first step, then ``gear``. ``command``, ``servo``,
+    ``drive``, ``friction`` and ``force`` run at every step, in this order. ``command_delay``,
+    ``sample_time`` and ``sense`` run on whole trajectories. A hook must change nothing where every
+    parameter is neutral. A hook that is not overridden costs no time.
 
     Class attributes:
-        id: name in the contract's table.
+        id: name in ``diagnosis.json``; equals the entry point's.
         family: ``timing``, ``sensing``, ``actuation``, ``friction``, ``transmission``,
             ``rigid_body``, ``contact`` or ``environment``.
-        law: the formula in words and symbols.
-        source: where it is from.
+        law: the equation; ``"; "`` separates lines.
+        source: textbook or article of the equation.
         parameters: at least one.
-        scope: ``joint``, or ``robot`` where it is the whole robot's.
-        confused_with: effect id -> the experiment that tells the two apart.
-        has_in_it: laws that this one comes to at some of its parameters.
+        scope: ``joint``, or ``robot`` for an effect of the whole robot.
+        confused_with: effect id -> the experiment that separates the two.
+        has_in_it: effects that are special cases of this one.
         modes: command modes under which it can act.
         remembers: whether a hook keeps a state between steps.
-        remembers_path: whether what its ``force`` keeps fades with the way that the joint goes, not
-            with time.
-        reads_other_joints: whether a hook of a joint reads what another joint's drive does.
-        asks_temperature: whether a hook reads how cold a trial is.
-        reads_drive: whether ``friction`` reads what the drive delivers.
-        of_position: whether its effort follows from the joint's position and nothing else.
-        over_the_turn: whether it is dry friction whose level varies with the joint's position.
-        of_every_drive: whether every motor behind a gear has it, more or less.
-        reads_after: of a sensor's laws those with a smaller number act before it, on what is true:
-            a wheel's errors are counted, counts are scaled, and the zero is set in what comes out.
+        remembers_path: whether the state of ``force`` fades with the distance travelled, not with
+            time.
+        reads_other_joints: whether a hook of a joint reads another joint's drive.
+        asks_temperature: whether a hook reads the temperature of a trial.
+        reads_drive: whether ``friction`` reads the effort that the drive delivers.
+        of_position: whether its effort depends on the joint position alone.
+        over_the_turn: whether it is dry friction whose level depends on the joint position.
+        of_every_drive: whether every geared motor has it to some degree.
+        reads_after: order among sensor effects, smaller first: the encoder's eccentricity, then its
+            scale, then its zero.
     """
 
     id: ClassVar[str]
@@ -312,19 +316,19 @@ class Effect:
 
     @property
     def path(self) -> str:
-        """Where between command and reading it sits: ``command``, ``actuator``, ``transmission``,
-        ``rigid body``, ``sensor``, ``contact`` or ``surroundings``.
+        """Part of the signal path: ``command``, ``actuator``, ``transmission``, ``rigid body``,
+        ``sensor``, ``contact`` or ``surroundings``.
         """
         if self.overrides("command_delay", "command") and not self.overrides("drive"):
             return "command"
         return PATHS[self.family]
 
     def overrides(self, *hooks: str) -> bool:
-        """Whether any of these hooks does anything."""
+        """Whether the effect overrides any of these hooks."""
         return any(getattr(type(self), h) is not getattr(Effect, h) for h in hooks)
 
     def has(self, parameters: FloatArray) -> NDArray[np.bool_]:
-        """(parameters,) which of them the law has in the form that these values choose."""
+        """(parameters,) which of them the law has in the form that these values select."""
         chosen = dict(zip((p.name for p in self.parameters), parameters, strict=True))
         return np.array(
             [p.under is None or chosen[p.under[0]] in p.under[1] for p in self.parameters]
@@ -336,28 +340,27 @@ class Effect:
         return any(p.under is not None for p in self.parameters)
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        """Laws with fewer parameters that this one comes to: effect id -> its parameters, SI."""
+        """Special cases with fewer parameters: effect id -> its parameters, SI."""
         return {}
 
     def holds(self, effect: str) -> Mapping[str, str]:
-        """Which parameters of this law take up another's; what is not among them is lost."""
+        """Another effect's parameter -> the parameter of this one that can represent it."""
         return {}
 
     def with_other(
         self, own: Mapping[str, float], effect: str, other: Mapping[str, float]
     ) -> Mapping[str, float]:
-        """What changes of its parameters where this law does what another did beside it as well;
-        nothing where it cannot.
+        """Changed parameters where this law also represents another effect; empty where it cannot.
 
         Args:
             own: its parameters, in multiples of references.
-            effect: the other.
+            effect: id of the other effect.
             other: the other's parameters, in multiples of the same references.
         """
         return {mine: own[mine] + other[theirs] for theirs, mine in self.holds(effect).items()}
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
-        """Numbers in which the motion bends less than in the parameters: a fit steps in them.
+        """Coordinates in which the motion is closer to linear; a fit steps in them.
 
         Both are (parameters,), in multiples of references.
         """
@@ -372,70 +375,70 @@ class Effect:
         return None
 
     def sample_time(self, time: FloatArray, values: Values) -> FloatArray:
-        """When a sample stamped (rows, samples, joints) ``time`` was really taken, s."""
+        """True times of samples stamped (rows, samples, joints) ``time``, s."""
         return time
 
     def fields(self, fields: ModelFields, values: Values) -> None:
-        """Change model fields that hold for a whole simulation."""
+        """Change model fields that are constant over a simulation."""
 
     def gains(self, world: World, values: Values) -> None:
-        """Change the drive's gains, offset and bounds for a whole simulation."""
+        """Change the drive's gains, offset and limits, constant over a simulation."""
 
     def command(self, world: World, values: Values) -> None:
-        """Change ``world.setpoint``: what reaches the drive."""
+        """Change ``world.setpoint``, the command that reaches the drive."""
 
     def follow_commands(
         self, world: World, values: Values, commands: Iterable[tuple[FloatArray, FloatArray]]
     ) -> None:
-        """Let what remembers commands alone live through all that were held before a window begins.
+        """Bring a memory of past commands up to date before a window begins.
 
         Args:
             world: rows at the start of their windows.
             values: as in every hook.
-            commands: one after the other (rows, joints) rad, m, per s, N*m or N, and for how long
-                it was held, (rows, joints) s, 0 where it never came. Worked out as they are taken.
+            commands: pairs of a (rows, joints) command and its (rows, joints) duration in s, in
+                order; the duration is 0 where the command was never sent.
         """
 
     def servo(self, world: World, values: Values) -> None:
-        """Change the setpoint that the drive's law sees, and its bounds."""
+        """Change the setpoint in the control law, and the drive's limits."""
 
     def drive(self, world: World, values: Values) -> None:
-        """Change ``world.delivered``: what the drive gives of what its law asks for."""
+        """Change ``world.delivered``, the effort that the drive delivers."""
 
     def friction(self, world: World, values: Values) -> None:
         """Change ``world.friction_level``."""
 
     def force(self, world: World, values: Values) -> None:
-        """Add to ``world.applied``, or push the motor."""
+        """Add to ``world.applied``, or call ``push_motor`` or ``drag_motor``."""
 
     def separates(self, values: Values) -> NDArray[np.bool_] | None:
-        """(rows, joints) where motor and link move apart, or None."""
+        """(rows, joints) where the transmission is not rigid, or None."""
         return None
 
     def gear(self, gear: Gear, world: World, values: Values) -> None:
-        """Change what stands between motor and link; once, before the first step."""
+        """Change the transmission between motor and link; once, before the first step."""
 
     def sense(
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
-        """What sensors read of (rows, samples, joints) trajectories."""
+        """Sensor readings of (rows, samples, joints) trajectories."""
         return position, velocity
 
     def unsense(
         self, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
-        """The (rows, joints) state behind a measured one: the inverse of ``sense``."""
+        """True (rows, joints) state of a measured one: the inverse of ``sense``."""
         return position, velocity
 
     def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:
-        """What an effort sensor reads of (rows, samples, joints) efforts."""
+        """Effort sensor readings of (rows, samples, joints) efforts."""
         return effort
 
 
 def moving_apart(
     effects: Sequence[tuple[Effect, Values]], shape: tuple[int, ...]
 ) -> NDArray[np.bool_]:
-    """(rows, joints) where a gear lets motor and link move apart."""
+    """(rows, joints) where the transmission is not rigid."""
     apart = np.zeros(shape, dtype=bool)
     for effect, v in effects:
         given = effect.separates(v)
@@ -446,25 +449,25 @@ def moving_apart(
 
 @dataclass(slots=True)
 class ModelFields:
-    """Per-row model fields that effects may change, (rows, joints) unless said otherwise.
+    """Model fields that effects may change, (rows, joints) unless noted.
 
     Attributes:
         damping: passive viscous damping.
         armature: reflected inertia of the drive, kg*m^2 or kg.
         friction: dry friction of the model, N*m or N.
-        constant_force: generalized force that is always there, N*m or N.
-        motor_force: the same, on the motor's side of a gear that gives.
-        stiffness: passive spring about the model's own rest, N*m/rad or N/m.
+        constant_force: constant generalized force, N*m or N.
+        motor_force: constant force on the motor side of an elastic transmission, N*m or N.
+        stiffness: passive spring about the model's rest position, N*m/rad or N/m.
         gravity: (rows, 3) m/s^2, world frame.
         added_mass: (rows, joints) kg, on the link that the joint moves.
-        added_at: (rows, joints, 3) where, m from the joint: along the link's own direction (from
-            the joint to the link's centre of mass; of a flange, along the joint's axis), the way
-            that the joint turns it there, and across both.
+        added_at: (rows, joints, 3) position of the added mass, m from the joint: along the link
+            (from the joint to the link's centre of mass; for a flange along the joint's axis), in
+            the joint's direction of motion there, and perpendicular to both.
         mass_scale, inertia_scale: (rows, joints) factors on that link's mass, and on its inertia
             about its centre of mass.
-        center_radial, center_tangential: (rows, joints) m by which that centre is moved away from
-            the joint's axis, and the way that the joint turns it.
-        contact_offset: (rows,) or (1,) m, of the surfaces that the robot meets.
+        center_radial, center_tangential: (rows, joints) shift of that centre, m: away from the
+            joint's axis, and in the joint's direction of motion.
+        contact_offset: (rows,) or (1,) m, of the surfaces that the robot touches.
         contact_stiffness, contact_damping: the same, relative errors.
         contact_friction: the same, added to the sliding friction coefficient.
     """
@@ -489,7 +492,7 @@ class ModelFields:
 
     @classmethod
     def neutral(cls, gravity: FloatArray, joints: int) -> ModelFields:
-        """Fields that change nothing, under (rows, 3) gravity."""
+        """Fields that leave the model unchanged, under (rows, 3) gravity."""
         none = (len(gravity), joints)
         return cls(
             damping=np.zeros(none),
@@ -509,17 +512,17 @@ class ModelFields:
 
     @property
     def center_moves(self) -> NDArray[np.bool_]:
-        """(rows, joints) whose links have their centre of mass elsewhere."""
+        """(rows, joints) whose links have a shifted centre of mass."""
         return np.asarray((self.center_radial != 0.0) | (self.center_tangential != 0.0))
 
     @property
     def changes_links(self) -> bool:
-        """Whether some link's mass, centre or inertia is another one."""
+        """Whether any link's mass, centre of mass or inertia is changed."""
         scaled = (self.mass_scale != 1.0) | (self.inertia_scale != 1.0)
         return bool((scaled | self.center_moves | (self.added_mass != 0.0)).any())
 
     def split_force(self, apart: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-        """Constant forces on links and on motors, each motor being its link unless ``apart``."""
+        """Constant forces on links and on motors; a motor is part of its link unless ``apart``."""
         link: FloatArray = self.constant_force + np.where(apart, 0.0, self.motor_force)
         motor: FloatArray = np.where(apart, self.motor_force, 0.0)
         return link, motor

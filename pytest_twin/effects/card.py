@@ -1,4 +1,4 @@
-"""The catalogue as people read it: a card for each effect, in Markdown."""
+"""The catalogue of effects as Markdown: an overview and a card for each effect."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pytest_twin.effects.base import MODES, REFERENCES, Effect, Parameter
 
 
 def cards(effects: Mapping[str, Effect]) -> str:
-    """A table of all effects by where they sit, and a card for each."""
+    """Markdown of all effects: a table by their place in the signal path, then their cards."""
     paths: dict[str, list[Effect]] = {}
     for effect in effects.values():
         paths.setdefault(effect.path, []).append(effect)
     overview = _table(
-        ("path", "effects"),
+        ("part", "effects"),
         ((path, ", ".join(f"[`{e.id}`](#{e.id})" for e in paths[path])) for path in sorted(paths)),
     )
     each = [card(e) for path in sorted(paths) for e in sorted(paths[path], key=lambda e: e.id)]
@@ -49,30 +49,43 @@ def as_json(effects: Mapping[str, Effect]) -> dict[str, Any]:
 
 
 def card(effect: Effect) -> str:
-    """What an effect is, its law, parameters, source, and what it is confused with."""
-    where = "the whole robot" if effect.scope == "robot" else "any joint"
+    """Markdown of one effect: law, parameters, confused effects with their tests, source."""
+    where = "the whole robot" if effect.scope == "robot" else "one joint"
     lines = [
         f"## {effect.id}",
         "",
-        f"{_summary(effect)} *{effect.path.capitalize()}; {where}; under commands of "
-        f"{_listed(effect.modes)}.*",
+        f"{_summary(effect)} *Part: {effect.path}. Acts on {where}. Command modes: "
+        f"{', '.join(effect.modes)}.*",
         "",
         *(f"    {part.strip()}" for part in effect.law.split("; ")),
         "",
         _table(
-            ("parameter", "unit", "absent at", "may be"),
-            ((f"`{p.reported_name}`", _unit(p), _absent(p), _range(p)) for p in effect.parameters),
+            ("parameter", "meaning", "unit", "absent at", "range of the fit"),
+            (
+                (f"`{p.reported_name}`", _meaning(p), _unit(p), _absent(p), _range(p))
+                for p in effect.parameters
+            ),
         ),
     ]
     if effect.confused_with:
-        told_apart = ((f"`{rival}`", by) for rival, by in effect.confused_with.items())
-        lines.append(_table(("confused with", "told apart by"), told_apart))
+        tests = (
+            (f"`{rival}`", f"{test[:1].upper()}{test[1:]}.")
+            for rival, test in effect.confused_with.items()
+        )
+        lines.append(_table(("confused with", "test that separates them"), tests))
     lines += [f"Source: {effect.source}.", ""]
     return "\n".join(lines)
 
 
 def _summary(effect: Effect) -> str:
     return (inspect.getdoc(type(effect)) or "").split("\n\n")[0].replace("\n", " ")
+
+
+def _meaning(parameter: Parameter) -> str:
+    meaning = parameter.meaning or parameter.reported_name.replace("_", " ")
+    if parameter.relation == "relative":
+        return f"relative error of: {meaning}"
+    return f"{meaning}, added to the model's" if parameter.relation == "added" else meaning
 
 
 def _unit(parameter: Parameter) -> str:
@@ -88,7 +101,7 @@ def _both(parameter: Parameter, servo: str) -> str:
 
 
 def _absent(parameter: Parameter) -> str:
-    """The neutral value; a parameter without one shapes what another switches on."""
+    """The neutral value; empty where the parameter only shapes the effect."""
     if parameter.neutral is None:
         return ""
     value = parameter.reported(parameter.neutral)
@@ -97,7 +110,10 @@ def _absent(parameter: Parameter) -> str:
 
 def _range(parameter: Parameter) -> str:
     if parameter.choice and parameter.quantity == "wavenumber":
-        return f"a whole number, {parameter.lower:g} to {parameter.upper:g}"
+        return f"integer, {parameter.lower:g} to {parameter.upper:g}"
+    if parameter.choice and parameter.choices:
+        pairs = zip(parameter.starts, parameter.choices, strict=True)
+        return "; ".join(f"{value:g}: {words}" for value, words in pairs)
     if parameter.choice:
         return _listed([f"{start:g}" for start in parameter.starts])
     of = REFERENCES[parameter.reference]
@@ -105,7 +121,7 @@ def _range(parameter: Parameter) -> str:
     where = ""
     if parameter.under is not None:
         choice, values = parameter.under
-        where = f", in {choice} {_listed([f'{value:g}' for value in values])}"
+        where = f", only with `{choice}` {_listed([f'{value:g}' for value in values])}"
     if parameter.reciprocal_of is not None:
         return f"at least {parameter.reported(parameter.upper):.3g}{scale}{where}"
     return f"{parameter.lower:g} to {parameter.upper:g}{scale}{where}"
@@ -118,6 +134,6 @@ def _listed(words: Iterable[str]) -> str:
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     lines = (header, tuple("---" for _ in header), *rows)
-    # A bar would end a cell.
+    # A vertical bar would end a table cell.
     cells = (" | ".join(cell.replace("|", "\\|") for cell in line) for line in lines)
     return "".join(f"| {line} |\n" for line in cells)

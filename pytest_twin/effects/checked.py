@@ -1,4 +1,4 @@
-"""Whether an effect says of itself what a diagnosis reads, wherever it was written."""
+"""Checks of an installed effect's declaration."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from pytest_twin.errors import SpecError
 
 
 def checked(effect: object, name: str) -> Effect:
-    """The effect that an entry point brings, once what it states holds together.
+    """The effect of an entry point, after its declaration was checked.
 
     Args:
-        effect: what the entry point's class came to.
-        name: the entry point's.
+        effect: an instance of the entry point's class.
+        name: the entry point's name.
 
     Raises:
-        SpecError: it says something else than it may.
+        SpecError: a field is missing, unknown or inconsistent.
     """
     if not isinstance(effect, Effect):
         _refuse(name, "class", type(effect).__name__, "a subclass of pytest_twin.effects.Effect")
     for field in ("id", "family", "law", "source", "parameters"):
         if not getattr(effect, field, None):
-            _refuse(name, field, None, "stated by the class")
+            _refuse(name, field, None, "a value, set by the class")
     _one_of(name, "id", effect.id, (name,))
     _one_of(name, "family", effect.family, PATHS)
     _one_of(name, "scope", effect.scope, get_args(Scope))
@@ -32,7 +32,7 @@ def checked(effect: object, name: str) -> Effect:
     for parameter in effect.parameters:
         _check_parameter(name, parameter, effect.parameters)
     if all(p.neutral is None for p in effect.parameters):
-        _refuse(name, "parameters", None, "one with a neutral value, at which the effect is absent")
+        _refuse(name, "parameters", None, "one with a neutral value (effect absent)")
     return effect
 
 
@@ -42,9 +42,11 @@ def _check_parameter(name: str, parameter: Parameter, parameters: Sequence[Param
     _one_of(name, f"{here}.reference", parameter.reference, REFERENCES)
     lower, upper = parameter.lower, parameter.upper
     if not lower < upper:
-        _refuse(name, f"{here}.lower", lower, f"below upper, {upper:g}")
+        _refuse(name, f"{here}.lower", lower, f"below upper ({upper:g})")
+    if parameter.choices and len(parameter.choices) != len(parameter.starts):
+        _refuse(name, f"{here}.choices", len(parameter.choices), "as many as starts")
     if not parameter.starts:
-        _refuse(name, f"{here}.starts", None, "at least one")
+        _refuse(name, f"{here}.starts", None, "at least one value")
     if parameter.under is not None:
         choices = {p.name: p.starts for p in parameters if p.choice}
         _one_of(name, f"{here}.under", parameter.under[0], choices)
@@ -53,7 +55,7 @@ def _check_parameter(name: str, parameter: Parameter, parameters: Sequence[Param
     known = () if parameter.neutral is None else (parameter.neutral,)
     for value in (*known, *parameter.starts):
         if not lower <= value <= upper:
-            _refuse(name, here, value, f"neutral value and starts within {lower:g} and {upper:g}")
+            _refuse(name, here, value, f"neutral value and starts between {lower:g} and {upper:g}")
 
 
 def _one_of(name: str, field: str, value: object, choices: Collection[object]) -> None:
@@ -63,6 +65,6 @@ def _one_of(name: str, field: str, value: object, choices: Collection[object]) -
 
 def _refuse(name: str, field: str, value: object, expected: str) -> NoReturn:
     raise SpecError(
-        "an installed effect does not hold together",
+        "an installed effect has a wrong declaration",
         where=f"{name}.{field}", value=value, expected=expected,
     )  # fmt: skip

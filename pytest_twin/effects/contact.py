@@ -1,8 +1,8 @@
-"""Contact between the robot and what stands still around it.
+"""Contact effects: between moving links and fixed geoms of the surroundings.
 
-They act on geoms that come near each other in the recordings (:mod:`contact_geoms`), by the
-engine's own contact model: normal acceleration -b v - k r at penetration r, friction within a cone.
-Where a robot's geom shares a contact with something else, that contact changes too.
+They act on geoms that come close to each other in the recordings (:mod:`contact_geoms`), through
+MuJoCo's contact model: normal acceleration -b v - k r at penetration r, friction within a cone.
+Other contacts of the same geoms change too.
 """
 
 from __future__ import annotations
@@ -11,27 +11,32 @@ from typing import ClassVar
 
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values
 
-_IN_THE_AIR = "the same motion in the air: without contact it is gone"
+_IN_THE_AIR = "repeat the motion without contact: a contact effect disappears"
+_TWO_FORCES = (
+    "press with two forces: the deflection of a spring grows in proportion, an offset stays"
+)
 
 
 class ContactOffset(Effect):
-    """A surface does not stand where the model has it."""
+    """A surface is not where the model has it."""
 
     id = "contact_offset"
     family = "contact"
     law = (
-        "surface moved by offset along its normal: of a plane or height field its own z axis, of a "
-        "box the face that the robot meets, of others the mean direction of contact"
+        "surface moved by offset along its normal; "
+        "normal: z axis of a plane or height field, face of a box that the robot touches, mean "
+        "contact direction of other geoms"
     )
     source = "Siciliano, Khatib, Springer Handbook of Robotics (2016), ch. 37: contact modeling"
     scope = "robot"
     parameters = (
         Parameter(
-            "offset", "length", 0.0, -5.0, 5.0, (0.3, -0.3, 1.0, -1.0, 3.0), "clearance", step=0.02
+            "offset", "length", 0.0, -5.0, 5.0, (0.3, -0.3, 1.0, -1.0, 3.0), "clearance", step=0.02,
+            meaning="offset of the surface along its normal",
         ),
-    )
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "contact_stiffness": "press with two forces: a spring gives in proportion, an offset stays",
+        "contact_stiffness": _TWO_FORCES,
         "encoder_bias": _IN_THE_AIR,
         "base_tilt": _IN_THE_AIR,
     }
@@ -41,20 +46,23 @@ class ContactOffset(Effect):
 
 
 class ContactStiffness(Effect):
-    """The surfaces in contact are harder or softer."""
+    """The contact is stiffer or softer than in the model."""
 
     id = "contact_stiffness"
     family = "contact"
-    law = "k times 1 + relative_error; b as it was"
+    law = "k times 1 + relative_error, b unchanged"
     source = "Todorov, ICRA (2014): convex and analytically-invertible dynamics with contacts"
     scope = "robot"
     parameters = (
-        Parameter("relative_error", "one", 0.0, -0.95, 20.0, (0.5, -0.5, 3.0), step=0.05),
-    )
+        Parameter(
+            "relative_error", "one", 0.0, -0.95, 20.0, (0.5, -0.5, 3.0), step=0.05,
+            meaning="contact stiffness", relation="relative",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "contact_offset": "press with two forces: a spring gives in proportion, an offset stays",
-        "contact_damping": "hold still against the surface: a damper has no part in it",
-        "joint_elasticity": "load the joint without contact: a weight on the link",
+        "contact_offset": _TWO_FORCES,
+        "contact_damping": "press against the surface without moving: damping has no effect",
+        "joint_elasticity": "load the joint without contact, with a weight on the link",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
@@ -62,18 +70,21 @@ class ContactStiffness(Effect):
 
 
 class ContactDamping(Effect):
-    """The surfaces in contact take up more or less energy when they meet."""
+    """Impacts dissipate more or less energy than in the model."""
 
     id = "contact_damping"
     family = "contact"
-    law = "b times 1 + relative_error; k as it was (b also slows what slips within the cone)"
+    law = "b times 1 + relative_error, k unchanged; b also slows slip within the friction cone"
     source = "Hunt, Crossley, J. Appl. Mech. 42 (1975): restitution as damping in vibroimpact"
     scope = "robot"
     parameters = (
-        Parameter("relative_error", "one", 0.0, -0.95, 10.0, (0.5, -0.5, 3.0), step=0.05),
-    )
+        Parameter(
+            "relative_error", "one", 0.0, -0.95, 10.0, (0.5, -0.5, 3.0), step=0.05,
+            meaning="contact damping", relation="relative",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "contact_stiffness": "hold still against the surface: a damper has no part in it",
+        "contact_stiffness": "press against the surface without moving: damping has no effect",
         "viscous_friction": _IN_THE_AIR,
     }
 
@@ -82,18 +93,23 @@ class ContactDamping(Effect):
 
 
 class ContactFriction(Effect):
-    """What slides on a surface meets more or less friction."""
+    """Sliding friction of the contact differs from the model's."""
 
     id = "contact_friction"
     family = "contact"
     law = "|tangential force| <= (mu + coefficient) normal force; sliding only, mu at least 0"
     source = "Stewart, Trinkle, Int. J. Numer. Meth. Eng. 39 (1996): Coulomb friction in steps"
     scope = "robot"
-    parameters = (Parameter("coefficient", "one", 0.0, -1.5, 2.0, (0.1, -0.1, 0.5), step=0.02),)
+    parameters = (
+        Parameter(
+            "coefficient", "one", 0.0, -1.5, 2.0, (0.1, -0.1, 0.5), step=0.02,
+            meaning="friction coefficient of the contact", relation="added",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
         "coulomb_friction": _IN_THE_AIR,
-        "contact_damping": "slide at two speeds: friction does not heed them",
-        "contact_offset": "slide both ways under one force: friction turns with the motion",
+        "contact_damping": "slide at two speeds: friction does not depend on speed",
+        "contact_offset": "slide in both directions under one force: friction changes its sign",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:

@@ -1,4 +1,4 @@
-"""Environment: pushes that come from outside."""
+"""Environment effects: forces from outside the robot."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from pytest_twin.effects.within import within
 
 
 class ExternalForce(Effect):
-    """Something pushes the joint for a while."""
+    """An external effort acts on the joint for some time."""
 
     id = "external_force"
     family = "environment"
-    law = "effort from start for duration, zero elsewhere"
+    law = "effort for start <= t < start + duration, else 0"
     source = "Haddadin, De Luca, Albu-Schaeffer, IEEE T-RO 33 (2017): collision detection"
     parameters = (
-        Parameter("effort", "effort", 0.0, -20.0, 20.0, (0.3,), "effort"),
+        Parameter(
+            "effort", "effort", 0.0, -20.0, 20.0, (0.3,), "effort", meaning="external effort"
+        ),
         Parameter(
             "start",
             "time",
@@ -28,15 +30,19 @@ class ExternalForce(Effect):
             tuple(0.5 * k for k in range(24)),
             "twelfth",
             reach=0.25,
+            meaning="start of the effort",
         ),
         Parameter(
-            "duration", "time", None, 0.02, 12.0, (0.6, 1.2, 2.4, 5.0, 12.0), "twelfth", reach=0.25
+            "duration", "time", None, 0.02, 12.0, (0.6, 1.2, 2.4, 5.0, 12.0), "twelfth",
+            reach=0.25, meaning="duration of the effort",
         ),
-    )
-    confused_with: ClassVar = {"thermal_friction": "the same motion twice"}
+    )  # fmt: skip
+    confused_with: ClassVar = {
+        "thermal_friction": "record the same motion twice: an external force does not repeat",
+    }
 
     def force(self, world: World, values: Values) -> None:
         since = world.time[:, None] - values["start"]
-        # Overlap of the step with the window, so that its edges move smoothly.
+        # Overlap of the step with the interval: smooth in start and duration.
         inside = np.minimum(since + world.timestep, values["duration"]) - np.maximum(since, 0.0)
         world.applied += values["effort"] * within(inside / world.timestep, 0.0, 1.0)

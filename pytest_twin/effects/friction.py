@@ -1,7 +1,7 @@
-"""Friction: everything that resists motion at a joint.
+"""Friction effects: everything that resists motion at a joint.
 
-Levels go to the solver, which holds the joint where the level suffices: no velocity band. Laws add
-to the model's own friction.
+Dry friction is a constraint of the solver, so a joint really stops; there is no velocity band. All
+levels are added to the model's own friction.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
 
 
 class _DryFriction(Effect):
-    """A level that may vary: without that it is Coulomb friction.
+    """Dry friction with a variable level; Coulomb friction is its special case.
 
     Attributes:
-        level: the parameter that is the level then.
+        level: name of the parameter that becomes the Coulomb level.
     """
 
     level: ClassVar[str]
@@ -36,19 +36,26 @@ class _DryFriction(Effect):
 
 
 class ViscousFriction(Effect):
-    """Effort in proportion to velocity."""
+    """Friction proportional to velocity."""
 
     id = "viscous_friction"
     family = "friction"
     of_every_drive = True
     law = "effort = -coefficient v"
     source = _SURVEY
-    parameters = (Parameter("coefficient", "damping", 0.0, -5.0, 50.0, (0.2,), "damping"),)
+    parameters = (
+        Parameter(
+            "coefficient", "damping", 0.0, -5.0, 50.0, (0.2,), "damping",
+            meaning="viscous friction", relation="added",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "controller_gain": "the drive off: only friction remains",
-        "quadratic_drag": "speeds a factor of four apart",
-        "coulomb_friction": "constant speeds a factor of four apart",
-        "command_delay": "an outside push: a delay does not damp it",
+        "controller_gain": "move the joint with the drive off: only friction remains",
+        "quadratic_drag": "record constant speeds a factor of four apart: viscous friction grows "
+        "in proportion, drag with the square",
+        "coulomb_friction": "record constant speeds a factor of four apart: Coulomb friction stays "
+        "the same",
+        "command_delay": "push the robot by hand: a delay does not damp the motion",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
@@ -56,19 +63,25 @@ class ViscousFriction(Effect):
 
 
 class CoulombFriction(Effect):
-    """A constant level against motion, which also holds at rest."""
+    """Dry friction: a constant effort against motion that also holds the joint at rest."""
 
     id = "coulomb_friction"
     family = "friction"
     of_every_drive = True
     law = "|effort| <= level; effort = -level sign(v) in motion"
     source = _SURVEY
-    parameters = (Parameter("coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort"),)
+    parameters = (
+        Parameter(
+            "coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort",
+            meaning="Coulomb friction", relation="added",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "stribeck_friction": "slow reversals: only Stribeck falls with speed",
-        "load_dependent_friction": "two loads",
-        "dead_zone": "release at rest",
-        "backlash": "hold the link by hand",
+        "stribeck_friction": "record slow reversals: only Stribeck friction falls with speed",
+        "load_dependent_friction": "repeat the recording with two payloads: only load-dependent "
+        "friction changes",
+        "dead_zone": "switch the drive off at rest: friction holds the joint, a dead zone does not",
+        "backlash": "move the link by hand with the motor held: only backlash gives free play",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
@@ -76,7 +89,7 @@ class CoulombFriction(Effect):
 
 
 class AsymmetricFriction(_DryFriction):
-    """A level that differs between the two directions."""
+    """Dry friction that differs between the two directions of motion."""
 
     id = "asymmetric_friction"
     family = "friction"
@@ -84,14 +97,21 @@ class AsymmetricFriction(_DryFriction):
     law = "|effort| <= coulomb + offset for v > 0, coulomb - offset for v < 0"
     source = "Janot, Gautier, Brunot, Mech. Syst. Signal Process. (2019): EMPS benchmark"
     parameters = (
-        Parameter("coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort"),
-        Parameter("offset", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
-    )
+        Parameter(
+            "coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort",
+            meaning="mean Coulomb friction of both directions", relation="added",
+        ),
+        Parameter(
+            "offset", "effort", 0.0, -3.0, 3.0, (0.1,), "effort",
+            meaning="half the difference between the directions",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "coulomb_friction": "the same speed both ways",
-        "joint_spring": "poses far apart: a spring grows with the angle",
-        "base_tilt": "another joint's pose: a tilt acts on every joint by its load",
-        "encoder_bias": "hold with the drive off",
+        "coulomb_friction": "record the same constant speed in both directions: the friction "
+        "differs",
+        "joint_spring": "hold poses far apart: a spring's effort grows with the angle",
+        "base_tilt": "change another joint's pose: only the effort of a tilt changes",
+        "encoder_bias": "hold a pose with the drive off: only a zero offset remains",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
@@ -100,7 +120,7 @@ class AsymmetricFriction(_DryFriction):
 
 
 class StribeckFriction(_DryFriction):
-    """A level that falls from stiction to Coulomb as lubrication builds up with speed."""
+    """Dry friction that falls from stiction to the Coulomb level as speed increases."""
 
     id = "stribeck_friction"
     family = "friction"
@@ -108,15 +128,23 @@ class StribeckFriction(_DryFriction):
     law = "level = coulomb + (stiction - coulomb) exp(-(v / stribeck_velocity)^2)"
     source = "Bo, Pavelescu, Wear 82 (1982); " + _SURVEY
     parameters = (
-        Parameter("coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort"),
-        Parameter("stiction_excess", "effort", 0.0, 0.0, 5.0, (0.2,), "effort"),
         Parameter(
-            "stribeck_velocity", "velocity", None, 0.003, 3.0, (0.03, 0.08, 0.2, 0.5), "velocity"
+            "coulomb", "effort", 0.0, -3.0, 5.0, (0.2,), "effort",
+            meaning="Coulomb friction", relation="added",
         ),
-    )
+        Parameter(
+            "stiction_excess", "effort", 0.0, 0.0, 5.0, (0.2,), "effort",
+            meaning="extra friction at rest",
+        ),
+        Parameter(
+            "stribeck_velocity", "velocity", None, 0.003, 3.0, (0.03, 0.08, 0.2, 0.5), "velocity",
+            meaning="Stribeck velocity",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "coulomb_friction": "slow reversals",
-        "presliding_hysteresis": "symmetric slow reversals smaller than the break-away",
+        "coulomb_friction": "record slow reversals: only Stribeck friction falls with speed",
+        "presliding_hysteresis": "record slow reversals smaller than the break-away: only "
+        "presliding moves the joint",
     }
 
     def friction(self, world: World, values: Values) -> None:
@@ -129,27 +157,33 @@ class StribeckFriction(_DryFriction):
 
 
 class LoadDependentFriction(Effect):
-    """A level that grows with the effort that the gear transmits: with what the load puts on it, or
-    with what the motor does.
-    """
+    """Dry friction that grows with the effort through the gear, from the load or from the motor."""
 
     id = "load_dependent_friction"
     family = "friction"
     of_every_drive = True
     law = (
-        "level = coefficient |load|, load: gravity, Coriolis and centrifugal effort; with of_drive "
-        "1: level = coefficient |delivered|"
+        "of_drive 0: level = coefficient |load|, load = gravity, Coriolis and centrifugal effort; "
+        "of_drive 1: level = coefficient |delivered|"
     )
     source = "Duclos et al., arXiv:2410.08650 (extended friction of servo actuators)"
     parameters = (
-        # Poor worm gears still pass a fifth of the effort on.
-        Parameter("coefficient", "effort_per_load", 0.0, 0.0, 0.8, (0.1,)),
-        Parameter("of_drive", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
-    )
+        # A poor worm gear still transmits 20 % of the effort.
+        Parameter(
+            "coefficient", "effort_per_load", 0.0, 0.0, 0.8, (0.1,),
+            meaning="friction per unit of effort",
+        ),
+        Parameter(
+            "of_drive", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True,
+            meaning="effort that causes the friction",
+            choices=("caused by the load", "caused by the motor's effort"),
+        ),
+    )  # fmt: skip
     reads_drive = True
     confused_with: ClassVar = {
-        "coulomb_friction": "two loads at the same speed",
-        "torque_constant": "both directions: friction changes its sign",
+        "coulomb_friction": "repeat the same speed with two payloads: Coulomb friction stays the "
+        "same",
+        "torque_constant": "repeat the motion in both directions: friction changes its sign",
     }
 
     def friction(self, world: World, values: Values) -> None:
@@ -158,7 +192,7 @@ class LoadDependentFriction(Effect):
 
 
 class PreslidingHysteresis(_DryFriction):
-    """Before it slides, a contact yields like a spring that forgets: loops without sliding."""
+    """Elastic deformation before sliding: small reversals follow a hysteresis loop."""
 
     id = "presliding_hysteresis"
     family = "friction"
@@ -166,17 +200,22 @@ class PreslidingHysteresis(_DryFriction):
     law = "dz/dt = v - |v| z / (coulomb / stiffness); effort = -stiffness z"
     source = "Dahl (1968); Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995): LuGre"
     parameters = (
-        Parameter("coulomb", "effort", 0.0, 0.0, 5.0, (0.2,), "effort"),
         Parameter(
-            "presliding_distance", "position", None, 0.002, 0.5, (0.005, 0.015, 0.04, 0.1), "one"
+            "coulomb", "effort", 0.0, 0.0, 5.0, (0.2,), "effort", meaning="Coulomb friction",
+            relation="added",
         ),
-    )
+        Parameter(
+            "presliding_distance", "position", None, 0.002, 0.5, (0.005, 0.015, 0.04, 0.1), "one",
+            meaning="presliding distance",
+        ),
+    )  # fmt: skip
     remembers = True
     remembers_path = True
     confused_with: ClassVar = {
-        "coulomb_friction": "symmetric reversals smaller than the break-away",
-        "joint_spring": "both directions: a spring has no loop",
-        "joint_elasticity": "fast and slow: elasticity rings",
+        "coulomb_friction": "record reversals smaller than the break-away: only presliding moves "
+        "the joint",
+        "joint_spring": "repeat the motion in both directions: a spring has no hysteresis loop",
+        "joint_elasticity": "record fast and slow motions: only elasticity resonates",
     }
 
     def force(self, world: World, values: Values) -> None:
@@ -185,8 +224,8 @@ class PreslidingHysteresis(_DryFriction):
         bristle = world.state.get(self.id)
         if bristle is None:
             bristle = np.zeros_like(level)
-        # Exact for a velocity that is held over the step: z tends to its bound exponentially. What
-        # acts is the mean over the step.
+        # Exact for a constant velocity over the step: z approaches its bound exponentially. The
+        # mean over the step acts.
         travel = world.motor_velocity * world.timestep
         bound = distance * np.sign(travel)
         share = np.maximum(np.abs(travel) / distance, 1e-12)
@@ -196,27 +235,38 @@ class PreslidingHysteresis(_DryFriction):
 
 
 class ThermalFriction(_DryFriction):
-    """Dry and viscous friction that falls as the gear warms up in use, and in a warmer room."""
+    """Dry and viscous friction that falls as the gear warms up, and in a warmer room."""
 
     id = "thermal_friction"
     family = "friction"
     level = "excess"
     law = (
-        "cold = coldness exp(-t / warm_up_time), coldness 1 in the coldest trials (metadata "
-        "temperature), 0 in the warmest, 1 where no temperatures are told; level = dry friction + "
-        "excess cold; effort = -viscous_excess cold v"
+        "cold = coldness exp(-t / warm_up_time); level = dry friction + excess cold; "
+        "effort = -viscous_excess cold v; "
+        "coldness: 1 in the coldest trials (metadata temperature), 0 in the warmest, 1 without "
+        "temperatures"
     )
     source = "Bittencourt, Axelsson, J. Dyn. Syst. Meas. Control 136 (2014)"
     parameters = (
-        Parameter("excess", "effort", 0.0, -5.0, 5.0, (0.2,), "effort"),
-        Parameter("viscous_excess", "damping", 0.0, -5.0, 50.0, (0.2,), "damping"),
-        Parameter("warm_up_time", "time", None, 0.5, 1000.0, (2.0, 5.0, 12.0, 40.0)),
-    )
+        Parameter(
+            "excess", "effort", 0.0, -5.0, 5.0, (0.2,), "effort",
+            meaning="extra dry friction when cold",
+        ),
+        Parameter(
+            "viscous_excess", "damping", 0.0, -5.0, 50.0, (0.2,), "damping",
+            meaning="extra viscous friction when cold",
+        ),
+        Parameter(
+            "warm_up_time", "time", None, 0.5, 1000.0, (2.0, 5.0, 12.0, 40.0),
+            meaning="warm-up time constant",
+        ),
+    )  # fmt: skip
     asks_temperature = True
     confused_with: ClassVar = {
-        "coulomb_friction": "the same motion cold and warm",
-        "viscous_friction": "the same motion cold and warm",
-        "external_force": "the same motion twice, with a pause",
+        "coulomb_friction": "record the same motion cold and warm",
+        "viscous_friction": "record the same motion cold and warm",
+        "external_force": "record the same motion twice with a pause between: an external force "
+        "does not repeat",
     }
     has_in_it = _DryFriction.has_in_it | {"viscous_friction"}
 
@@ -225,7 +275,7 @@ class ThermalFriction(_DryFriction):
         world.friction_level = world.friction_level + values["excess"] * cold
 
     def force(self, world: World, values: Values) -> None:
-        # Of the same step: friction comes before.
+        # The friction hook of this step ran before.
         world.drag_motor(values["viscous_excess"] * world.state[self.id])
 
     @staticmethod
@@ -245,26 +295,37 @@ class ThermalFriction(_DryFriction):
 
 
 class PositionDependentFriction(_DryFriction):
-    """A level that varies over the turn, once or several times: a bent shaft, an eccentric gear."""
+    """Dry friction that varies periodically with position: a bent shaft, an eccentric gear."""
 
     id = "position_dependent_friction"
     family = "friction"
     level = "mean"
-    law = "level = mean + sine sin(harmonic q) + cosine cos(harmonic q), not below zero"
+    law = (
+        "level = max(mean + sine sin(harmonic q) + cosine cos(harmonic q), 0); "
+        "harmonic: periods per turn on a hinge"
+    )
     source = _SURVEY + ", sec. 2.2"
     parameters = (
-        Parameter("mean", "effort", 0.0, -3.0, 5.0, (0.1,), "effort"),
-        Parameter("sine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
-        Parameter("cosine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort"),
         Parameter(
-            "harmonic", "wavenumber", None, 1.0, 200.0, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), choice=True
+            "mean", "effort", 0.0, -3.0, 5.0, (0.1,), "effort",
+            meaning="mean dry friction", relation="added",
         ),
-    )
+        Parameter(
+            "sine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort", meaning="sine amplitude"
+        ),
+        Parameter(
+            "cosine", "effort", 0.0, -3.0, 3.0, (0.1,), "effort", meaning="cosine amplitude"
+        ),
+        Parameter(
+            "harmonic", "wavenumber", None, 1.0, 200.0, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), choice=True,
+            meaning="wavenumber",
+        ),
+    )  # fmt: skip
     over_the_turn = True
     confused_with: ClassVar = {
-        "coulomb_friction": "the same speed at poses far apart",
-        "cogging": "both directions: cogging keeps its sign",
-        "load_dependent_friction": "the same pose under two loads",
+        "coulomb_friction": "record the same speed at poses far apart",
+        "cogging": "repeat the motion in both directions: cogging keeps its sign",
+        "load_dependent_friction": "record the same poses with two payloads",
     }
 
     def friction(self, world: World, values: Values) -> None:
@@ -274,14 +335,22 @@ class PositionDependentFriction(_DryFriction):
 
 
 class QuadraticDrag(Effect):
-    """Effort with the square of velocity."""
+    """Drag proportional to the square of velocity."""
 
     id = "quadratic_drag"
     family = "friction"
     law = "effort = -coefficient v |v|"
     source = "drag equation; Batchelor, An Introduction to Fluid Dynamics (1967), sec. 5.11"
-    parameters = (Parameter("coefficient", "drag", 0.0, -2.0, 20.0, (0.2,), "drag"),)
-    confused_with: ClassVar = {"viscous_friction": "speeds a factor of four apart"}
+    parameters = (
+        Parameter(
+            "coefficient", "drag", 0.0, -2.0, 20.0, (0.2,), "drag",
+            meaning="quadratic drag coefficient",
+        ),
+    )  # fmt: skip
+    confused_with: ClassVar = {
+        "viscous_friction": "record constant speeds a factor of four apart: drag grows with the "
+        "square",
+    }
 
     def force(self, world: World, values: Values) -> None:
         world.drag_motor(values["coefficient"] * np.abs(world.motor_velocity))

@@ -1,4 +1,4 @@
-"""Motor: what a geared DC motor makes of the effort that its drive asks for."""
+"""Motor effects: how a geared DC motor turns the requested effort into delivered effort."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, Parameter, Values, World
 
-# Setpoints that differ by less are the same: a two-thousandth of an encoder's count.
+# Setpoints that differ by less are equal: 1/2000 of an encoder count (12 bits per turn), in rad.
 _SAME_COMMAND = 1e-6
-# Effort within ``delivered`` that stands for back-EMF held as passive damping: not the motor's.
+# Part of ``delivered`` that cancels back-EMF, which the model holds as passive damping.
 _TAKEN = "back_emf"
 
 
 class TorqueRolloff(Effect):
-    """The effort gained per ampere falls as the current grows: iron, supply and bridge give way.
+    """The motor's torque per ampere falls as the current grows (magnetic saturation, supply).
 
-    Models hold a motor's back-EMF as passive damping. There it stays, but it takes from the current
-    and so from what rolls off.
+    Models represent back-EMF as passive damping. It stays there, but it reduces the current, and
+    so the part that saturates.
     """
 
     id = "torque_rolloff"
     family = "actuation"
     of_every_drive = True
     law = (
-        "ideal = drive - back_emf v; effort of the motor = ideal / (1 + |ideal| / knee); of the "
-        "model's passive damping, back_emf v is in it"
+        "ideal = drive - back_emf v; effort of the motor = ideal / (1 + |ideal| / knee); "
+        "back_emf v: the part of the model's passive damping that is back-EMF"
     )
     source = (
         "torque constant that falls with current by saturation and armature reaction; Hughes, "
@@ -37,15 +37,21 @@ class TorqueRolloff(Effect):
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the knee.
         Parameter(
-            "inverse_knee", "one", 0.0, 0.0, 10.0, (0.3, 1.0), "inverse_effort", ("knee", "effort")
+            "inverse_knee", "one", 0.0, 0.0, 10.0, (0.3, 1.0), "inverse_effort",
+            ("knee", "effort"), meaning="effort at which half the ideal effort is lost",
         ),
-        Parameter("back_emf", "damping", None, 0.0, 3.0, (0.0, 0.3), "damping"),
-    )
+        Parameter(
+            "back_emf", "damping", None, 0.0, 3.0, (0.0, 0.3), "damping",
+            meaning="damping by back-EMF",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "torque_saturation": "loads in steps up to the limit: a roll-off bends from the first",
-        "torque_constant": "two loads a factor of four apart: a constant scales both alike",
-        "controller_gain": "two loads a factor of four apart: a gain scales both alike",
-        "motor_load_friction": "lowering and lifting one load: friction changes its sign",
+        "torque_saturation": "increase the load in steps up to the limit: a roll-off shows from "
+        "the first step",
+        "torque_constant": "hold two loads a factor of four apart: a torque constant scales both "
+        "equally",
+        "controller_gain": "hold two loads a factor of four apart: a gain scales both equally",
+        "motor_load_friction": "lift and lower one load: friction changes its sign",
     }
 
     def drive(self, world: World, values: Values) -> None:
@@ -57,32 +63,37 @@ class TorqueRolloff(Effect):
 
 
 class WatchdogTimeout(Effect):
-    """A drive that lets go once its command has stood still for some time.
+    """The drive switches off after its command has been constant for some time.
 
-    A watchdog, an idle release, or a controller that disables torque when its motion is done: the
-    recordings of commands and states look alike. The motor's back-EMF is gone with it, though the
-    model has it as passive damping. Acts on what every other law of the drive leaves.
+    A watchdog, an idle release and a controller that disables torque after a motion look the same
+    in a recording. The motor's back-EMF, part of the model's passive damping, ends too. This effect
+    acts after all other effects of the drive.
     """
 
     id = "watchdog_timeout"
     family = "actuation"
     law = (
-        "drive off from when the command has not changed for timeout until it changes; of the "
-        "model's passive damping, back_emf v goes with it"
+        "delivered = 0 once the command has been constant for timeout, until it changes; "
+        "back_emf v: the part of the model's passive damping that ends with it"
     )
     source = "Bus Watchdog, ROBOTIS e-Manual, X series, control table address 98"
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the time.
         Parameter(
             "inverse_timeout", "one", 0.0, 0.0, 140.0, (2.0, 30.0, 120.0), "one",
-            ("timeout", "time"),
+            ("timeout", "time"), meaning="watchdog timeout",
         ),
-        Parameter("back_emf", "damping", None, 0.0, 3.0, (0.0, 0.3), "damping"),
+        Parameter(
+            "back_emf", "damping", None, 0.0, 3.0, (0.0, 0.3), "damping",
+            meaning="damping by back-EMF",
+        ),
     )  # fmt: skip
     remembers = True
     confused_with: ClassVar = {
-        "torque_saturation": "a command that moves while the load stays: only a timeout holds then",
-        "external_force": "the same motion with a command that never stands still",
+        "torque_saturation": "keep the command moving under the same load: a drive with a watchdog "
+        "then holds it",
+        "external_force": "repeat the motion with a command that never stops: a watchdog does not "
+        "act then",
     }
 
     def command(self, world: World, values: Values) -> None:
@@ -114,9 +125,9 @@ class WatchdogTimeout(Effect):
 
 
 class MotorLoadFriction(Effect):
-    """Dry friction of gears that grows with the effort that the motor puts through them.
+    """Dry friction of the gear that grows with the motor's effort.
 
-    Unlike friction that grows with the load, it is gone where the motor is off and the load drives.
+    Unlike friction that grows with the load, it is zero while the motor is off.
     """
 
     id = "motor_load_friction"
@@ -128,16 +139,28 @@ class MotorLoadFriction(Effect):
         "speed: Tustin (1947), in Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
     )
     parameters = (
-        # As of load_dependent_friction.
-        Parameter("coefficient", "effort_per_load", 0.0, 0.0, 0.8, (0.2,)),
-        Parameter("stiction_excess", "effort_per_load", 0.0, 0.0, 0.8, (0.1,)),
-        Parameter("stribeck_velocity", "velocity", None, 0.005, 3.0, (0.15, 0.5), "velocity"),
-    )
+        # Bounds as in load_dependent_friction.
+        Parameter(
+            "coefficient", "effort_per_load", 0.0, 0.0, 0.8, (0.2,),
+            meaning="friction in motion per unit of effort",
+        ),
+        Parameter(
+            "stiction_excess", "effort_per_load", 0.0, 0.0, 0.8, (0.1,),
+            meaning="extra friction at rest per unit of effort",
+        ),
+        Parameter(
+            "stribeck_velocity", "velocity", None, 0.005, 3.0, (0.15, 0.5), "velocity",
+            meaning="Stribeck velocity",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "load_dependent_friction": "the same load with the motor off: only friction by load stays",
-        "torque_constant": "lowering and lifting one load: friction changes its sign",
-        "coulomb_friction": "two loads at the same speed",
-        "stribeck_friction": "two loads at the same speeds",
+        "load_dependent_friction": "move the same load with the motor off: only friction from the "
+        "load remains",
+        "torque_constant": "lift and lower one load: friction changes its sign",
+        "coulomb_friction": "repeat the same speed with two payloads: Coulomb friction stays the "
+        "same",
+        "stribeck_friction": "repeat the same speeds with two payloads: Stribeck friction stays "
+        "the same",
     }
     has_in_it = frozenset({"load_dependent_friction"})
     reads_drive = True
@@ -154,6 +177,6 @@ class MotorLoadFriction(Effect):
 
 
 def motor_effort(world: World) -> FloatArray:
-    """(rows, joints) of what is delivered that the motor gives, N*m or N."""
+    """(rows, joints) part of the delivered effort that the motor produces, N*m or N."""
     effort: FloatArray = world.delivered - world.state.get(_TAKEN, 0.0)
     return effort

@@ -1,4 +1,4 @@
-"""Rigid body: masses, inertia, and which way is down."""
+"""Rigid-body effects: masses, inertia, and the direction of gravity."""
 
 from __future__ import annotations
 
@@ -11,86 +11,117 @@ from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values
 
 
 class Payload(Effect):
-    """A mass on the last link that the model does not carry."""
+    """A point mass on the last link that the model lacks."""
 
     id = "payload"
     family = "rigid_body"
     law = (
-        "mass on the last link, a point at distance along the link's own direction (from its joint "
-        "to its centre of mass, or, where that is within 0.03 of the arm's length and nearer to "
-        "the joint's axis than across it, as a flange's is, along that axis); "
-        "form 1: and sideways, the way that the joint turns it there; "
-        "form 2: and across both"
+        "point mass at distance along the last link's direction, from its joint; "
+        "form 1: also sideways, in the joint's direction of motion; "
+        "form 2: also across, perpendicular to both; "
+        "link direction: from the joint to the link's centre of mass, for a flange the joint's axis"
     )
     source = "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), ch. 12"
     scope = "robot"
     parameters = (
-        Parameter("mass", "mass", 0.0, -0.9, 20.0, (0.2,), "mass"),
-        Parameter("distance", "length", None, -2.0, 4.0, (0.5, 1.0, 2.0), "length"),
         Parameter(
-            "sideways", "length", None, -4.0, 4.0, (-0.5, 0.5), "length", under=("form", (1.0, 2.0))
+            "mass", "mass", 0.0, -0.9, 20.0, (0.2,), "mass", meaning="payload mass",
+            relation="added",
         ),
         Parameter(
-            "across", "length", None, -4.0, 4.0, (-0.5, 0.5), "length", under=("form", (2.0,))
+            "distance", "length", None, -2.0, 4.0, (0.5, 1.0, 2.0), "length",
+            meaning="distance from the last joint along the link",
         ),
-        Parameter("form", "one", None, 0.0, 2.0, (0.0, 1.0, 2.0), choice=True),
-    )
+        Parameter(
+            "sideways", "length", None, -4.0, 4.0, (-0.5, 0.5), "length",
+            under=("form", (1.0, 2.0)), meaning="offset in the joint's direction of motion",
+        ),
+        Parameter(
+            "across", "length", None, -4.0, 4.0, (-0.5, 0.5), "length", under=("form", (2.0,)),
+            meaning="offset perpendicular to link and motion",
+        ),
+        Parameter(
+            "form", "one", None, 0.0, 2.0, (0.0, 1.0, 2.0), choice=True,
+            meaning="free coordinates of the mass",
+            choices=("on the link's axis", "beside the link's axis", "anywhere around the link"),
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "inertial_parameters": "take the payload off",
-        "torque_constant": "the same motion with a known mass added",
-        "base_tilt": "poses on both sides of the vertical",
+        "inertial_parameters": "remove the payload and repeat the recording",
+        "torque_constant": "repeat the recording with a known mass added",
+        "base_tilt": "hold poses on both sides of the vertical",
     }
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
-        """First moment and distance: weight follows the one, inertia their product."""
+        """First moment and distance: gravity depends on the moment, inertia on their product."""
         mass, distance, *others, form = parameters
-        # Beside the link's own direction a load has a moment at no distance.
+        # Beside the link's axis a mass has a moment at zero distance too.
         return parameters if form else np.array([mass * distance, distance, *others, form])
 
     def from_coordinates(self, coordinates: FloatArray) -> FloatArray:
-        """Mass and distance; a mass at no distance has no moment."""
+        """Mass and distance; at zero distance the moment and so the mass is zero."""
         moment, distance, *others, form = coordinates
         mass = moment / distance if distance else 0.0
         return coordinates if form else np.array([mass, distance, *others, form])
 
     def fields(self, fields: ModelFields, values: Values) -> None:
-        # A robot's parameter stands in every joint's column; the mass sits on the last link.
+        # A robot parameter is repeated in every joint's column; the mass is on the last link.
         fields.added_mass[:, -1] += values["mass"][:, -1]
         at = [values[name][:, -1] for name in ("distance", "sideways", "across")]
         fields.added_at[:, -1] = np.stack(at, axis=1)
 
 
 class InertialParameters(Effect):
-    """The link that the joint moves is not as its drawing has it.
+    """The mass, centre of mass or inertia of the link differs from the model's.
 
-    Every form leaves a link that can exist: positive mass, and moments of inertia about the centre
-    of mass that stay in proportion.
+    Every form is physically consistent: positive mass, and moments of inertia about the centre of
+    mass that keep their ratios.
     """
 
     id = "inertial_parameters"
     family = "rigid_body"
     law = (
-        "form 0: mass and inertia of the link times 1 + relative_error; "
-        "form 1: mass alone times 1 + mass_error; "
-        "form 2: inertia about the centre of mass alone times 1 + inertia_error; "
-        "form 3: both, and the centre moved away from the axis (radial) and the way that the joint "
-        "turns it (tangential)"
+        "form 0: mass and inertia times 1 + relative_error; "
+        "form 1: mass times 1 + mass_error; "
+        "form 2: inertia about the centre of mass times 1 + inertia_error; "
+        "form 3: forms 1 and 2, and the centre of mass moved away from the joint's axis (radial) "
+        "and in the joint's direction of motion (tangential)"
     )
     source = "Wensing, Kim, Slotine, IEEE RA-L 3 (2018): physical consistency"
     parameters = (
-        Parameter("relative_error", "one", 0.0, -0.9, 4.0, (0.1,), under=("form", (0.0,))),
-        Parameter("mass_error", "one", 0.0, -0.9, 4.0, (0.1,), under=("form", (1.0, 3.0))),
-        Parameter("inertia_error", "one", 0.0, -0.9, 9.0, (0.1,), under=("form", (2.0, 3.0))),
-        Parameter("radial", "length", 0.0, -2.0, 2.0, (0.1,), "gyration", under=("form", (3.0,))),
         Parameter(
-            "tangential", "length", 0.0, -2.0, 2.0, (0.1,), "gyration", under=("form", (3.0,))
+            "relative_error", "one", 0.0, -0.9, 4.0, (0.1,), under=("form", (0.0,)),
+            meaning="mass and inertia of the link", relation="relative",
         ),
-        Parameter("form", "one", None, 0.0, 3.0, (0.0, 1.0, 2.0, 3.0), choice=True),
-    )
+        Parameter(
+            "mass_error", "one", 0.0, -0.9, 4.0, (0.1,), under=("form", (1.0, 3.0)),
+            meaning="mass of the link", relation="relative",
+        ),
+        Parameter(
+            "inertia_error", "one", 0.0, -0.9, 9.0, (0.1,), under=("form", (2.0, 3.0)),
+            meaning="inertia of the link about its centre of mass", relation="relative",
+        ),
+        Parameter(
+            "radial", "length", 0.0, -2.0, 2.0, (0.1,), "gyration", under=("form", (3.0,)),
+            meaning="shift of the centre of mass away from the joint's axis",
+        ),
+        Parameter(
+            "tangential", "length", 0.0, -2.0, 2.0, (0.1,), "gyration", under=("form", (3.0,)),
+            meaning="shift of the centre of mass in the joint's direction of motion",
+        ),
+        Parameter(
+            "form", "one", None, 0.0, 3.0, (0.0, 1.0, 2.0, 3.0), choice=True,
+            meaning="free inertial parameters",
+            choices=(
+                "mass and inertia by the same factor", "mass only", "inertia only",
+                "mass, inertia and centre of mass",
+            ),
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "payload": "take the payload off",
-        "torque_constant": "the same motion with a known mass added",
-        "armature": "hold against gravity: armature has no weight",
+        "payload": "remove the payload and repeat the recording",
+        "torque_constant": "repeat the recording with a known mass added",
+        "armature": "hold the joint against gravity: armature has no weight",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
@@ -102,17 +133,23 @@ class InertialParameters(Effect):
 
 
 class Armature(Effect):
-    """Inertia of rotor and gears, as the joint feels it."""
+    """Reflected inertia of rotor and gear at the joint."""
 
     id = "armature"
     family = "rigid_body"
     of_every_drive = True
-    law = "effort = -armature dv/dt; armature = rotor inertia times ratio squared"
+    law = "effort = -inertia dv/dt; inertia = rotor inertia times gear ratio squared"
     source = "Siciliano et al., Robotics (2009), sec. 7.2"
-    parameters = (Parameter("inertia", "inertia", 0.0, -0.95, 20.0, (0.1,), "inertia"),)
+    parameters = (
+        Parameter(
+            "inertia", "inertia", 0.0, -0.95, 20.0, (0.1,), "inertia",
+            meaning="armature (reflected rotor inertia)", relation="added",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "inertial_parameters": "hold against gravity: armature has no weight",
-        "actuator_lag": "two payloads",
+        "inertial_parameters": "hold the joint against gravity: armature has no weight",
+        "actuator_lag": "repeat the recording with two payloads: a lag does not depend on the "
+        "payload",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
@@ -120,20 +157,21 @@ class Armature(Effect):
 
 
 class BaseTilt(Effect):
-    """The base does not stand level."""
+    """The base is not level."""
 
     id = "base_tilt"
     family = "rigid_body"
-    law = "gravity in the base frame turned by roll about x, then pitch about y"
+    law = "gravity in the base frame = Ry(pitch)^T Rx(roll)^T gravity of a level base"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991)"
     scope = "robot"
     parameters = (
-        Parameter("roll", "angle", 0.0, -0.6, 0.6, (0.03,)),
-        Parameter("pitch", "angle", 0.0, -0.6, 0.6, (0.03,)),
+        Parameter("roll", "angle", 0.0, -0.6, 0.6, (0.03,), meaning="roll about x"),
+        Parameter("pitch", "angle", 0.0, -0.6, 0.6, (0.03,), meaning="pitch about y"),
     )
     confused_with: ClassVar = {
-        "encoder_bias": "a level on the base; a turn of the first joint",
-        "joint_spring": "another joint's pose",
+        "encoder_bias": "measure the base with a spirit level, or turn the first joint by half a "
+        "turn",
+        "joint_spring": "change another joint's pose: only the effort of a tilt changes",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:

@@ -1,4 +1,4 @@
-"""Sensing: what the encoder and the effort sensor say of a motion that is right."""
+"""Sensing effects: errors of encoders and effort sensors."""
 
 from __future__ import annotations
 
@@ -11,22 +11,27 @@ from pytest_twin.effects.base import Effect, Parameter, Values, World
 
 
 class EncoderBias(Effect):
-    """The measured zero is not the model's; a servo that closes its loop on it is off as well."""
+    """The encoder's zero differs from the model's zero."""
 
     id = "encoder_bias"
     family = "sensing"
     reads_after = 2
     of_every_drive = True
-    law = "measured = position + bias; the servo regulates position + in_loop bias, in_loop 0 or 1"
+    law = "measured = q + bias; the servo regulates q + in_loop bias"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
-        Parameter("bias", "position", 0.0, -0.6, 0.6, (0.03,)),
-        Parameter("in_loop", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True),
-    )
+        Parameter("bias", "position", 0.0, -0.6, 0.6, (0.03,), meaning="encoder zero offset"),
+        Parameter(
+            "in_loop", "one", None, 0.0, 1.0, (0.0, 1.0), choice=True,
+            meaning="whether the servo uses this reading",
+            choices=("outside the servo loop", "inside the servo loop"),
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "joint_spring": "hold at several poses: a bias does not depend on the pose's load",
-        "asymmetric_friction": "approach a pose from both sides, then hold with the drive off",
-        "encoder_scale": "poses far apart: a scale error grows with the angle",
+        "joint_spring": "hold several poses with different loads: a zero offset is the same in all",
+        "asymmetric_friction": "approach one pose from both sides and switch the drive off: a zero "
+        "offset remains",
+        "encoder_scale": "hold poses far apart: a scale error grows with the angle",
     }
 
     def sense(
@@ -44,17 +49,23 @@ class EncoderBias(Effect):
 
 
 class EncoderScale(Effect):
-    """Counts per turn, or the gear ratio behind them, differ from what is assumed."""
+    """The encoder's counts per turn, or the assumed gear ratio, are wrong."""
 
     id = "encoder_scale"
     family = "sensing"
     reads_after = 1
-    law = "measured = (1 + scale_error) position"
+    law = "measured = (1 + scale_error) q"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
-    parameters = (Parameter("scale_error", "one", 0.0, -0.5, 0.5, (0.03,)),)
+    parameters = (
+        Parameter(
+            "scale_error", "one", 0.0, -0.5, 0.5, (0.03,), meaning="encoder scale",
+            relation="relative",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "controller_gain": "static poses: a scale error stands still, a gain acts with the load",
-        "encoder_bias": "poses far apart",
+        "controller_gain": "hold one pose under two loads: only the error of a gain changes with "
+        "the load",
+        "encoder_bias": "hold poses far apart: a scale error grows with the angle",
     }
 
     def sense(
@@ -71,20 +82,26 @@ class EncoderScale(Effect):
 
 
 class EncoderEccentricity(Effect):
-    """The code wheel is mounted off its axis: an error of one period a turn."""
+    """The encoder's code wheel is off its axis: an error with one period per turn."""
 
     id = "encoder_eccentricity"
     family = "sensing"
-    law = "measured = q + sine sin(q) + cosine (cos(q) - zeroed), zeroed 0 or 1: set to 0 at q = 0"
+    law = "measured = q + sine sin(q) + cosine (cos(q) - zeroed)"
     source = "Hagiwara et al., IEEE Trans. Instrum. Meas. 41 (1992): eccentricity of encoders"
     parameters = (
-        Parameter("sine", "position", 0.0, -0.2, 0.2, (0.02,)),
-        Parameter("cosine", "position", 0.0, -0.2, 0.2, (0.02,)),
-        Parameter("zeroed", "one", None, 0.0, 1.0, (1.0, 0.0), choice=True),
-    )
+        Parameter("sine", "position", 0.0, -0.2, 0.2, (0.02,), meaning="sine amplitude"),
+        Parameter("cosine", "position", 0.0, -0.2, 0.2, (0.02,), meaning="cosine amplitude"),
+        Parameter(
+            "zeroed", "one", None, 0.0, 1.0, (1.0, 0.0), choice=True,
+            meaning="whether the encoder was set to zero at q = 0",
+            choices=("encoder set to zero at q = 0", "encoder not set to zero at q = 0"),
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "encoder_scale": "a whole turn: an eccentricity closes, a scale error does not",
-        "position_dependent_friction": "both directions: friction changes its sign",
+        "encoder_scale": "move through a whole turn: an eccentricity error returns to zero, a "
+        "scale error does not",
+        "position_dependent_friction": "repeat the motion in both directions: friction changes its "
+        "sign",
     }
 
     def sense(
@@ -110,21 +127,25 @@ class EncoderEccentricity(Effect):
         return position + sine * np.sin(position) + cosine * (np.cos(position) - zeroed)
 
     def _rate(self, position: FloatArray, values: Values) -> FloatArray:
-        """What it makes of a velocity."""
+        """Ratio of measured to true velocity."""
         return 1.0 + values["sine"] * np.cos(position) - values["cosine"] * np.sin(position)
 
 
 class EffortBias(Effect):
-    """The effort sensor does not read zero where nothing pulls."""
+    """The effort sensor reads a constant offset."""
 
     id = "effort_bias"
     family = "sensing"
     reads_after = 2
     law = "measured effort = effort + bias"
     source = "ISO 376; zero offset of force-proving instruments"
-    parameters = (Parameter("bias", "effort", 0.0, -10.0, 10.0, (0.05,), "effort"),)
+    parameters = (
+        Parameter(
+            "bias", "effort", 0.0, -10.0, 10.0, (0.05,), "effort", meaning="effort sensor offset"
+        ),
+    )
     confused_with: ClassVar = {
-        "torque_constant": "two loads: a bias does not grow with the load",
+        "torque_constant": "hold two loads: a sensor offset does not grow with the load",
     }
 
     def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:
@@ -132,16 +153,22 @@ class EffortBias(Effect):
 
 
 class EffortScale(Effect):
-    """The effort sensor's sensitivity is off."""
+    """The effort sensor's sensitivity is wrong."""
 
     id = "effort_scale"
     family = "sensing"
     reads_after = 1
     law = "measured effort = (1 + scale_error) effort"
     source = "ISO 376; sensitivity of force-proving instruments"
-    parameters = (Parameter("scale_error", "one", 0.0, -0.8, 1.5, (0.1,)),)
+    parameters = (
+        Parameter(
+            "scale_error", "one", 0.0, -0.8, 1.5, (0.1,), meaning="effort sensor scale",
+            relation="relative",
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "torque_constant": "the motion: a wrong torque constant changes it, a sensor does not",
+        "torque_constant": "compare the motion: a wrong torque constant changes it, a sensor does "
+        "not",
     }
 
     def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:

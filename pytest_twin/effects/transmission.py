@@ -1,4 +1,4 @@
-"""Transmission: what stands between the drive and the link."""
+"""Transmission effects: everything between the drive and the link."""
 
 from __future__ import annotations
 
@@ -15,22 +15,27 @@ from pytest_twin.effects.within import within
 
 
 class JointSpring(Effect):
-    """A passive spring at the joint: a balancer, a cable bundle, a seal."""
+    """A passive spring at the joint: a balancing spring, a cable bundle, a seal."""
 
     id = "joint_spring"
     family = "transmission"
-    law = "effort = -stiffness (q - rest), written as preload - stiffness q"
+    law = "effort = preload - stiffness q"
     source = "Siciliano et al., Robotics (2009), sec. 7.2"
     of_position = True
     parameters = (
-        Parameter("stiffness", "stiffness", 0.0, -2.0, 20.0, (0.1,), "stiffness"),
-        Parameter("preload", "effort", 0.0, -10.0, 10.0, (0.1,), "effort"),
-    )
+        Parameter(
+            "stiffness", "stiffness", 0.0, -2.0, 20.0, (0.1,), "stiffness",
+            meaning="spring stiffness", relation="added",
+        ),
+        Parameter(
+            "preload", "effort", 0.0, -10.0, 10.0, (0.1,), "effort", meaning="effort at q = 0"
+        ),
+    )  # fmt: skip
     confused_with: ClassVar = {
-        "controller_gain": "the drive off: only a spring pulls",
-        "base_tilt": "another joint's pose: a spring does not feel it",
-        "encoder_bias": "poses far apart",
-        "asymmetric_friction": "poses far apart",
+        "controller_gain": "move the joint with the drive off: only a spring remains",
+        "base_tilt": "change another joint's pose: the effort of a spring stays the same",
+        "encoder_bias": "hold poses far apart: a spring's effort grows with the angle",
+        "asymmetric_friction": "hold poses far apart: a spring's effort grows with the angle",
     }
 
     def fields(self, fields: ModelFields, values: Values) -> None:
@@ -39,7 +44,7 @@ class JointSpring(Effect):
 
 
 def _beside(x: FloatArray, way: int) -> FloatArray:
-    """(..., joints) of the joint before (-1) or behind (1); zero where there is none."""
+    """(..., joints) values of the previous (-1) or next (1) joint; zero where there is none."""
     out = np.zeros_like(x)
     if way < 0:
         out[..., 1:] = x[..., :-1]
@@ -49,31 +54,42 @@ def _beside(x: FloatArray, way: int) -> FloatArray:
 
 
 class JointCoupling(Effect):
-    """The drive of a neighbour moves this joint too: a differential, a routed cable, a belt."""
+    """The drive of a neighbouring joint also moves this joint: a differential, a cable, a belt."""
 
     id = "joint_coupling"
     family = "transmission"
     law = (
         "form 0: delivered_j += ratio drive_(j-1); "
         "form 1: delivered_j += ratio drive_(j+1); "
-        "form 2: the motor, which the servo sees, turns by q_j - ratio q_(j-1), and "
-        "delivered_(j-1) -= ratio drive_j; "
-        "form 3: the same with j+1; "
-        "form 4: the encoder alone turns along, measured_j = q_j + ratio q_(j-1); "
-        "form 5: the same with j+1"
+        "form 2: motor angle = q_j - ratio q_(j-1), delivered_(j-1) -= ratio drive_j; "
+        "form 3: as form 2 with j+1; "
+        "form 4: measured_j = q_j + ratio q_(j-1); "
+        "form 5: as form 4 with j+1"
     )
     source = "Siciliano et al., Robotics (2009), sec. 5.1: transmissions that couple joints"
     parameters = (
-        Parameter("ratio", "one", 0.0, -2.0, 2.0, (0.1,)),
-        Parameter("form", "one", None, 0.0, 5.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0), choice=True),
-    )
+        Parameter("ratio", "one", 0.0, -2.0, 2.0, (0.1,), meaning="coupling ratio"),
+        Parameter(
+            "form", "one", None, 0.0, 5.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0), choice=True,
+            meaning="kind of coupling",
+            choices=(
+                "effort of the previous joint's drive",
+                "effort of the next joint's drive",
+                "motor turned by the previous joint",
+                "motor turned by the next joint",
+                "encoder turned by the previous joint",
+                "encoder turned by the next joint",
+            ),
+        ),
+    )  # fmt: skip
     reads_other_joints = True
     confused_with: ClassVar = {
-        "inertial_parameters": "hold the other joint still under load: only a coupling pulls",
+        "inertial_parameters": "hold the neighbouring joint still under load: only a coupling acts "
+        "on this joint",
     }
 
     def drive(self, world: World, values: Values) -> None:
-        # Parameters hold for a whole simulation: which forms there are is asked once.
+        # Parameters are constant over a simulation: the forms are looked up once.
         ratios = world.state.get(self.id)
         if ratios is None:
             ratios = world.state[self.id] = self._ratios(values)
@@ -82,7 +98,7 @@ class JointCoupling(Effect):
             if not turns_motor:
                 world.delivered = world.delivered + ratio * _beside(drive, way)
                 continue
-            # The servo holds its motor, which turns back by what the neighbour adds to the link.
+            # The servo controls its motor, whose angle differs by the neighbour's share.
             pull = world.stiffness * _beside(world.position, way)
             pull = pull + world.damping * _beside(world.velocity, way)
             held = within(world.delivered + ratio * pull, world.lower, world.upper)
@@ -104,7 +120,7 @@ class JointCoupling(Effect):
 
     @staticmethod
     def _behind(measured: FloatArray, read: Sequence[tuple[int, FloatArray]]) -> FloatArray:
-        """What encoders of a chain read as ``measured``, (rows, joints), joint after joint."""
+        """True (rows, joints) values behind ``measured``, solved along the chain."""
         true = measured
         for _ in range(measured.shape[1] - 1 if read else 0):
             true = measured - sum(ratio * _beside(true, way) for way, ratio in read)
@@ -112,7 +128,7 @@ class JointCoupling(Effect):
 
     @staticmethod
     def _of_encoders(values: Values) -> list[tuple[int, FloatArray]]:
-        """Way to the neighbour that encoders turn along with, and (rows, joints) ratios."""
+        """(-1 or 1 for the neighbour that turns the encoder, (rows, joints) ratios)."""
         found = [
             (way, values["ratio"] * (values["form"] == form)) for way, form in ((-1, 4), (1, 5))
         ]
@@ -120,7 +136,7 @@ class JointCoupling(Effect):
 
     @staticmethod
     def _ratios(values: Values) -> list[tuple[int, bool, FloatArray]]:
-        """Way to the neighbour, -1 or 1, whether it turns the motor, and (rows, joints) ratios."""
+        """(-1 or 1 for the neighbour, whether it turns the motor, (rows, joints) ratios)."""
         forms = ((-1, False), (1, False), (-1, True), (1, True))
         found = [
             (way, turns, values["ratio"] * (values["form"] == form))
@@ -130,30 +146,32 @@ class JointCoupling(Effect):
 
 
 class Backlash(Effect):
-    """Play between the teeth: the link is free within a gap."""
+    """Backlash of the gear: the link moves freely within a gap."""
 
     id = "backlash"
     family = "transmission"
-    law = "effort passes where |motor - link| > gap / 2, through teeth that yield a little"
+    law = "effort = tooth_stiffness (|motor - link| - gap / 2) for |motor - link| > gap / 2, else 0"
     source = "Nordin, Gutman, Automatica 38 (2002): controlling systems with backlash"
     remembers = True
     parameters = (
-        Parameter("gap", "position", 0.0, 0.0, 0.4, (0.01, 0.025, 0.06)),
-        # Teeth are stiff beside what moves them: the parameter is the reciprocal.
+        Parameter("gap", "position", 0.0, 0.0, 0.4, (0.01, 0.025, 0.06), meaning="backlash"),
+        # Teeth are stiff: the parameter is the reciprocal.
         Parameter(
             "tooth_compliance", "one", None, 0.0, 0.02, (0.002,), "compliance",
-            ("tooth_stiffness", "stiffness"),
+            ("tooth_stiffness", "stiffness"), meaning="tooth stiffness",
         ),
     )  # fmt: skip
     confused_with: ClassVar = {
-        "dead_zone": "hold the link by hand: only backlash lets it move freely",
-        "coulomb_friction": "hold the link by hand",
-        "joint_elasticity": "two loads: a gap does not grow with the load",
+        "dead_zone": "move the link by hand with the motor held: only backlash gives free play",
+        "coulomb_friction": "move the link by hand with the motor held: only backlash gives free "
+        "play",
+        "joint_elasticity": "repeat the recording with two payloads: a gap does not grow with the "
+        "load",
     }
     has_in_it = frozenset({"joint_elasticity"})
 
     def holds(self, effect: str) -> Mapping[str, str]:
-        """A gear that yields a little yields as its teeth do."""
+        """A compliant gear's compliance becomes that of its teeth."""
         return {"compliance": "tooth_compliance"} if effect == "joint_elasticity" else {}
 
     def separates(self, values: Values) -> NDArray[np.bool_]:
@@ -168,12 +186,13 @@ class Backlash(Effect):
 
 
 class JointElasticity(Effect):
-    """A gear or belt that yields: motor and link swing against each other."""
+    """An elastic transmission (gear, belt): motor and link can oscillate against each other."""
 
     id = "joint_elasticity"
     family = "transmission"
     law = (
-        "effort = stiffness (motor - link) + damping (their velocities), compliance = 1 / stiffness"
+        "effort = stiffness (motor - link) + damping d(motor - link)/dt; "
+        "damping = damping_time stiffness"
     )
     source = "Spong, J. Dyn. Syst. Meas. Control 109 (1987): elastic joint robots"
     remembers = True
@@ -181,14 +200,18 @@ class JointElasticity(Effect):
         # Absent at infinity: the parameter is the reciprocal of the stiffness.
         Parameter(
             "compliance", "one", 0.0, 0.0, 20.0, (0.02, 0.06, 0.15, 0.4), "compliance",
-            ("stiffness", "stiffness"),
+            ("stiffness", "stiffness"), meaning="transmission stiffness",
         ),
-        Parameter("damping_time", "time", None, 0.0, 0.2, (0.004, 0.015)),
+        Parameter(
+            "damping_time", "time", None, 0.0, 0.2, (0.004, 0.015),
+            meaning="damping divided by stiffness",
+        ),
     )  # fmt: skip
     confused_with: ClassVar = {
-        "backlash": "two loads: elasticity yields in proportion",
-        "actuator_lag": "tap the link: only elasticity rings",
-        "controller_gain": "fast and slow: elasticity rings",
+        "backlash": "repeat the recording with two payloads: only elastic deflection grows with "
+        "the load",
+        "actuator_lag": "tap the link: only an elastic transmission resonates",
+        "controller_gain": "record fast and slow motions: only an elastic transmission resonates",
     }
 
     def separates(self, values: Values) -> NDArray[np.bool_]:

@@ -46,7 +46,8 @@ def test_it_is_listed(site: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "[`magnet`](#magnet)" in done.stdout
     assert "    u = (q - pose) / width" in done.stdout
-    assert "| `strength` | `N*m` or `N` | 0 | 0 to 10 times the drive's rms effort |" in done.stdout
+    row = "| `strength` | strength | `N*m` or `N` | 0 | 0 to 10 times the drive's RMS effort |"
+    assert row in done.stdout
 
 
 def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
@@ -101,4 +102,4 @@ def test_an_effect_is_brought_once(site: Path) -> None:
     module.write_text(module.read_text().replace('id = "magnet"', 'id = "cogging"'))
     done = pytest_twin("effects")
     assert done.returncode == 2
-    assert "two packages bring this effect" in done.stderr
+    assert "two packages define this effect" in done.stderr
