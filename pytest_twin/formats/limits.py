@@ -45,13 +45,22 @@ class TraceLimits:
 
 @dataclass(frozen=True, slots=True)
 class McapLimits:
-    """Bounds on a recording: an hour of a humanoid at 1 kHz fits."""
+    """Bounds on a recording: an hour of a humanoid at 1 kHz fits.
+
+    Compressed content is bounded by the file's size too, so that a small file cannot cost minutes.
+    Joint states that never change pack about 60 to 1, and a message takes at least 8 bytes: the
+    log time and the stamp of each differ from the last.
+    """
 
     file_bytes: int = 8 * 2**30
     chunk_bytes: int = 128 * 2**20
     uncompressed_bytes: int = 16 * 2**30
+    uncompressed_free_bytes: int = 2**30
+    uncompressed_ratio: int = 1000
     records_count: int = 5_000_000
     messages_count: int = 20_000_000
+    messages_free_count: int = 1_000_000
+    packed_message_bytes: int = 2
     message_bytes: int = 16 * 2**20
     joints_count: int = 1024
     channels_count: int = 4096
@@ -59,6 +68,27 @@ class McapLimits:
     undecodable_count: int = 100_000
     metadata_bytes: int = 16 * 2**20
     name_bytes: int = 1024
+
+    def unpacked_bytes_of(self, file_bytes: int) -> int:
+        """How much the content of a file of this size may unpack to, in bytes."""
+        allowed = self.uncompressed_free_bytes + self.uncompressed_ratio * file_bytes
+        return min(self.uncompressed_bytes, allowed)
+
+    def messages_of(self, file_bytes: int) -> int:
+        """How many messages a file of this size may hold."""
+        allowed = self.messages_free_count + file_bytes // self.packed_message_bytes
+        return min(self.messages_count, allowed)
+
+
+@dataclass(frozen=True, slots=True)
+class CsvLimits:
+    """Bounds on a recording in CSV: an hour of a seven-joint arm at 1 kHz fits."""
+
+    file_bytes: int = 4 * 2**30
+    header_bytes: int = 2**20
+    columns_count: int = 8192
+    name_chars: int = 256
+    cells_count: int = 150_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,4 +103,5 @@ YAML = YamlLimits()
 XML = XmlLimits()
 TRACE = TraceLimits()
 MCAP = McapLimits()
+CSV = CsvLimits()
 HASH = HashLimits()

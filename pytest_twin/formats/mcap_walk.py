@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,8 +17,7 @@ import numpy as np
 
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
-from pytest_twin.formats.joint_state import Integers
-from pytest_twin.formats.recording import Notes
+from pytest_twin.formats.bag import Channel, Contents, Region, Schema
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -38,53 +36,6 @@ _MESSAGE_HEAD = np.dtype(
         "itemsize": 9 + _MESSAGE_BYTES,
     }
 )
-
-
-@dataclass(frozen=True)
-class Schema:
-    """What a channel's messages are."""
-
-    name: str
-    encoding: str
-
-
-@dataclass(frozen=True)
-class Channel:
-    """A topic and how its messages are encoded."""
-
-    schema_id: int
-    topic: str
-    encoding: str
-
-
-@dataclass(frozen=True)
-class Region:
-    """Messages that lie in one piece of memory.
-
-    Attributes:
-        data: the bytes.
-        place: where the piece is in the file.
-        channel, log_time, start, size: (n,) per message; ``log_time`` in ns, ``start`` and
-            ``size`` of its payload in ``data`` in bytes.
-    """
-
-    data: bytes
-    place: str
-    channel: Integers
-    log_time: Integers
-    start: Integers
-    size: Integers
-
-
-@dataclass
-class Contents:
-    """What a walk has come across, beside the messages."""
-
-    notes: Notes = field(default_factory=Notes)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
-    message_counts: dict[int, int] = field(default_factory=dict)
 
 
 def walk(stream: BinaryIO, path: Path, contents: Contents) -> Iterator[Region]:
@@ -110,7 +61,9 @@ class _Walker:
         self.crc = 0
         self.records = 0
         self.messages = 0
+        self.most_messages = limits.MCAP.messages_of(self.size)
         self.uncompressed = 0
+        self.most_uncompressed = limits.MCAP.unpacked_bytes_of(self.size)
         self.chunks: set[int] = set()
         self.declared: set[tuple[int, bytes]] = set()
         self.indexed: list[int] = []
@@ -274,7 +227,11 @@ class _Walker:
         self.uncompressed += size
         for what, value, bound in (
             ("a chunk is too large when unpacked", size, limits.MCAP.chunk_bytes),
-            ("too much when unpacked", self.uncompressed, limits.MCAP.uncompressed_bytes),
+            (
+                f"too much when unpacked for a file of {self.size} bytes",
+                self.uncompressed,
+                self.most_uncompressed,
+            ),
         ):
             if value > bound:
                 raise LimitError(
@@ -316,6 +273,7 @@ class _Walker:
         append = starts.append
         unpack = _RECORD.unpack_from
         at, end = 0, len(data)
+        left = self.most_messages - self.messages
         problem: str | None = None
         while at < end:
             if end - at < 9:
@@ -331,6 +289,13 @@ class _Walker:
                     problem = f"a message of {length} bytes"
                     break
                 append(at)
+                if len(starts) > left:
+                    raise LimitError(
+                        f"too many messages for a file of {self.size} bytes",
+                        path=self.path,
+                        where=place,
+                        expected=f"at most {self.most_messages}",
+                    )
             elif opcode in (SCHEMA, CHANNEL):
                 self.count_record()
                 content = data[at + 9 : after]
@@ -359,12 +324,6 @@ class _Walker:
         if top and problem == "a record is cut off":
             problem = None
         self.messages += len(starts)
-        if self.messages > limits.MCAP.messages_count:
-            raise LimitError(
-                "too many messages",
-                path=self.path,
-                expected=f"at most {limits.MCAP.messages_count}",
-            )
         if not starts:
             return None, at, problem
         offsets = np.array(starts, dtype=np.int64)
@@ -461,6 +420,7 @@ class _Walker:
                 self.expected[channel] = counts.integer(8)
         else:
             stated = fields.integer(4)
+            self.contents.guarded = stated != 0
             if stated and stated != crc_before:
                 self.notes.add("data section", "its CRC is wrong: something in it has changed")
             self.in_summary = True

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pytest_twin.formats.joint_state import Floats, Integers
+from pytest_twin.formats.serialized import Floats, Integers
 
 _NOTES = 40
 
@@ -40,20 +40,46 @@ class JointSeries:
 
 
 @dataclass(frozen=True)
+class Topic:
+    """One topic of a recording, read or not.
+
+    Attributes:
+        name: the topic.
+        type: its message type, ``sensor_msgs/msg/JointState``; empty where none is stated.
+        messages: how many.
+        roles: what it can serve as: ``state``, ``command``, both or none.
+        joints: of its first message that can be decoded; empty for other types.
+        filled: the quantities that this message fills.
+    """
+
+    name: str
+    type: str
+    messages: int
+    roles: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+    filled: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Recording:
     """What one recording holds of a robot's motion.
 
     Attributes:
-        path: the file.
+        path: the file or folder.
         series: role (``state``, ``command``) -> its messages; roles without messages are left out.
-        metadata: the metadata record ``trial``; empty where there is none.
+        metadata: what the recording says of itself (the metadata record ``trial`` of an MCAP
+            file): role, payload, ...; empty where it says nothing.
         damage: what is wrong with the file or the times; empty for a sound one.
+        notes: how the file was read where it leaves something open, one line each.
+        topics: all topics of the file, whatever their type; empty for a format without topics.
     """
 
     path: Path
     series: Mapping[str, JointSeries]
     metadata: Mapping[str, str]
     damage: tuple[Damage, ...]
+    notes: tuple[str, ...] = ()
+    topics: tuple[Topic, ...] = ()
 
 
 @dataclass(frozen=True)

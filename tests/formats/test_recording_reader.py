@@ -219,8 +219,11 @@ def test_a_joint_in_every_message_of_its_own_cannot_make_a_table_of_any_size(
     ("options", "words"),
     [
         ({"schema": "geometry_msgs/msg/Twist"}, "unknown schema (got 'geometry_msgs/msg/Twist'"),
-        ({"schema": None}, "unknown schema (got 'none'; expected sensor_msgs/msg/JointState)"),
-        ({"encoding": "ros1"}, "unknown message encoding (got 'ros1'; expected cdr or json)"),
+        (
+            {"schema": None},
+            "unknown schema (got 'none'; expected for role 'state' one of sensor_msgs/msg/Joint",
+        ),
+        ({"encoding": "cbor"}, "unknown message encoding (got 'cbor'; expected cdr, ros1 or json)"),
     ],
 )
 def test_other_types_are_an_error(tmp_path: Path, options: dict[str, Any], words: str) -> None:

@@ -1,0 +1,169 @@
+"""A recording gathered from the messages of one bag file or several."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.errors import LimitError, RecordingError
+from pytest_twin.formats.bag import Channel, Contents, Region
+from pytest_twin.formats.compressed import unpacked_messages
+from pytest_twin.formats.joint_state import SCHEMA_NAME
+from pytest_twin.formats.message_types import (
+    TRAJECTORIES,
+    MessageType,
+    long_name,
+    message_type,
+)
+from pytest_twin.formats.recording import Damage, Notes, Recording, Topic
+from pytest_twin.formats.serialized import QUANTITIES, Batch, Encoding, Integers, MessageError
+from pytest_twin.formats.topic_reader import TopicReader
+
+_ROLES = ("state", "command")
+# A look at another topic's first messages costs no more than this.
+_LOOK_BYTES = 2**20
+
+
+class Gatherer:
+    """Takes the messages of a bag's files, one after another, and makes a recording of them.
+
+    Args:
+        path: the file or folder that the recording is named by.
+        topics: role -> topic.
+    """
+
+    def __init__(self, path: Path, topics: Mapping[str, str]) -> None:
+        self.path = path
+        self.notes = Notes()
+        self.remarks = Notes()
+        self.metadata: dict[str, str] = {}
+        self.files: list[tuple[Path, Contents]] = []
+        self.readers = {
+            role: TopicReader(topic, role, path, self.notes, self.remarks)
+            for role, topic in topics.items()
+        }
+        self.topics: dict[str, Topic] = {}
+
+    def file(self, path: Path) -> Contents:
+        """Begin with one file: what it declares and holds goes into the contents returned."""
+        contents = Contents()
+        self.files.append((path, contents))
+        return contents
+
+    def take(self, region: Region, contents: Contents) -> None:
+        """Take all messages of a region; channels that are not declared are noted."""
+        for number in np.unique(region.channel).tolist():
+            rows = np.flatnonzero(region.channel == number)
+            channel = contents.channels.get(number)
+            if channel is None:
+                contents.notes.add(
+                    region.place,
+                    f"{len(rows)} messages of channel {number}, which is not declared",
+                )
+                continue
+            declared = contents.schemas.get(channel.schema_id)
+            schema = None if declared is None else declared.name
+            for reader in self.readers.values():
+                if reader.topic == channel.topic:
+                    reader.read(region, rows, channel, schema)
+            self.look(region, rows, channel, schema)
+
+    def count(self, contents: Contents, counts: Mapping[int, int]) -> None:
+        """Count messages that are not taken: channel -> how many."""
+        for number, messages in counts.items():
+            channel = contents.channels[number]
+            schema = contents.schemas.get(channel.schema_id)
+            name = "" if schema is None else long_name(schema.name)
+            known = self.topics.get(channel.topic, Topic(channel.topic, name, 0))
+            self.topics[channel.topic] = replace(known, messages=known.messages + messages)
+
+    def look(self, region: Region, rows: Integers, channel: Channel, schema: str | None) -> None:
+        """Count the messages of a topic, and find out the joints of the first."""
+        known = self.topics.get(channel.topic)
+        name = long_name(schema or "")
+        roles = tuple(role for role in _ROLES if message_type(name, role) is not None)
+        if known is None:
+            known = Topic(channel.topic, name, 0, roles)
+        if not roles and channel.encoding == "json":
+            # JSON needs no schema: a JointState is known by its fields.
+            name, roles = SCHEMA_NAME, _ROLES
+        if roles and not known.joints:
+            first = _first(region, rows[:1], channel, message_type(name, roles[0]), self.path)
+            if first is not None:
+                filled = tuple(q for q in QUANTITIES if first.values[q] is not None)
+                known = replace(known, roles=roles, joints=first.names, filled=filled)
+        self.topics[channel.topic] = replace(known, messages=known.messages + len(rows))
+
+    def recording(self) -> Recording:
+        """What has been gathered.
+
+        Raises:
+            RecordingError: no message of a topic can be decoded, or metadata records ``trial``
+                that differ.
+            LimitError: beyond ``limits.MCAP``.
+        """
+        series = {
+            role: found
+            for role, reader in self.readers.items()
+            if (found := reader.finish()) is not None
+        }
+        metadata = self.metadata | self._trial_metadata()
+        if any(reader.schema in TRAJECTORIES for reader in self.readers.values()):
+            metadata.setdefault("command_between", "interpolated")
+        return Recording(
+            path=self.path,
+            series=series,
+            metadata=metadata,
+            damage=(*self._damage_of_files(), *self.notes.all()),
+            notes=tuple(str(note) for note in self.remarks.all()),
+            topics=tuple(self.topics[name] for name in sorted(self.topics)),
+        )
+
+    def _damage_of_files(self) -> list[Damage]:
+        several = len(self.files) > 1
+        return [
+            replace(note, place=f"{path.name} {note.place}") if several else note
+            for path, contents in self.files
+            for note in contents.notes.all()
+        ]
+
+    def _trial_metadata(self) -> dict[str, str]:
+        found = [
+            (fields, contents.guarded)
+            for _, contents in self.files
+            for name, fields in contents.metadata
+            if name == "trial"
+        ]
+        if any(fields != found[0][0] for fields, _ in found[1:]):
+            raise RecordingError("metadata records 'trial' differ", path=self.path)
+        if not found:
+            return {}
+        if not any(guarded for _, guarded in found):
+            self.remarks.add(
+                "metadata 'trial'",
+                "no checksum covers it (the file has no data CRC): a changed value would go unseen",
+            )
+        return dict(found[0][0])
+
+
+def _first(
+    region: Region, rows: Integers, channel: Channel, kind: MessageType | None, path: Path
+) -> Batch | None:
+    """The first message of a topic, where it can be decoded."""
+    if kind is None or int(region.size[rows[0]]) > _LOOK_BYTES:
+        return None
+    try:
+        if TopicReader.packed(region, rows):
+            region = unpacked_messages(region, rows, _LOOK_BYTES, path, channel.topic)
+            rows = np.zeros(1, np.int64)
+        start, size = region.start[rows], region.size[rows]
+        if channel.encoding == "json":
+            return kind.from_json(region.data[start[0] : start[0] + size[0]], 0)
+        encoding: Encoding = "ros1" if channel.encoding == "ros1" else "cdr"
+        found = next(kind.serialized(region.data, start, size, encoding), None)
+    except (MessageError, LimitError):
+        return None
+    return found if isinstance(found, Batch) else None

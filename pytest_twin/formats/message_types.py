@@ -1,0 +1,271 @@
+"""ROS message types that carry joint states or commands, and how each is decoded.
+
+Every type is decoded from CDR, from ROS 1's serialization and from JSON with the same field names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pytest_twin.formats import joint_state
+from pytest_twin.formats.json_fields import names_of, object_of, stamp_of, values_of
+from pytest_twin.formats.serialized import (
+    QUANTITIES,
+    Batch,
+    Cursor,
+    Decoded,
+    Encoding,
+    Integers,
+    Layout,
+    MessageError,
+    check_names,
+    decode,
+)
+from pytest_twin.formats.trajectory import POINT_FIELDS, decode_trajectories, trajectory_from_json
+
+
+class MessageType(Protocol):
+    """One type of message, asked for one role."""
+
+    def serialized(
+        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
+    ) -> Iterator[Decoded]:
+        """Decode many; see :func:`pytest_twin.formats.serialized.decode`."""
+        ...
+
+    def from_json(self, message: bytes, row: int) -> Batch:
+        """Decode one.
+
+        Raises:
+            MessageError: no JSON, or not these fields.
+        """
+        ...
+
+
+class JointState:
+    """``sensor_msgs/msg/JointState``."""
+
+    def serialized(
+        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
+    ) -> Iterator[Decoded]:
+        """Decode many."""
+        return decode(data, starts, sizes, joint_state.layout_of, encoding)
+
+    def from_json(self, message: bytes, row: int) -> Batch:
+        """Decode one."""
+        return joint_state.decode_json(message, row)
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """``control_msgs/msg/JointTrajectoryControllerState``: ``reference`` or ``feedback``.
+
+    Both the layout of ROS 2 Iron and later and the older one (``desired`` and ``actual``) put the
+    setpoint first and the measurement second; what comes after these is not read.
+
+    Attributes:
+        role: ``command`` reads the setpoint, ``state`` the measurement.
+    """
+
+    role: str
+
+    def serialized(
+        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
+    ) -> Iterator[Decoded]:
+        """Decode many."""
+        return decode(data, starts, sizes, self._layout, encoding)
+
+    def _layout(self, cursor: Cursor) -> Layout:
+        stamp_at = cursor.header()
+        names = cursor.names()
+        points = []
+        for field in ("reference", "feedback"):
+            position = cursor.doubles(f"{field}.positions")
+            velocity = cursor.doubles(f"{field}.velocities")
+            cursor.doubles(f"{field}.accelerations")
+            effort = cursor.doubles(f"{field}.effort")
+            cursor.skip(8, f"{field}.time_from_start")
+            points.append({"position": position, "velocity": velocity, "effort": effort})
+        return cursor.layout(names, stamp_at, points[self.role == "state"])
+
+    def from_json(self, message: bytes, row: int) -> Batch:
+        """Decode one."""
+        found = object_of(message)
+        names = names_of(found.get("joint_names"), "joint_names")
+        newer, older = ("feedback", "actual") if self.role == "state" else ("reference", "desired")
+        point = found.get(newer, found.get(older))
+        if not isinstance(point, dict):
+            raise MessageError(f"{newer} is no object")
+        stamp, bad = stamp_of(found.get("header"))
+        values = {
+            quantity: values_of(point.get(field), f"{newer}.{field}", len(names))
+            for quantity, field in POINT_FIELDS.items()
+        }
+        return Batch(np.array([row]), tuple(names), np.array([stamp]), bad, values)
+
+
+class DynamicJointState:
+    """``control_msgs/msg/DynamicJointState``: named interfaces of each joint."""
+
+    def serialized(
+        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
+    ) -> Iterator[Decoded]:
+        """Decode many."""
+        return decode(data, starts, sizes, self._layout, encoding)
+
+    @staticmethod
+    def _layout(cursor: Cursor) -> Layout:
+        stamp_at = cursor.header()
+        names = cursor.names()
+        if cursor.count("interface_values") != len(names):
+            raise MessageError("interface_values and joint_names differ in length")
+        at = {quantity: [-1] * len(names) for quantity in QUANTITIES}
+        for joint in range(len(names)):
+            interfaces = cursor.names("an interface's name")
+            values = cursor.doubles("interface_values.values")
+            if len(values) != len(interfaces):
+                raise MessageError(f"{len(values)} values for {len(interfaces)} interfaces")
+            for interface, place in zip(interfaces, values, strict=True):
+                if interface in at:
+                    at[interface][joint] = place
+        cursor.end()
+        found = {q: tuple(places) for q, places in at.items() if max(places, default=-1) >= 0}
+        return cursor.layout(names, stamp_at, found)
+
+    def from_json(self, message: bytes, row: int) -> Batch:
+        """Decode one."""
+        found = object_of(message)
+        names = names_of(found.get("joint_names"), "joint_names")
+        interfaces = found.get("interface_values")
+        if not isinstance(interfaces, list) or len(interfaces) != len(names):
+            raise MessageError("interface_values and joint_names differ in length")
+        tables = {quantity: np.full((1, len(names)), np.nan) for quantity in QUANTITIES}
+        for joint, one in enumerate(interfaces):
+            if not isinstance(one, dict) or not isinstance(one.get("interface_names"), list):
+                raise MessageError("interface_values holds what is no interface")
+            kinds = one["interface_names"]
+            values = values_of(one.get("values"), "interface_values.values", len(kinds))
+            for column, kind in enumerate(kinds):
+                if kind in QUANTITIES and values is not None:
+                    tables[kind][0, joint] = values[0, column]
+        stamp, bad = stamp_of(found.get("header"))
+        filled = {q: None if np.isnan(t).all() else t for q, t in tables.items()}
+        return Batch(np.array([row]), tuple(names), np.array([stamp]), bad, filled)
+
+
+class Float64MultiArray:
+    """``std_msgs/msg/Float64MultiArray``: setpoints of a forward command controller.
+
+    Joints are named by the labels of ``layout.dim`` where there is one for each value, else by
+    their place: ``0``, ``1``, ... The values stand for no quantity in particular: all of position,
+    velocity and effort hold them.
+    """
+
+    def serialized(
+        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
+    ) -> Iterator[Decoded]:
+        """Decode many."""
+        return decode(data, starts, sizes, self._layout, encoding)
+
+    @staticmethod
+    def _layout(cursor: Cursor) -> Layout:
+        dimensions = cursor.count("layout.dim")
+        if dimensions > _DIMENSIONS:
+            raise MessageError(f"{dimensions} dimensions")
+        labels = []
+        for _ in range(dimensions):
+            labels.append(cursor.text("a dimension's label"))
+            cursor.skip(8, "layout.dim")
+        cursor.skip(4, "layout.data_offset")
+        values = cursor.doubles("data")
+        cursor.end()
+        names = _array_names(labels, len(values))
+        return cursor.layout(names, None, dict.fromkeys(QUANTITIES, values))
+
+    def from_json(self, message: bytes, row: int) -> Batch:
+        """Decode one."""
+        found = object_of(message)
+        data = found.get("data")
+        if not isinstance(data, list):
+            raise MessageError("data is no list")
+        layout = found.get("layout")
+        dim = layout.get("dim") if isinstance(layout, dict) else None
+        labels = [d.get("label") for d in dim if isinstance(d, dict)] if dim else []
+        names = _array_names([label for label in labels if isinstance(label, str)], len(data))
+        check_names(names)
+        values = values_of(data, "data", len(names))
+        return Batch(
+            np.array([row]),
+            tuple(names),
+            np.zeros(1, np.int64),
+            0,
+            dict.fromkeys(QUANTITIES, values),
+        )
+
+
+_DIMENSIONS = 1024
+
+
+def _array_names(labels: list[str], count: int) -> list[str]:
+    if len(labels) == count and len(set(labels)) == count and all(labels):
+        return labels
+    return [str(place) for place in range(count)]
+
+
+class JointTrajectory:
+    """``trajectory_msgs/msg/JointTrajectory``: setpoints from the message's time on."""
+
+    def serialized(
+        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
+    ) -> Iterator[Decoded]:
+        """Decode many."""
+        return decode_trajectories(data, starts, sizes, encoding)
+
+    def from_json(self, message: bytes, row: int) -> Batch:
+        """Decode one."""
+        found = object_of(message)
+        return trajectory_from_json(found, names_of(found.get("joint_names"), "joint_names"), row)
+
+
+ANY_QUANTITY = frozenset({"std_msgs/msg/Float64MultiArray"})
+"""Types whose values stand for no quantity in particular."""
+TRAJECTORIES = frozenset({"trajectory_msgs/msg/JointTrajectory"})
+"""Types whose messages replace what is left of the one before."""
+
+
+def message_type(schema: str, role: str) -> MessageType | None:
+    """What decodes a type for a role (``state``, ``command``); None for a type without joints."""
+    match long_name(schema):
+        case joint_state.SCHEMA_NAME:
+            return JointState()
+        case "control_msgs/msg/JointTrajectoryControllerState":
+            return ControllerState(role)
+        case "control_msgs/msg/DynamicJointState":
+            return DynamicJointState()
+        case "std_msgs/msg/Float64MultiArray" if role == "command":
+            return Float64MultiArray()
+        case "trajectory_msgs/msg/JointTrajectory" if role == "command":
+            return JointTrajectory()
+    return None
+
+
+def long_name(schema: str) -> str:
+    """``package/msg/Type``, also for the ``package/Type`` of ROS 1."""
+    package, separator, name = schema.partition("/")
+    return f"{package}/msg/{name}" if separator and "/" not in name else schema
+
+
+def known_types(role: str) -> str:
+    """The types of a role, for a message."""
+    names = [
+        joint_state.SCHEMA_NAME,
+        "control_msgs/msg/JointTrajectoryControllerState",
+        "control_msgs/msg/DynamicJointState",
+    ]
+    if role == "command":
+        names += ["std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"]
+    return ", ".join(names)

@@ -1,0 +1,110 @@
+"""Recordings of every kind: one door, one reader per kind of file.
+
+A reader is found through the entry points ``pytest_twin.recordings``: a class with the attributes
+and methods of :class:`Reader`. Of several that know a path the first by name reads it; those of
+other packages go before the package's own.
+"""
+
+from __future__ import annotations
+
+import functools
+import stat
+from collections.abc import Mapping, Sequence
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from pytest_twin.errors import FormatError, PathError
+from pytest_twin.formats.recording import TOPICS, Recording
+from pytest_twin.formats.recordings.base import Asked, Reader
+from pytest_twin.installed import brought
+
+__all__ = ["Asked", "Reader", "read_one", "read_recordings", "reader_of", "readers"]
+
+KINDS = (
+    "an MCAP file, a rosbag2 folder, a .db3 file, a CSV file (.csv), or the folder of a LeRobot "
+    "data set"
+)
+
+
+def read_recordings(
+    path: Path,
+    topics: Mapping[str, str] = TOPICS,
+    *,
+    columns: Mapping[str, str] | None = None,
+    units: str | None = None,
+) -> list[Recording]:
+    """Read joint states and commands from a recording of any kind.
+
+    Args:
+        path: a file or folder, not a link to it.
+        topics: role (``state``, ``command``) -> topic, where the format has topics.
+        columns: of a CSV file: its header -> what the column is (``time``, ``elbow.position``),
+            or the other way round.
+        units: of a LeRobot data set: ``deg`` or ``rad``, where the data set does not say it or
+            says it wrong.
+
+    Returns:
+        one recording; of a data set one for each episode.
+
+    Raises:
+        PathError: missing, a link, or neither a regular file nor a folder.
+        FormatError: of no kind that any reader knows, or not what it claims to be.
+        LimitError: beyond the bounds of its format.
+        RecordingError: nothing usable in it.
+    """
+    return list(reader_of(path).read(path, Asked(topics, columns or {}, units)))
+
+
+def read_one(
+    path: Path, topics: Mapping[str, str] = TOPICS, *, columns: Mapping[str, str] | None = None
+) -> Recording:
+    """The only recording at a path.
+
+    Raises:
+        FormatError: a data set of several episodes, or as :func:`read_recordings`.
+    """
+    found = read_recordings(path, topics, columns=columns)
+    if len(found) != 1:
+        raise FormatError(
+            "holds several recordings",
+            path=path,
+            value=f"{len(found)} episodes",
+            expected="one: pytest-twin convert writes each episode as a file",
+        )
+    return found[0]
+
+
+def reader_of(path: Path) -> Reader:
+    """The reader that knows a path by what it is.
+
+    Raises:
+        PathError: missing, a link, or neither a regular file nor a folder.
+        FormatError: no reader knows it.
+    """
+    try:
+        mode = path.lstat().st_mode
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        problem = "no such file or folder" if isinstance(error, FileNotFoundError) else reason
+        raise PathError(problem, path=path) from None
+    if stat.S_ISLNK(mode):
+        raise PathError("is a symbolic link", path=path, expected="the file or folder itself")
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise PathError("neither a regular file nor a folder", path=path)
+    for reader in readers():
+        if reader.reads(path):
+            return reader
+    raise FormatError("no recording that can be read", path=path, expected=KINDS)
+
+
+@functools.cache
+def readers() -> Sequence[Reader]:
+    """All installed readers, those of other packages first.
+
+    Raises:
+        SpecError: one cannot be loaded.
+    """
+    points = sorted(entry_points(group="pytest_twin.recordings"), key=lambda point: point.name)
+    ours = [p for p in points if p.value.startswith("pytest_twin.")]
+    others = [p for p in points if p not in ours]
+    return tuple(brought(point, "recording reader") for point in [*others, *ours])

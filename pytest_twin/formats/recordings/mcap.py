@@ -1,0 +1,33 @@
+"""MCAP files, also as rosbag2 compresses them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.formats.mcap_walk import MAGIC
+from pytest_twin.formats.recording import Recording
+from pytest_twin.formats.recordings.base import Asked, first_bytes
+
+SUFFIXES = (".mcap", ".mcap.zstd", ".mcap.zst")
+
+
+class McapFile:
+    """Reads MCAP files: by their first bytes, or by their name so that a damaged one is named."""
+
+    kind: ClassVar[str] = "MCAP file"
+
+    def reads(self, path: Path) -> bool:
+        """Whether it begins as MCAP does, or is named so."""
+        if not path.is_file():
+            return False
+        return first_bytes(path, len(MAGIC)) == MAGIC or path.name.lower().endswith(SUFFIXES)
+
+    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+        """Read it."""
+        return [read_recording(path, asked.topics)]
+
+
+__all__ = ["SUFFIXES", "McapFile"]

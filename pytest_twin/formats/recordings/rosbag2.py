@@ -1,0 +1,128 @@
+"""rosbag2 folders: ``metadata.yaml`` beside the files of one recording."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, ClassVar
+
+from pytest_twin.errors import FormatError, LimitError, PathError
+from pytest_twin.formats import limits, yaml
+from pytest_twin.formats.gather import Gatherer
+from pytest_twin.formats.mcap import gather_mcap
+from pytest_twin.formats.paths import Roots
+from pytest_twin.formats.recording import Recording
+from pytest_twin.formats.recordings import mcap, sqlite
+from pytest_twin.formats.recordings.base import Asked
+from pytest_twin.formats.sqlite_bag import gather_sqlite
+
+METADATA = "metadata.yaml"
+_INFORMATION = "rosbag2_bagfile_information"
+
+
+class Rosbag2Folder:
+    """Reads folders that ``ros2 bag record`` wrote, MCAP or SQLite, compressed or not.
+
+    A folder without ``metadata.yaml`` is what a recorder leaves that was killed: its files are
+    read in the order of their numbers.
+    """
+
+    kind: ClassVar[str] = "rosbag2 folder"
+
+    def reads(self, path: Path) -> bool:
+        """Whether it is a folder with ``metadata.yaml``, or with files of a bag."""
+        return path.is_dir() and ((path / METADATA).is_file() or bool(_bag_files(path)))
+
+    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+        """Read all its files as one recording."""
+        gatherer = Gatherer(path, asked.topics)
+        if (path / METADATA).is_file():
+            information = _information(path / METADATA)
+            files = _named_files(path, information)
+            gatherer.metadata.update(_custom_data(information))
+        else:
+            information = {}
+            files = _bag_files(path)
+            gatherer.notes.add(
+                METADATA, "missing: the recorder was killed; the folder's files are read by name"
+            )
+        if len(files) > limits.MCAP.channels_count:
+            raise LimitError(
+                "too many files", path=path, expected=f"at most {limits.MCAP.channels_count}"
+            )
+        for file in files:
+            if file.name.lower().endswith(sqlite.SUFFIXES):
+                gather_sqlite(file, gatherer)
+            else:
+                gather_mcap(file, gatherer)
+        _compare(information, gatherer)
+        return [gatherer.recording()]
+
+
+def _information(path: Path) -> Mapping[str, Any]:
+    data = yaml.load(path).data
+    found = data.get(_INFORMATION) if isinstance(data, dict) else None
+    if not isinstance(found, dict):
+        raise FormatError("not the metadata of a bag", path=path, expected=f"{_INFORMATION}:")
+    return found
+
+
+def _named_files(folder: Path, information: Mapping[str, Any]) -> list[Path]:
+    names = information.get("relative_file_paths")
+    metadata = folder / METADATA
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise FormatError(
+            "names no files", path=metadata, where="relative_file_paths", expected="a list of names"
+        )
+    roots = Roots(folder)
+    files = []
+    for name in names:
+        where = f"{_INFORMATION}.relative_file_paths"
+        # Old recorders put the folder's name in front.
+        bare = PurePosixPath(name).name
+        if name == f"{PurePosixPath(name).parent.name}/{bare}" and not (folder / name).exists():
+            name = bare
+        files.append(roots.resolve(name, at=metadata, where=where))
+    if len(set(files)) != len(files):
+        raise FormatError("names a file twice", path=metadata, where="relative_file_paths")
+    return files
+
+
+def _bag_files(folder: Path) -> list[Path]:
+    suffixes = (*mcap.SUFFIXES, *sqlite.SUFFIXES)
+    try:
+        found = [p for p in folder.iterdir() if p.name.lower().endswith(suffixes)]
+    except OSError as error:
+        raise PathError(f"cannot be read: {error.strerror}", path=folder) from None
+    return sorted((p for p in found if p.is_file()), key=_by_number)
+
+
+def _by_number(path: Path) -> tuple[list[tuple[int, int | str]]]:
+    parts = re.split(r"(\d+)", path.name)
+    return ([(0, int(p)) if p.isdigit() and len(p) < 20 else (1, p) for p in parts],)
+
+
+def _custom_data(information: Mapping[str, Any]) -> dict[str, str]:
+    """What ``ros2 bag record --custom-data payload=kg05`` noted: the trial's metadata."""
+    found = information.get("custom_data")
+    if not isinstance(found, dict):
+        return {}
+    return {str(key): str(value) for key, value in found.items()}
+
+
+def _compare(information: Mapping[str, Any], gatherer: Gatherer) -> None:
+    """Note where files hold fewer or more messages of the wanted topics than were recorded."""
+    stated = information.get("topics_with_message_count")
+    wanted = {reader.topic for reader in gatherer.readers.values()}
+    for one in stated if isinstance(stated, list) else ():
+        topic = one.get("topic_metadata") if isinstance(one, dict) else None
+        name = topic.get("name") if isinstance(topic, dict) else None
+        if name not in wanted:
+            continue
+        known = gatherer.topics.get(name)
+        read = 0 if known is None else known.messages
+        if one.get("message_count") != read:
+            gatherer.notes.add(
+                str(name), f"{read} of {one.get('message_count')} messages that {METADATA} counts"
+            )

@@ -1,0 +1,32 @@
+"""Bare SQLite files of rosbag2, without their folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from pytest_twin.formats.gather import Gatherer
+from pytest_twin.formats.recording import Recording
+from pytest_twin.formats.recordings.base import Asked, first_bytes
+from pytest_twin.formats.sqlite_bag import MAGIC, gather_sqlite
+
+SUFFIXES = (".db3", ".db3.zstd", ".db3.zst")
+
+
+class SqliteFile:
+    """Reads ``.db3`` files."""
+
+    kind: ClassVar[str] = "SQLite file of rosbag2"
+
+    def reads(self, path: Path) -> bool:
+        """Whether it begins as SQLite does, or is named so."""
+        if not path.is_file():
+            return False
+        return first_bytes(path, len(MAGIC)) == MAGIC or path.name.lower().endswith(SUFFIXES)
+
+    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+        """Read it."""
+        gatherer = Gatherer(path, asked.topics)
+        gather_sqlite(path, gatherer)
+        return [gatherer.recording()]

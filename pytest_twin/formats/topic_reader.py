@@ -1,0 +1,356 @@
+"""The messages of one topic, gathered into one table of joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.errors import LimitError, RecordingError
+from pytest_twin.formats import limits
+from pytest_twin.formats.bag import Channel, Region
+from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_messages
+from pytest_twin.formats.message_types import (
+    ANY_QUANTITY,
+    TRAJECTORIES,
+    MessageType,
+    known_types,
+    long_name,
+    message_type,
+)
+from pytest_twin.formats.recording import JointSeries, Notes
+from pytest_twin.formats.serialized import (
+    QUANTITIES,
+    Batch,
+    Encoding,
+    Floats,
+    Integers,
+    MessageError,
+)
+from pytest_twin.formats.trajectory import replaced
+
+
+@dataclass
+class TopicReader:
+    """Gathers one topic's messages for one role.
+
+    Attributes:
+        topic: the topic.
+        role: ``state`` or ``command``: some types hold both.
+        path: what errors name.
+        notes: gets what is lost or doubtful.
+        remarks: gets how messages were read where their type leaves it open.
+    """
+
+    topic: str
+    role: str
+    path: Path
+    notes: Notes
+    remarks: Notes
+    schema: str = ""
+    first_named: dict[str, tuple[int, int]] = field(default_factory=dict)
+    order: list[Integers] = field(default_factory=list)
+    log_times: list[Integers] = field(default_factory=list)
+    batches: list[Batch] = field(default_factory=list)
+    seen: int = 0
+    samples: int = 0
+    bad: int = 0
+    first_bad: str = ""
+    bad_stamps: int = 0
+    unpacked_bytes: int = 0
+    types: dict[tuple[Channel, str | None], MessageType] = field(default_factory=dict)
+
+    def read(self, region: Region, rows: Integers, channel: Channel, schema: str | None) -> None:
+        """Take messages of one channel.
+
+        Args:
+            region: where they lie.
+            rows: which of the region's messages.
+            channel: theirs.
+            schema: the name of their type.
+
+        Raises:
+            RecordingError: a type or encoding that is not known.
+            LimitError: beyond ``limits.MCAP``.
+        """
+        kind = self._type_of(channel, schema)
+        if channel.encoding == "json":
+            for row, start in enumerate(region.start[rows].tolist()):
+                message = region.data[start : start + int(region.size[rows[row]])]
+                try:
+                    self._keep(kind.from_json(message, row), region, rows)
+                except MessageError as error:
+                    self._keep((row, error), region, rows)
+        else:
+            if self.packed(region, rows):
+                region, rows = self._unpack(region, rows), np.arange(len(rows))
+            encoding: Encoding = "ros1" if channel.encoding == "ros1" else "cdr"
+            for found in kind.serialized(
+                region.data, region.start[rows], region.size[rows], encoding
+            ):
+                self._keep(found, region, rows)
+        self.seen += len(rows)
+
+    @staticmethod
+    def packed(region: Region, rows: Integers) -> bool:
+        """Whether rosbag2 has compressed each message; no CDR begins so."""
+        start, size = int(region.start[rows[0]]), int(region.size[rows[0]])
+        return size >= 4 and region.data[start : start + 4] == ZSTD_MAGIC
+
+    def _unpack(self, region: Region, rows: Integers) -> Region:
+        left = limits.MCAP.uncompressed_bytes - self.unpacked_bytes
+        found = unpacked_messages(region, rows, left, self.path, self.topic)
+        self.unpacked_bytes += len(found.data)
+        return found
+
+    def _keep(
+        self, found: Batch | tuple[int, MessageError], region: Region, rows: Integers
+    ) -> None:
+        if isinstance(found, tuple):
+            row, problem = found
+            self.bad += 1
+            self.first_bad = self.first_bad or (
+                f"message {self.seen + row} ({region.place}, byte {int(region.start[rows[row]])} "
+                f"of its content): {problem}"
+            )
+            if self.bad > limits.MCAP.undecodable_count:
+                raise LimitError(
+                    f"too many messages that cannot be decoded, first {self.first_bad}",
+                    path=self.path,
+                    where=self.topic,
+                    expected=f"at most {limits.MCAP.undecodable_count}",
+                )
+            return
+        self._take_names(found.names, self.seen + int(found.rows[0]))
+        self.samples += len(found.rows) * len(found.names)
+        if self.samples > limits.MCAP.samples_count:
+            raise LimitError(
+                "too many samples",
+                path=self.path,
+                where=self.topic,
+                expected=f"at most {limits.MCAP.samples_count}",
+            )
+        self.order.append(found.rows + self.seen)
+        self.log_times.append(region.log_time[rows[found.rows]])
+        self.batches.append(found)
+        self.bad_stamps += found.bad_stamp
+
+    def _take_names(self, names: tuple[str, ...], message: int) -> None:
+        """Add joints to the topic's, with the message that names each first."""
+        for place, name in enumerate(names):
+            first = (message, place)
+            if first < self.first_named.get(name, (message + 1, 0)):
+                self.first_named[name] = first
+
+    def _type_of(self, channel: Channel, schema: str | None) -> MessageType:
+        known = self.types.get((channel, schema))
+        if known is not None:
+            return known
+        if channel.encoding not in ("cdr", "json", "ros1"):
+            raise RecordingError(
+                "unknown message encoding",
+                path=self.path,
+                where=self.topic,
+                value=channel.encoding,
+                expected="cdr, ros1 or json",
+            )
+        # JSON needs no schema, and those that it has go by any name.
+        kind = message_type(schema or "", self.role)
+        if kind is None and channel.encoding == "json":
+            schema = "sensor_msgs/msg/JointState"
+            kind = message_type(schema, self.role)
+        if kind is None:
+            raise RecordingError(
+                "unknown schema",
+                path=self.path,
+                where=self.topic,
+                value=schema or "none",
+                expected=f"for role {self.role!r} one of {known_types(self.role)}",
+            )
+        self.schema = self.schema or long_name(schema or "")
+        self.types[channel, schema] = kind
+        return kind
+
+    def finish(self) -> JointSeries | None:
+        """The topic's table; None where it has no messages.
+
+        Raises:
+            RecordingError: none of its messages can be decoded.
+            LimitError: beyond ``limits.MCAP``.
+        """
+        if self.bad:
+            if not self.batches:
+                raise RecordingError(
+                    f"no message can be decoded, first {self.first_bad}",
+                    path=self.path,
+                    where=self.topic,
+                    expected=self.schema,
+                )
+            self.notes.add(
+                self.topic,
+                f"{self.bad} of {self.seen} messages are lost, they cannot be decoded; first "
+                f"{self.first_bad}",
+            )
+        if not self.batches:
+            return None
+        # Messages of one region come in any order.
+        names = tuple(sorted(self.first_named, key=self.first_named.__getitem__))
+        self._refuse_wide(len(names))
+        order = np.argsort(np.concatenate(self.order), kind="stable")
+        log_time = np.concatenate(self.log_times)[order]
+        stamp = np.concatenate([batch.stamp for batch in self.batches])[order]
+        tables = {name: self._table(name, names, order) for name in QUANTITIES}
+        carried = self._carried(names, order)
+        for name in QUANTITIES:
+            self._note_not_finite(name, tables[name], names, carried)
+        if self.schema in TRAJECTORIES:
+            stamp, log_time, tables = self._followed(stamp, log_time, order, tables)
+        if self.schema in ANY_QUANTITY:
+            tables = self._of_one_quantity(tables)
+            self._note_places(names)
+        return JointSeries(
+            topic=self.topic,
+            names=names,
+            stamp=self._mend_stamps(stamp, log_time),
+            log_time=log_time,
+            **tables,
+        )
+
+    def _followed(
+        self,
+        stamp: Integers,
+        log_time: Integers,
+        order: Integers,
+        tables: dict[str, Floats | None],
+    ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
+        """Trajectories as setpoints; one without stamp begins when it is received."""
+        zeros = [np.zeros(len(batch.rows), np.int64) for batch in self.batches]
+        after = np.concatenate(
+            [
+                zero if b.after is None else b.after
+                for b, zero in zip(self.batches, zeros, strict=True)
+            ]
+        )[order]
+        start = np.where(stamp == 0, log_time, stamp)
+        by_start = np.argsort(start, kind="stable")
+        start, log_time, after = start[by_start], log_time[by_start], after[by_start]
+        tables = {q: None if t is None else t[by_start] for q, t in tables.items()}
+        rows, time, tables = replaced(start, start + after, tables)
+        if not (stamp == 0).any():
+            return time, log_time[rows] + (time - start[rows]), tables
+        self.remarks.add(
+            self.topic,
+            f"{len(np.unique(log_time[stamp[by_start] == 0]))} trajectories without header.stamp "
+            "begin when the recorder received them",
+        )
+        return time, log_time[rows] + (time - start[rows]), tables
+
+    def _of_one_quantity(self, tables: dict[str, Floats | None]) -> dict[str, Floats | None]:
+        """What the values are, where the topic's name says it."""
+        named = [name for name in QUANTITIES if name in self.topic.lower()]
+        said = f"{self.schema} does not say what its values are"
+        if len(named) == 1:
+            self.remarks.add(self.topic, f"{said}; the topic's name says {named[0]}")
+            return {name: tables[name] if name in named else None for name in QUANTITIES}
+        self.remarks.add(
+            self.topic, f"{said}; position, velocity and effort all hold them, the model decides"
+        )
+        return tables
+
+    def _note_places(self, names: tuple[str, ...]) -> None:
+        if all(name == str(place) for place, name in enumerate(names)):
+            self.remarks.add(
+                self.topic,
+                f"its {len(names)} values have no joint names (labels of layout.dim): joints are "
+                f"named by their place, 0 to {len(names) - 1}",
+            )
+
+    def _refuse_wide(self, joints: int) -> None:
+        """Messages of different joints make one table: it can be far larger than the file."""
+        rows = sum(len(batch.rows) for batch in self.batches)
+        if rows * joints > limits.MCAP.samples_count:
+            raise LimitError(
+                f"too many samples: {rows} messages that name {joints} joints between them",
+                path=self.path,
+                where=self.topic,
+                expected=f"at most {limits.MCAP.samples_count}",
+            )
+
+    def _table(self, name: str, names: tuple[str, ...], order: Integers) -> Floats | None:
+        """(n, j) of one quantity; NaN where a message does not carry a joint."""
+        if all(batch.values[name] is None for batch in self.batches):
+            return None
+        column = {joint: at for at, joint in enumerate(names)}
+        parts = []
+        for batch in self.batches:
+            values = batch.values[name]
+            if values is None or batch.names != names:
+                whole = np.full((len(batch.rows), len(names)), np.nan)
+                if values is not None:
+                    whole[:, [column[joint] for joint in batch.names]] = values
+                values = whole
+            parts.append(values)
+        table = np.concatenate(parts)
+        in_order = bool((np.diff(order) == 1).all())
+        return table if in_order else table[order]
+
+    def _mend_stamps(self, stamp: Integers, log_time: Integers) -> Integers:
+        unset = int((stamp == 0).sum())
+        if (log_time < 0).any():
+            self.notes.add(self.topic, "log times beyond the year 2262 read as negative")
+        if unset == len(stamp) and len(stamp) > 1:
+            self.notes.add(
+                self.topic, "no message has a header.stamp: the recorder's log time is used"
+            )
+            stamp = log_time
+        elif unset > 1 or (unset and stamp[0] != 0):
+            at = int(np.flatnonzero(stamp == 0)[0])
+            self.notes.add(self.topic, f"{unset} messages without header.stamp, first message {at}")
+        if self.bad_stamps:
+            self.notes.add(self.topic, f"{self.bad_stamps} stamps have nanosec of a second or more")
+        step = np.diff(stamp)
+        for what, bad in (("go back", step < 0), ("stand twice", step == 0)):
+            if bad.any():
+                at = int(np.flatnonzero(bad)[0]) + 1
+                self.notes.add(self.topic, f"{int(bad.sum())} stamps {what}, first message {at}")
+        return stamp
+
+    def _carried(self, names: tuple[str, ...], order: Integers) -> NDArray[np.bool_]:
+        """(n, j) which joints each message names."""
+        parts = []
+        for batch in self.batches:
+            named = set(batch.names)
+            parts.append(np.tile([joint in named for joint in names], (len(batch.rows), 1)))
+        table: NDArray[np.bool_] = np.concatenate(parts)[order]
+        return table
+
+    def _note_not_finite(
+        self,
+        name: str,
+        table: Floats | None,
+        names: tuple[str, ...],
+        carried: NDArray[np.bool_],
+    ) -> None:
+        if table is None:
+            return
+        bad = carried & ~np.isfinite(table)
+        if not bad.any():
+            return
+        # A whole row of NaN is how an empty field reads.
+        empty = np.isnan(table).all(axis=1)
+        odd = np.flatnonzero(bad.any(axis=1) & ~empty)
+        if odd.size:
+            joint = names[int(np.flatnonzero(bad[odd[0]])[0])]
+            self.notes.add(
+                self.topic,
+                f"{name} is not finite in {odd.size} messages, first message {int(odd[0])}, "
+                f"joint {joint!r}",
+            )
+        if empty.any():
+            self.notes.add(
+                self.topic,
+                f"{name} is empty in {int(empty.sum())} of {len(table)} messages, first message "
+                f"{int(np.flatnonzero(empty)[0])}",
+            )
