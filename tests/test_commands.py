@@ -10,9 +10,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from pytest_twin import cli
+from pytest_twin.formats.schema import load_schema
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 LOADED = """
@@ -128,6 +130,7 @@ def test_a_command_loads_no_other_but_what_it_builds_on(name: str) -> None:
     assert loaded == {name, *(["replay"] if name == "diagnose" else [])}
 
 
+RESULT_SCHEMAS = ("init", "audit", "replay")
 JSON_COMMANDS = {
     "init": (["{golden}/arm.xml", "--out", "twin"], "goldens"),
     "intake": (["{golden}", "--out", "arm"], "states"),
@@ -159,7 +162,10 @@ def test_json_alone_is_on_standard_output_and_the_text_on_standard_error(
     words = [word.format(golden=GOLDEN) for word in words]
     assert cli.main([name, *words, "--json", "-"]) in (0, 1)
     out, err = capsys.readouterr()
-    assert field in json.loads(out)
+    document = json.loads(out)
+    assert field in document
+    if name in RESULT_SCHEMAS:
+        jsonschema.validate(document, load_schema(f"results/{name}.schema.json"))
     assert len(err.splitlines()) > 1
 
 

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import mujoco
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.formats.schema import load_schema
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +52,10 @@ def test_a_late_command_is_named_on_its_joint_with_the_delay_in_the_interval(lat
     assert 0.0 < finding["confidence"] <= 1.0
     assert set(finding["where"]["windows"]) <= {"fit1.mcap", "fit2.mcap", "held_out3.mcap"}
     assert isinstance(finding["next_test"], str)
+
+
+def test_the_result_fits_its_schema(late: Path) -> None:
+    jsonschema.validate(said(late), load_schema("results/diagnosis.schema.json"))
 
 
 def test_errors_are_of_the_recording_that_no_fit_saw(late: Path) -> None:

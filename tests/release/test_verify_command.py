@@ -7,10 +7,12 @@ import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 
+import jsonschema
 import pytest
 from release_twins import MakeRelease
 
 from pytest_twin import cli
+from pytest_twin.formats.schema import load_schema
 
 
 @pytest.fixture
@@ -51,6 +53,7 @@ def test_json_on_standard_output(two: Path, capsys: pytest.CaptureFixture[str]) 
     assert cli.main(["verify", str(two / "releases" / "0001"), "--json"]) == 1
     out, err = capsys.readouterr()
     fields = json.loads(out)
+    jsonschema.validate(fields, load_schema("results/verify.schema.json"))
     assert fields["holds"] is False
     assert fields["release"]["number"] == 1
     assert fields["problems"] == [

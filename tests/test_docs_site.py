@@ -1,0 +1,61 @@
+"""The documentation builds without a warning: links, headings, images and the generated pages."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("sphinx", reason="the extra 'docs' is not installed")
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-E"]
+    run = subprocess.run(
+        [*command, "-d", str(out / "doctrees"), str(DOCS), str(out / "html")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    return out / "html"
+
+
+def test_every_page_of_the_docs_is_in_the_site(site: Path) -> None:
+    pages = {path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*.md")}
+    assert pages <= {path.relative_to(site) for path in site.rglob("*.html")}
+
+
+def test_the_reference_has_every_command_kind_file_and_error_of_the_code(site: Path) -> None:
+    from pytest_twin import cli, errors
+    from pytest_twin.checks import kinds
+
+    folder = site / "reference" / "generated"
+    commands = (folder / "commands.html").read_text()
+    assert all(f'<section id="{name}">' in commands for name in cli.COMMANDS)
+    fields = (folder / "golden_kinds.html").read_text()
+    assert all(f'id="{kind.replace("_", "-")}"' in fields for kind in kinds())
+    assert "findings[].confidence" in (folder / "files.html").read_text()
+    named = (folder / "errors.html").read_text()
+    assert all(
+        name in named
+        for name, value in vars(errors).items()
+        if isinstance(value, type) and issubclass(value, Exception)
+    )
+
+
+def test_links_of_the_readme_lead_somewhere() -> None:
+    for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
+        text = (ROOT / name).read_text()
+        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)|src=\"([^\"]+)\"", text):
+            path = target[0] or target[1]
+            if not path.startswith("http"):
+                assert (ROOT / path).exists(), f"{name}: {path}"
