@@ -83,6 +83,7 @@ class Structure:
         contact_pairs: bodies of explicit contact pairs.
         body_meshes: collision body -> part ids of the meshes and height fields of its geoms.
         geom_body: named geom -> body.
+        joint_inputs: joint -> commands that its actuators take: position, velocity, effort.
     """
 
     realization: str
@@ -103,6 +104,7 @@ class Structure:
     contact_pairs: tuple[tuple[str, str], ...] = ()
     body_meshes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     geom_body: Mapping[str, str] = field(default_factory=dict)
+    joint_inputs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     _memo: dict[object, frozenset[str]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -415,6 +417,7 @@ class Structure:
             contact_pairs=tuple(_pair(pair, str) for pair in _list(table["contact_pairs"])),
             body_meshes=_lists(table["body_meshes"]),
             geom_body=_strings(table["geom_body"], str),
+            joint_inputs=_lists(table["joint_inputs"]),
         )
 
 

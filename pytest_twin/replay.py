@@ -2,9 +2,9 @@
 
 How a trial becomes a simulation:
 
-- Commands are held from their stamp to the next (zero order); before the first stamp the first is
-  held. A stamp that falls inside a step enters that step by the mean of the held signal over it,
-  so that no command comes early or late by the step's length.
+- Between their stamps commands do what the trial says: they are held, interpolated or ramped
+  (``Trial.command_between``); before the first stamp the first is held. Each step gets the mean of
+  that signal over the step, so that no command comes early or late by the step's length.
 - The first state sets positions and, where it was recorded, velocities; otherwise the robot
   starts at rest. Joints outside the recording start at the model's reference (or where a joint
   equality puts them), and their position servos hold them there: what gravity stretches a servo
@@ -44,6 +44,7 @@ from pytest_twin.realization.first_state import (
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.trial import Trial
+from pytest_twin.trial.setpoint import Setpoint
 from pytest_twin.twin import JointCalibration
 
 # Long enough that stepping outweighs the calls, as far as the records of a block fit in memory.
@@ -283,18 +284,21 @@ class _Run:
         follow_joint_equalities(self.model, data, set(self.joint_ids))
 
     def _place_commands(self, data: mujoco.MjData) -> None:
-        """Controls as steps: the values held, the step from which each holds, and corrections."""
+        """Controls over time: of held commands the step from which each holds, and corrections."""
         model, trial = self.model, self.trial
         width = model.nu
         base = np.zeros(width + model.nv)
         base[:width] = holding_controls(model, data, trial.command_joints)
-        values = np.tile(base, (len(trial.command_time), 1))
+        asked = trial.setpoint
+        values = np.tile(base, (len(asked.time), 1))
         encoders = Encoders.of(self.row.calibration, trial.command_joints)
-        commands = encoders.model_command(trial.command, trial.command_mode)
-        for joint, command in zip(trial.command_joints, commands.T, strict=True):
+        commands = encoders.model_command(asked.value, trial.command_modes)
+        for joint, mode, command in zip(
+            trial.command_joints, trial.command_modes, commands.T, strict=True
+        ):
             joint_id = self._joint_id(joint)
             try:
-                target = command_input(model, joint, trial.command_mode)
+                target = command_input(model, joint, mode)
             except SpecError as error:
                 error.path = self.row.source
                 raise
@@ -303,10 +307,11 @@ class _Run:
                 values[:, width + model.jnt_dofadr[joint_id]] = command
             else:
                 values[:, target.control] = target.scale * command
-        at = trial.command_time / self.timestep
+        self.values = values
+        self.moving = Setpoint(asked.time, values, linear=True) if asked.linear else None
+        at = asked.time / self.timestep
         inside = np.floor(at + _ON_STEP)
         fraction = np.where(at - inside < _ON_STEP, 0.0, at - inside)
-        self.values = values
         self.value_step = (inside + (fraction > 0.0)).astype(np.int64)
         late = np.flatnonzero((fraction > 0.0) & (np.arange(len(at)) > 0))
         self.split_step = inside[late].astype(np.int64)
@@ -315,6 +320,11 @@ class _Run:
     def controls(self, begin: int, end: int, out: FloatArray) -> None:
         """Write the controls of steps ``begin`` to ``end`` into ``out`` (steps, controls)."""
         width = out.shape[1]
+        if self.moving is not None:
+            until = np.asarray(self.timestep * np.arange(begin, end + 1), dtype=np.float64)
+            means = np.diff(self.moving.integral(until), axis=0) / self.timestep
+            out[:] = means[:, :width]
+            return
         first, last = np.searchsorted(self.value_step, (begin, end), side="right")
         first = max(int(first) - 1, 0)
         last = max(int(last), first + 1)

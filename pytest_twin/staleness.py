@@ -159,7 +159,7 @@ def _version_part(
 
 def _twin_parts(twin: Twin, surroundings: Surroundings) -> dict[str, Part]:
     contents: dict[str, dict[str, Any]] = {
-        "topics:recordings": dict(twin.topics),
+        "topics:recordings": {**twin.topics, **twin.recordings.to_json()},
         # With any declared, a recording has to name its own.
         "variants:declared": {
             "controllers": bool(twin.controllers),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -15,6 +15,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
+from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 
 FILE_NAME = "twin.yaml"
 EFFECTS_FILE = "effects.json"
@@ -222,6 +223,7 @@ class Twin:
         source: the supplier's files.
         roots: name -> folder outside ``root`` that files may come from.
         topics: ``state`` and ``command`` -> topic.
+        recordings: how recordings are read: joint names, fields, clock, commands between stamps.
         controllers: id -> actuator -> attribute -> value.
         payloads: id -> body -> mass.
         parts: name -> declared part.
@@ -236,6 +238,7 @@ class Twin:
     source: tuple[Path, ...] = ()
     roots: Mapping[str, Path] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULT_TOPICS))
+    recordings: RecordingOptions = NO_OPTIONS
     controllers: Mapping[str, Mapping[str, Patch]] = field(default_factory=dict)
     payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
     calibration: Calibration | None = None
@@ -341,6 +344,7 @@ class _Reader:
             ),
             roots=self.named_roots,
             topics={**DEFAULT_TOPICS, **data.get("topics", {})},
+            recordings=_recordings(data),
             controllers={
                 name: {actuator: _patch(patch) for actuator, patch in (actuators or {}).items()}
                 for name, actuators in data.get("controllers", {}).items()
@@ -493,6 +497,12 @@ def _payload(data: Mapping[str, Any]) -> Payload:
     inertia = [float(v) for v in data.get("inertia", ())]
     ixx, iyy, izz, ixy, ixz, iyz = inertia + [0.0] * (6 - len(inertia))
     return Payload(float(data["mass"]), (x, y, z), (ixx, iyy, izz, ixy, ixz, iyz))
+
+
+def _recordings(data: Mapping[str, Any]) -> RecordingOptions:
+    """What a recording says of its commands itself goes before what the twin says of all."""
+    options = RecordingOptions.from_json(data)
+    return replace(options, command_between=None, command_between_default=options.command_between)
 
 
 def _pose(data: Mapping[str, Any], section: _Section) -> Pose:

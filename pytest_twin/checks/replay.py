@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -50,7 +50,8 @@ class Replay(Check):
 
     ``values``: ``joints`` (joint -> ``type``, ``rms``, ``maximum``, ``mean``, ``at`` in s,
     ``predicted`` and ``recorded`` there, ``velocity_rms`` or None), ``tcp`` (likewise, in m and
-    rad) or None, ``marks`` (what is doubtful in the recording: kind -> count), ``notes``.
+    rad) or None, ``marks`` (what is doubtful in the recording: kind -> count),
+    ``command_between`` (held, interpolated or ramped), ``notes``.
     """
 
     kind: ClassVar[str] = "replay"
@@ -119,51 +120,70 @@ class Replay(Check):
             parts |= structure.chain([target["tcp"]])
         return parts
 
-    def trial(self, golden: Golden, realization: Realization) -> Trial:
-        """Read the recording."""
+    def trials(self, golden: Golden, realization: Realization) -> list[Trial]:
+        """Read the recording: one trial, or one for each stretch between holes."""
         from pytest_twin.formats.mcap import read_recording
-        from pytest_twin.trial import make_trial
+        from pytest_twin.trial import make_trials
 
         twin = realization.twin
         if twin is None:
             raise SpecError("a replay golden needs a twin.yaml", path=golden.path)
         path = find_file(golden, "target.recording", golden.target["recording"], twin)
-        return make_trial(read_recording(path, twin.topics), realization.structure)
+        recording = read_recording(path, twin.topics)
+        trials = make_trials(recording, realization.structure, twin.recordings)
+        if all(len(t.time) < 2 for t in trials):
+            raise spec_error(
+                golden, "target.recording", "one state: nothing to compare a replay with",
+                value=path.name, expected="a recording with states to the end",
+            )  # fmt: skip
+        return trials
+
+    def trial(self, golden: Golden, realization: Realization) -> Trial:
+        """The longest stretch of the recording, all joints at the same stamps."""
+        from pytest_twin.trial.one_base import on_one_base
+
+        return on_one_base(max(self.trials(golden, realization), key=lambda t: t.duration))
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Read the recording and replay it."""
         from pytest_twin import replay
 
-        trial = self.trial(golden, realization)
-        self._check_variant(golden, realization, trial)
-        names = list(golden.target.get("joints", trial.joints))
+        trials = self.trials(golden, realization)
+        first = trials[0]
+        self._check_variant(golden, realization, first)
+        names = list(golden.target.get("joints", first.joints))
         for i, joint in enumerate(names):
-            known_name(golden, f"target.joints.{i}", joint, trial.joints, "recorded joint")
-        result = _replayed(realization, trial, progress)
-        if result.error is not None:
-            raise result.error
-        joints = {
-            joint: _of_joint(result, trial.joints.index(joint), realization.structure)
-            for joint in names
-        }
+            known_name(golden, f"target.joints.{i}", joint, first.joints, "recorded joint")
+        results = [_replayed(realization, trial, progress) for trial in trials]
+        for result in results:
+            if result.error is not None:
+                raise result.error
+        joints = {joint: _of_joint(results, joint, realization.structure) for joint in names}
+        notes = [note for t in trials for note in t.notes]
+        notes += dict.fromkeys(note for result in results for note in result.notes)
         values: dict[str, Any] = {
             "joints": joints,
             "tcp": None,
-            "marks": dict(Counter(mark.kind for mark in trial.marks)),
-            "notes": list(result.notes),
+            "marks": dict(Counter(mark.kind for t in trials for mark in t.marks)),
+            "command_between": first.command_between,
+            "notes": notes,
         }
         if "tcp" in golden.target:
             frame = golden.target["tcp"]
+            predicted = [replay.frame_poses(realization, r.qpos, frame) for r in results]
+            measured = [
+                replay.frame_poses(realization, replay.measured_qpos(realization, r), frame)
+                for r in results
+            ]
             values["tcp"] = _of_tcp(
-                frame,
-                trial.time,
-                replay.frame_poses(realization, result.qpos, frame),
-                replay.frame_poses(realization, replay.measured_qpos(realization, result), frame),
+                frame, _time(trials), np.concatenate(predicted), np.concatenate(measured)
             )
-        now = _series(trial, joints, {"position": result.position} | _commands(trial))
         return Observation(
-            values, now, against=_series(trial, joints, {"position": trial.position})
-        )
+            values,
+            _series(trials, joints, lambda i: {"position": results[i].position,
+                                               "command": _commands(trials[i])}),
+            against=_series(trials, joints, lambda i: {"position": trials[i].position}),
+        )  # fmt: skip
 
     def _check_variant(self, golden: Golden, realization: Realization, trial: Trial) -> None:
         """The spec says under which controller and payload, so that a change of them is felt."""
@@ -227,27 +247,46 @@ def _replayed(realization: Realization, trial: Trial, progress: Progress) -> Rep
     return replay_whole(realization, patched, trial, progress=progress)
 
 
-def _of_joint(result: Replayed, column: int, structure: Structure) -> dict[str, Any]:
-    trial = result.trial
-    predicted, recorded = result.position[:, column], trial.position[:, column]
+def _time(trials: Sequence[Trial]) -> FloatArray:
+    """(n,) s from the recording's first state, of the states of all trials."""
+    return np.concatenate([t.offset + t.time for t in trials])
+
+
+def _of_joint(results: Sequence[Replayed], joint: str, structure: Structure) -> dict[str, Any]:
+    """Residuals of one joint at the samples that the recording has of it."""
+    column = results[0].trial.joints.index(joint)
+    trials = [r.trial for r in results]
+    predicted = np.concatenate([r.position[:, column] for r in results])
+    recorded = np.concatenate([t.position[:, column] for t in trials])
+    seen = np.isfinite(recorded)
+    predicted, recorded, time = predicted[seen], recorded[seen], _time(trials)[seen]
     found = residual(predicted, recorded)
     velocity: float | None = None
-    if trial.velocity is not None:
-        measured = np.isfinite(trial.velocity[:, column])
-        if measured.any():
-            velocity = residual(
-                result.velocity[measured, column], trial.velocity[measured, column]
-            ).rms
+    moved = [r for r in results if r.trial.velocity is not None]
+    if moved:
+        measured = np.concatenate([_velocity(r.trial, column) for r in moved])
+        modelled = np.concatenate([r.velocity[:, column] for r in moved])
+        some = np.isfinite(measured)
+        if some.any():
+            velocity = residual(modelled[some], measured[some]).rms
     return {
-        "type": structure.joint_type[trial.joints[column]],
-        **_numbers(found, trial.time),
+        "type": structure.joint_type[joint],
+        **_numbers(found, time),
         "predicted": float(predicted[found.maximum_at]),
         "recorded": float(recorded[found.maximum_at]),
         "velocity_rms": velocity,
     }
 
 
+def _velocity(trial: Trial, column: int) -> FloatArray:
+    assert trial.velocity is not None
+    return trial.velocity[:, column]
+
+
 def _of_tcp(frame: str, time: FloatArray, predicted: FloatArray, measured: FloatArray) -> Any:
+    # A frame has a measured pose where one stamp has the position of every joint.
+    seen = np.isfinite(measured).all(axis=1)
+    time, predicted, measured = time[seen], predicted[seen], measured[seen]
     distance = np.linalg.norm(predicted[:, :3] - measured[:, :3], axis=1)
     angle = rotation_angle(predicted[:, 3:], measured[:, 3:])
     return {
@@ -266,25 +305,31 @@ def _numbers(found: Residual, time: FloatArray) -> dict[str, float]:
     }
 
 
-def _commands(trial: Trial) -> dict[str, FloatArray]:
-    """Position commands as they were held at the states' stamps; NaN where there were none."""
-    if trial.command_mode != "position":
-        return {}
-    at = np.searchsorted(trial.command_time, trial.time, side="right") - 1
-    held = np.full_like(trial.position, np.nan)
-    for column, joint in enumerate(trial.command_joints):
-        if joint in trial.joints:
-            held[:, trial.joints.index(joint)] = trial.command[np.maximum(at, 0), column]
-    return {"command": held}
+def _commands(trial: Trial) -> FloatArray:
+    """(n, j) position commands at the states' stamps; NaN where there were none."""
+    asked = trial.setpoint.at(trial.time)
+    table = np.full_like(trial.position, np.nan)
+    for column, joint in enumerate(trial.joints):
+        if trial.mode_of(joint) == "position":
+            table[:, column] = asked[:, trial.command_joints.index(joint)]
+    return table
 
 
-def _series(trial: Trial, joints: Mapping[str, Any], tables: Mapping[str, FloatArray]) -> Trace:
-    time, first = np.unique(trial.time, return_index=True)
+def _series(
+    trials: Sequence[Trial],
+    joints: Mapping[str, Any],
+    tables: Callable[[int], Mapping[str, FloatArray]],
+) -> Trace:
+    """Columns of all trials; ``tables`` gives those of one. A column with a gap is left out."""
+    time, first = np.unique(_time(trials), return_index=True)
     columns = {}
+    each = [tables(i) for i in range(len(trials))]
     for joint, values in joints.items():
         unit = "m" if values["type"] == "slide" else "rad"
-        for name, table in tables.items():
-            column = table[first, trial.joints.index(joint)]
+        for name in each[0]:
+            column = np.concatenate(
+                [of[name][:, t.joints.index(joint)] for of, t in zip(each, trials, strict=True)]
+            )[first]
             if np.isfinite(column).all():
                 columns[f"{name}:{joint}"] = (unit, column)
     return Trace(("time", "s"), time, columns)

@@ -11,13 +11,14 @@ from typing import Any
 
 from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
-from pytest_twin.commands.replay import find_model, parse_topics
+from pytest_twin.commands.recording_arguments import add_recording_arguments, recording_options
+from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats import atomic
-from pytest_twin.formats.recording import TOPICS
 from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
 
 HELP = (
@@ -71,15 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"gets {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
         "replaced whole where it is an earlier diagnosis",
     )
-    parser.add_argument(
-        "--topics",
-        metavar="state=/x,command=/y",
-        type=parse_topics,
-        default={},
-        help="topics of the recordings (default: twin.yaml's, else "
-        + ",".join(f"{role}={topic}" for role, topic in TOPICS.items())
-        + ")",
-    )
+    add_recording_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -107,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
                     "held_out": [str(r.absolute()) for r in args.held_out],
                     "out": str(staging),
                     "topics": args.topics,
+                    "options": recording_options(args),
                 },
                 progress=progress,
             )
@@ -123,6 +117,7 @@ def diagnose_files(
     held_out: list[str],
     out: str,
     topics: Mapping[str, str],
+    options: Mapping[str, Any],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
@@ -140,6 +135,7 @@ def diagnose_files(
         [Path(r) for r in held_out],
         {**loaded.topics, **topics},
         loaded.realization.structure,
+        RecordingOptions.from_json(options).over(loaded.options),
     )
     return write_diagnosis(
         Path(out),

@@ -11,22 +11,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.commands import json_output
+from pytest_twin.commands.predicting import distances, joined, predict
 from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.recording_arguments import add_recording_arguments, recording_options
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.mcap import read_recording, write_recording
-from pytest_twin.formats.recording import TOPICS, JointSeries
-from pytest_twin.metrics.residual import residual
+from pytest_twin.formats.recording import TOPICS
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.trial import Trial, make_trial
+from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
+from pytest_twin.trial import at_command_stamps, make_trials
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES, Twin, load_twin
 
 if TYPE_CHECKING:
     from pytest_twin.diagnosis.patched.model import Patched
-    from pytest_twin.effects.segment import Predicted
     from pytest_twin.realization import Realization
-    from pytest_twin.replay import Replayed
 
 HELP = "simulate a model under a recording's commands, open loop, and write the predicted states"
 EXAMPLES = (
@@ -57,15 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"the predicted {STATE_TOPIC}, at the stamps of the recording; FILE.json beside it "
         "says how far it is from the recording, joint by joint",
     )
-    parser.add_argument(
-        "--topics",
-        metavar="state=/x,command=/y",
-        type=parse_topics,
-        default={},
-        help="topics of the recording (default: twin.yaml's, else "
-        + ",".join(f"{role}={topic}" for role, topic in TOPICS.items())
-        + ")",
-    )
+    add_recording_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
                 "recording": str(recording),
                 "out": str(out.absolute()),
                 "topics": args.topics,
+                "options": recording_options(args),
             },
             progress=progress,
         )
@@ -121,22 +114,29 @@ def replay_file(
     recording: str,
     out: str,
     topics: Mapping[str, str],
+    options: Mapping[str, Any],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Load, replay, write; runs in the child process.
 
     Returns:
-        What stands in the JSON beside the prediction.
+        The content of the JSON file beside the prediction.
     """
     import mujoco
 
     loaded = load_model(Path(model))
     realization = loaded.realization
-    trial = make_trial(
-        read_recording(Path(recording), {**loaded.topics, **topics}), realization.structure
+    trials = make_trials(
+        read_recording(Path(recording), {**loaded.topics, **topics}),
+        realization.structure,
+        RecordingOptions.from_json(options).over(loaded.options),
     )
-    predicted, notes = _predict(loaded, trial, progress)
-    write_recording(Path(out), [predicted], trial.metadata)
+    # One state says where the robot starts: the motion is predicted at the commands.
+    replayed = [t if len(t.time) > 1 else at_command_stamps(t) for t in trials]
+    parts, notes = predict(realization, loaded.patched, replayed, progress)
+    predicted = joined(parts, replayed)
+    write_recording(Path(out), [predicted], trials[0].metadata)
+    first = trials[0]
     return {
         "schema": 1,
         "model": model,
@@ -144,23 +144,27 @@ def replay_file(
         "prediction": out,
         "simulator": f"mujoco {mujoco.__version__}",
         "timestep": {"value": float(realization.model.opt.timestep), "unit": "s"},
-        "samples": len(trial.time),
-        "duration": {"value": trial.duration, "unit": "s"},
-        "command_mode": trial.command_mode,
-        "trial": dict(trial.metadata),
-        "joints": _joints(trial, predicted, realization.structure.joint_type),
+        "samples": len(predicted.stamp),
+        "duration": {"value": sum(t.duration for t in replayed), "unit": "s"},
+        "command_mode": first.command_mode,
+        "command_modes": dict(zip(first.command_joints, first.command_modes, strict=True)),
+        "command_between": {"value": first.command_between, "source": first.between_source},
+        "trial": dict(first.metadata),
+        "joints": distances(trials, parts, realization.structure.joint_type),
+        "parts": [{"start": t.offset, "end": t.offset + t.duration} for t in replayed],
         "marks": [
             {
                 "kind": mark.kind,
                 "topic": mark.topic,
                 "joint": mark.joint,
-                "start": mark.start,
-                "end": mark.end,
+                "start": t.offset + mark.start,
+                "end": t.offset + mark.end,
                 "text": mark.text,
             }
-            for mark in trial.marks
+            for t in trials
+            for mark in t.marks
         ],
-        "notes": [*notes, *realization.notes],
+        "notes": [*(note for t in trials for note in t.notes), *notes, *realization.notes],
     }
 
 
@@ -171,11 +175,13 @@ class LoadedModel:
     Attributes:
         realization: loaded, with its twin where it has one.
         topics: role -> topic.
+        options: what its twin says of recordings.
         patched: effects that are stepped beside the model, where a diagnosis wrote it.
     """
 
     realization: Realization
     topics: Mapping[str, str]
+    options: RecordingOptions
     patched: Patched | None
 
 
@@ -198,65 +204,8 @@ def load_model(file: Path) -> LoadedModel:
         file = reference.file
     realization = load(file, twin=twin, name=name)
     topics = dict(TOPICS if twin is None else twin.topics)
-    return LoadedModel(realization, topics, patched_of(realization))
-
-
-def _predict(
-    loaded: LoadedModel, trial: Trial, progress: Callable[[float], None]
-) -> tuple[JointSeries, tuple[str, ...]]:
-    """The joint states that the model predicts for a trial, and notes."""
-    from pytest_twin.diagnosis.patched.replay import beside_in_words, replay_patched
-    from pytest_twin.replay import replay
-
-    stamps = trial.stamps
-
-    def series(names: tuple[str, ...], values: Replayed | Predicted) -> JointSeries:
-        return JointSeries(
-            topic=STATE_TOPIC,
-            names=names,
-            stamp=stamps,
-            log_time=stamps,
-            position=values.position,
-            velocity=values.velocity,
-            effort=values.effort,
-        )
-
-    if loaded.patched is None:
-        result = replay(loaded.realization, [trial], tcp=False, progress=progress)[0]
-        if result.error is not None:
-            raise result.error
-        return series(trial.joints, result), result.notes
-    predicted = replay_patched(loaded.realization, loaded.patched, [trial])[0]
-    return series(loaded.patched.joints, predicted), beside_in_words(loaded.patched)
-
-
-def _joints(trial: Trial, predicted: JointSeries, types: Mapping[str, str]) -> dict[str, Any]:
-    found = {}
-    assert predicted.position is not None
-    for column, joint in enumerate(predicted.names):
-        measured = trial.position[:, trial.joints.index(joint)]
-        left = residual(predicted.position[:, column], measured)
-        found[joint] = {
-            "rms": left.rms,
-            "max": left.maximum,
-            "mean": left.mean,
-            "at": float(trial.time[left.maximum_at]),
-            "unit": "m" if types[joint] == "slide" else "rad",
-        }
-    return found
-
-
-def parse_topics(text: str) -> dict[str, str]:
-    """``state=/x,command=/y`` of a command line, as a mapping."""
-    found: dict[str, str] = {}
-    for item in text.split(","):
-        role, separator, topic = item.partition("=")
-        if not separator or role not in TOPICS or not topic or role in found:
-            raise argparse.ArgumentTypeError(
-                f"{text!r}: expected state=/x,command=/y or one of them"
-            )
-        found[role] = topic
-    return found
+    options = NO_OPTIONS if twin is None else twin.recordings
+    return LoadedModel(realization, topics, options, patched_of(realization))
 
 
 def _check_out(out: Path, recording: Path) -> None:
@@ -269,13 +218,21 @@ def _check_out(out: Path, recording: Path) -> None:
 
 
 def _words(summary: Mapping[str, Any]) -> str:
+    between = summary["command_between"]
+    said = f"  commands are {between['value']} between their stamps"
+    if between["source"] == "assumed":
+        said += " (assumed; declare it in twin.yaml or with --command-between)"
     lines = [
         f"{summary['prediction']}: {summary['samples']} states over "
-        f"{summary['duration']['value']:.4g} s under {summary['command_mode']} commands"
+        f"{summary['duration']['value']:.4g} s under {summary['command_mode']} commands",
+        said,
     ]
     width = max(len(joint) for joint in summary["joints"])
     for joint, left in summary["joints"].items():
         unit = left["unit"]
+        if left["rms"] is None:
+            lines.append(f"  {joint:<{width}}  one state: nothing to compare with")
+            continue
         lines.append(
             f"  {joint:<{width}}  rms {_short(left['rms'])} {unit}, "
             f"largest {_short(left['max'])} {unit} at {left['at']:.4g} s"

@@ -131,8 +131,8 @@ class Diagnosis:
             },
             "realization": realization,
             "trials": {
-                "fit": [t.path.name for t in self.trials.fit],
-                "held_out": [t.path.name for t in self.trials.held_out],
+                "fit": list(dict.fromkeys(t.path.name for t in self.trials.fit)),
+                "held_out": list(dict.fromkeys(t.path.name for t in self.trials.held_out)),
             },
             "notes": list(self.notes),
             "cost": self.cost.to_json(),

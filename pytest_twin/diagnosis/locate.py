@@ -115,12 +115,11 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
         close[i] = touching(data, contact, _TOUCHING) if contact.world.size else 0.0
     for j in range(q.shape[1]):
         load[:, j] = np.interp(segment.time, segment.time[at], rows[:, j])
-    held = np.searchsorted(segment.command_time, segment.time, side="right") - 1
-    command = np.nan_to_num(segment.command[np.maximum(held, 0)])
+    command = np.nan_to_num(segment.setpoint.at(segment.time))
     _, rate, _ = derivatives(segment.time, command)
     touches = np.interp(segment.time, segment.time[at], close) > 0.5
     return Motion(
-        trial.path.name, segment.time, q, v, a, load, rate,
+        trial.path.name, trial.offset + segment.time, q, v, a, load, rate,
         touches if contact.world.size else None, trial.conditions,
     )  # fmt: skip
 

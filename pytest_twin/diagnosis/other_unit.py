@@ -58,7 +58,7 @@ def without_other_units(realization: Realization, trials: TrialSet, notes: list[
         return trials
     errors = [
         RecordingError(
-            f"{'states' if t.command_mode == 'effort' else 'states and commands'} as if in {unit}: "
+            f"{'states' if t.hardest_mode == 'effort' else 'states and commands'} as if in {unit}: "
             "read so, the model follows them",
             path=t.path,
             expected="rad (m where a joint slides)",
@@ -84,7 +84,7 @@ def _hinges(realization: Realization, trial: Trial) -> list[int]:
 def _turns_far(trial: Trial, hinges: Sequence[int]) -> bool:
     travel = np.ptp(trial.position[:, hinges], axis=0)
     far = travel[travel > _MOVES] > _FAR
-    return bool(far.sum() >= _FEWEST[trial.command_mode] and far.all())
+    return bool(far.sum() >= _FEWEST[trial.hardest_mode] and far.all())
 
 
 def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
@@ -116,7 +116,7 @@ def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
     that is told from positions carries their noise, which under effort commands grows.
     """
     position = trial.position[:, hinges]
-    gone = np.abs(position - position[0]) > _PART[trial.command_mode] * np.ptp(position, axis=0)
+    gone = np.abs(position - position[0]) > _PART[trial.hardest_mode] * np.ptp(position, axis=0)
     until = float(trial.time[gone.any(axis=1).argmax()]) + _ON
     n = int(np.searchsorted(trial.time, until, side="right"))
     return replace(
@@ -136,12 +136,13 @@ def _scaled(trial: Trial, hinges: Iterable[int], scale: float) -> Trial:
         scaled: FloatArray = values * [scale if j in names else 1.0 for j in joints]
         return scaled
 
-    by_angle = trial.command_mode != "effort"
+    commanded = zip(trial.command_joints, trial.command_modes, strict=True)
+    by_angle = [scale if j in names and mode != "effort" else 1.0 for j, mode in commanded]
     return replace(
         trial,
         position=of(trial.joints, trial.position),
         velocity=None if trial.velocity is None else of(trial.joints, trial.velocity),
-        command=of(trial.command_joints, trial.command) if by_angle else trial.command,
+        command=trial.command * by_angle,
     )
 
 

@@ -334,6 +334,8 @@ def _commanded_anew(segment: Segment, step: float) -> NDArray[np.bool_]:
     """(samples, joints) whether a command changes within the step of the model that a sample is
     taken in: the drive is sent a mean of both, and the sensor saw one.
     """
+    if segment.moving:
+        return np.zeros((len(segment.time), segment.command.shape[1]), dtype=bool)
     first = segment.start + step * np.floor((segment.time - segment.start) / step)
     change = np.diff(segment.command, axis=0, prepend=segment.command[:1]) != 0.0
     changes = np.vstack([np.zeros((1, change.shape[1]), int), np.cumsum(change, axis=0)])

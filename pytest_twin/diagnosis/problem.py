@@ -373,10 +373,14 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
     # Where the model as it came diverges no sample may be known.
     given = np.concatenate([np.abs(p.effort) for p in nominal])
     peak = np.max(np.where(np.isfinite(given), given, 0.0), axis=0)
-    command = rms([_tracking_error(s) if s.mode == "position" else s.command for s in segments])
+    modes = np.array([segments[0].mode_of(j) for j in range(joints)])
+    command = np.where(
+        modes == "position",
+        rms([_tracking_error(s) for s in segments]),
+        rms([s.command for s in segments]),
+    )
     # A speed that is asked for, where commands say one.
-    mode = segments[0].mode
-    wanted = {"position": rate, "velocity": command, "effort": velocity}[mode]
+    wanted = np.select([modes == "position", modes == "velocity"], [rate, command], velocity)
     ones = np.ones(joints)
     return Scales(
         {
@@ -391,7 +395,7 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
             "inertia": inertia,
             "compliance": position / effort,
             "slowness": 1.0
-            / np.maximum(np.nan_to_num(rate), effort if mode == "effort" else velocity),
+            / np.maximum(np.nan_to_num(rate), np.where(modes == "effort", effort, velocity)),
             "effort_slowness": 1.0 / np.maximum(np.nan_to_num(effort_rate), effort),
             "inverse_velocity": 1.0 / np.maximum(np.nan_to_num(wanted), velocity),
             "inverse_effort": 1.0 / np.maximum(peak, 1e-4),
@@ -411,6 +415,5 @@ def _slope(values: FloatArray, time: FloatArray) -> FloatArray:
 
 
 def _tracking_error(segment: Segment) -> FloatArray:
-    held = np.searchsorted(segment.command_time, segment.time, side="right") - 1
-    error: FloatArray = segment.command[np.maximum(held, 0)] - segment.position
+    error: FloatArray = segment.setpoint.at(segment.time) - segment.position
     return error

@@ -12,7 +12,9 @@ from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError, TwinError
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.formats.recording import Recording
-from pytest_twin.trial import Trial, make_trial
+from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
+from pytest_twin.trial import Trial, make_trials
+from pytest_twin.trial.one_base import on_one_base
 
 # Of this many whole recordings one is held out where nobody says which.
 _ONE_HELD_OUT_OF = 4
@@ -33,6 +35,8 @@ _TRAVEL = 0.2
 _FAR = 8.0 * np.pi
 # States, each at a time of its own, from which sensor noise can be told at all.
 _FEWEST = 8
+# s; in less than that a part of a recording shows little beside its start.
+_SHORTEST_PART = 0.5
 # Share of messages with the very same greatest speed.
 _CLIPPED = 0.02
 
@@ -59,6 +63,7 @@ def read_trials(
     held_out: Sequence[Path],
     topics: Mapping[str, str],
     structure: Structure,
+    options: RecordingOptions = NO_OPTIONS,
     *,
     read: Callable[[Path, Mapping[str, str]], Recording] = read_recording,
 ) -> TrialSet:
@@ -72,19 +77,26 @@ def read_trials(
         RecordingError: a recording that cannot be used where no other can stand in.
     """
     notes: list[str] = []
-    known: dict[Path, Trial] = {}
+    known: dict[Path, list[Trial]] = {}
     first_error: TwinError | None = None
     for path in dict.fromkeys([*recordings, *held_out]):
         try:
-            known[path] = make_trial(read(path, topics), structure)
-            _refuse_too_few(known[path])
-            _refuse_other_unit(known[path], structure)
+            parts = [on_one_base(t) for t in make_trials(read(path, topics), structure, options)]
         except TwinError as error:
-            known.pop(path, None)
             first_error = first_error or error
             notes.append(f"left out: {error}")
-    trials = [known[p] for p in recordings if p in known and p not in set(held_out)]
-    aside = [known[p] for p in held_out if p in known]
+            continue
+        for trial in parts:
+            try:
+                _refuse_too_few(trial)
+                _refuse_other_unit(trial, structure)
+            except TwinError as error:
+                first_error = first_error or error
+                notes.append(f"left out: {error}")
+            else:
+                known.setdefault(path, []).append(trial)
+    trials = [t for p in recordings if p not in set(held_out) for t in known.get(p, ())]
+    aside = [t for p in held_out for t in known.get(p, ())]
     if not trials and (first_error is not None and not aside):
         raise first_error
     if not trials:
@@ -95,17 +107,17 @@ def read_trials(
             path=held_out[0],
             expected="at least one RECORDING besides --held-out",
         )
-    modes = {t.command_mode for t in trials}
-    if len(modes | {t.command_mode for t in aside}) > 1:
-        kept = max(modes, key=lambda mode: sum(t.command_mode == mode for t in trials))
+    modes = [_modes(t) for t in trials]
+    if len({*modes, *(_modes(t) for t in aside)}) > 1:
+        kept = max(modes, key=modes.count)
         for t in [*trials, *aside]:
-            if t.command_mode != kept:
+            if _modes(t) != kept:
                 notes.append(
-                    f"left out: {t.path}: {t.command_mode} commands, the others give {kept}; "
+                    f"left out: {t.path}: {_modes(t)} commands, the others give {kept}; "
                     "diagnose them by themselves"
                 )
-        trials = [t for t in trials if t.command_mode == kept]
-        aside = [t for t in aside if t.command_mode == kept]
+        trials = [t for t in trials if _modes(t) == kept]
+        aside = [t for t in aside if _modes(t) == kept]
     _leave_out_lacking(trials, aside, notes)
     unseen = _unseen(trials, aside, notes)
     unseen |= _motionless([*trials, *aside], unseen, notes)
@@ -114,6 +126,7 @@ def read_trials(
         notes.append(said)
     elif not aside:
         notes.append("no held-out recording could be used: confidence is limited")
+    notes += _rules([*trials, *aside])
     notes += _doubts([*trials, *aside])
     notes += _far([*trials, *aside], structure)
     return TrialSet(tuple(trials), tuple(aside), tuple(notes), unseen)
@@ -126,21 +139,47 @@ def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
         aside = [t for t, role in zip(trials, roles, strict=True) if role == "held_out"]
         if fit:
             return fit, aside, f"held out by their own metadata: {_names(aside)}"
-    if len(trials) == 1:
+    # The parts of one recording have its temperature and its sensors' zeros: they stay together.
+    paths = list(dict.fromkeys(t.path for t in trials))
+    if len(paths) == 1:
         return (
             list(trials),
             [],
             "one recording only: nothing is held out, so that confidence is limited; record "
             "a second one",
         )
-    count = max(1, len(trials) // _ONE_HELD_OUT_OF)
-    at = np.linspace(len(trials) - 1, 0, count + 1).round().astype(int)[:count]
-    aside = [trials[i] for i in sorted(at)]
-    fit = [t for i, t in enumerate(trials) if i not in set(at.tolist())]
+    count = max(1, len(paths) // _ONE_HELD_OUT_OF)
+    at = np.linspace(len(paths) - 1, 0, count + 1).round().astype(int)[:count]
+    chosen = {paths[i] for i in at}
+    aside = [t for t in trials if t.path in chosen]
+    fit = [t for t in trials if t.path not in chosen]
     return fit, aside, (
         f"no role is given: whole recordings were split, held out: {_names(aside)} "
         "(--held-out or metadata 'role' decides otherwise)"
     )  # fmt: skip
+
+
+def _modes(trial: Trial) -> str:
+    """What the commands are, in words: one mode for all joints, or joint by joint."""
+    if trial.command_mode != "mixed":
+        return trial.command_mode
+    pairs = sorted(zip(trial.command_joints, trial.command_modes, strict=True))
+    return ", ".join(f"{joint} {mode}" for joint, mode in pairs)
+
+
+def _rules(trials: Sequence[Trial]) -> list[str]:
+    """What was decided while reading: a line for each rule, with its recordings."""
+    found: dict[str, list[str]] = {}
+    for trial in trials:
+        for note in trial.notes:
+            found.setdefault(note, []).append(trial.path.name)
+    lines = [f"{', '.join(dict.fromkeys(names))}: {note}" for note, names in found.items()]
+    if any(t.between_source == "assumed" for t in trials):
+        lines.append(
+            "commands are taken as held between their stamps (assumed: neither the recordings nor "
+            "twin.yaml say it; --command-between)"
+        )
+    return lines
 
 
 def _leave_out_lacking(trials: list[Trial], aside: list[Trial], notes: list[str]) -> None:
@@ -228,7 +267,7 @@ def _motionless(
     dead = set()
     for j, at in still.items():
         said = f"joint {j!r}: its encoder reads {at:.6g} in every message"
-        if trials[0].command_mode == "effort":
+        if trials[0].mode_of(j) == "effort":
             dead.add(j)
             notes.append(f"{said}: it is stuck or something holds the joint; nothing is held "
                          "against it")  # fmt: skip
@@ -243,13 +282,12 @@ def _friction_could_hold(trial: Trial, joint: str) -> bool:
     It moved in the same recording, and while it stands its setpoint sweeps no wider than friction
     allows. Nobody can tell where it never moved, nor where a setpoint is no position.
     """
-    if trial.command_mode != "position" or joint not in trial.command_joints:
+    if trial.mode_of(joint) != "position":
         return False
     position = trial.position[:, trial.joints.index(joint)]
     if float(np.ptp(position)) < _TRAVEL:
         return False
-    held = np.searchsorted(trial.command_time, trial.time, side="right") - 1
-    sent = trial.command[np.maximum(held, 0), trial.command_joints.index(joint)]
+    sent = trial.commands_before(trial.time)[:, trial.command_joints.index(joint)]
     error = sent - position
     still = trial.marked(joint, ("stuck",))
     return float(np.ptp(error[still])) <= _HELD_SWEEP * float(np.ptp(error[~still]))
@@ -261,6 +299,15 @@ def _refuse_too_few(trial: Trial) -> None:
     Raises:
         RecordingError: it is.
     """
+    if trial.parts > 1 and trial.duration < _SHORTEST_PART:
+        raise RecordingError(
+            "a part between holes is too short for a diagnosis",
+            path=trial.path,
+            where=f"from {trial.offset:.4g} s",
+            value=f"{trial.duration:.3g}",
+            unit="s",
+            expected=f"at least {_SHORTEST_PART:g} s",
+        )
     count = len(np.unique(trial.time))
     if count < _FEWEST:
         raise RecordingError(
@@ -287,14 +334,10 @@ def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
     Raises:
         RecordingError: the ratio is that of degrees, or far from one.
     """
-    if trial.command_mode != "position":
-        return
     for column, joint in enumerate(trial.joints):
-        if joint not in trial.command_joints or _held_by_its_stop(trial, joint, structure):
+        if trial.mode_of(joint) != "position" or _held_by_its_stop(trial, joint, structure):
             continue
-        sent = trial.command[:, trial.command_joints.index(joint)]
-        held = np.searchsorted(trial.command_time, trial.time, side="right") - 1
-        sent = sent[np.maximum(held, 0)]
+        sent = trial.commands_before(trial.time)[:, trial.command_joints.index(joint)]
         sent, seen = (
             sent - sent.mean(),
             trial.position[:, column] - trial.position[:, column].mean(),
@@ -354,7 +397,7 @@ def _far(trials: Sequence[Trial], structure: Structure) -> list[str]:
 
 
 def _names(trials: Sequence[Trial]) -> str:
-    return ", ".join(t.path.name for t in trials)
+    return ", ".join(dict.fromkeys(t.path.name for t in trials))
 
 
 def _doubts(trials: Sequence[Trial]) -> list[str]:
@@ -365,7 +408,7 @@ def _doubts(trials: Sequence[Trial]) -> list[str]:
             # The file's own words for what other marks say of its stamps.
             if mark.kind == "damage" and "stamps" in mark.text:
                 continue
-            place = f"{trial.path.name} at {mark.start:.3g} s"
+            place = f"{trial.path.name} at {trial.offset + mark.start:.3g} s"
             found.setdefault((mark.kind, mark.joint, mark.topic or ""), []).append(
                 f"{place}: {mark.text}"
             )

@@ -22,6 +22,7 @@ from pytest_twin.realization.first_state import (
 from pytest_twin.realization.inputs import command_input
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.trial import CommandMode
+from pytest_twin.trial.setpoint import Setpoint
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(n,) s on the trial's clock, and (n, joints) positions and velocities."""
@@ -35,9 +36,9 @@ class Around:
     Args:
         model: what the trial is stepped on.
         joints: that were recorded.
-        mode: what their commands are.
-        command_time: (m,) s on the trial's clock.
-        command: (m, joints) in the model's terms; NaN columns for joints that are not commanded.
+        modes: (joints,) what their commands are.
+        asked: what was commanded, on the trial's clock and in the model's terms; NaN columns for
+            joints that are not commanded.
         motion: as measured.
 
     Raises:
@@ -48,23 +49,24 @@ class Around:
         self,
         model: mujoco.MjModel,
         joints: Sequence[str],
-        mode: CommandMode,
-        command_time: FloatArray,
-        command: FloatArray,
+        modes: Sequence[CommandMode],
+        asked: Setpoint,
         motion: Motion,
     ) -> None:
         self._model, self._data = model, mujoco.MjData(model)
-        self._motion, self._command_time = motion, command_time
+        self._motion = motion
+        command = asked.value
         self._ids = [model.joint(joint).id for joint in joints]
         commanded = [j for j in range(len(joints)) if np.isfinite(command[:, j]).all()]
         self._remembers = bool(model.na or self._data.history.size)
         self._place(motion[1][0], np.zeros(len(joints)))
         self._idle = holding_controls(model, self._data, [joints[j] for j in commanded])
-        self._sent = np.tile(self._idle, (len(command), 1))
+        sent = np.tile(self._idle, (len(command), 1))
         for j in commanded if self._remembers else ():
-            target = command_input(model, joints[j], mode)
+            target = command_input(model, joints[j], modes[j])
             if target is not None:
-                self._sent[:, target.control] = target.scale * command[:, j]
+                sent[:, target.control] = target.scale * command[:, j]
+        self._sent = Setpoint(asked.time, sent, asked.linear)
 
     def at(
         self, starts: Sequence[float], states: Sequence[tuple[FloatArray, FloatArray]]
@@ -89,21 +91,21 @@ class Around:
         time, position, velocity = self._motion
         step = float(model.opt.timestep)
         steps = np.rint(np.asarray(starts) / step).astype(np.int64)
-        stamps = step * np.arange(int(steps.max(initial=0)))
+        stamps = np.asarray(step * np.arange(int(steps.max(initial=0))), dtype=np.float64)
         q, v = (
             np.stack([np.interp(stamps, time, x) for x in values.T], axis=1)
             for values in (position, velocity)
         )
-        held = np.searchsorted(self._command_time, stamps, side="right") - 1
+        sent = self._sent.at(stamps)
         self._place(position[0], velocity[0])
-        data.ctrl[:] = self._sent[0]
+        data.ctrl[:] = self._sent.value[0]
         settle_under_load(model, data)
         out, since = [], 0
         with quiet():
             for until in steps.tolist():
                 for k in range(since, until):
                     self._put(q[k], v[k])
-                    data.ctrl[:] = self._sent[max(int(held[k]), 0)]
+                    data.ctrl[:] = sent[k]
                     mujoco.mj_step(model, data)
                 since = until
                 out.append(self._memory())

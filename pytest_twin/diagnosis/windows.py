@@ -71,7 +71,7 @@ def segments_of(
     """
     recorded = replace(_recorded(realization, trial, index, joints, coldness), creeps=creeps)
     first = _first_commanded(recorded) if commanded else 0
-    if window is None and trial.command_mode != "effort":
+    if window is None and recorded.mode != "effort":
         return [_whole(recorded, joints, first, moving)]
     clear = np.arange(len(recorded.time)) >= first
     if contact is not None:
@@ -88,22 +88,29 @@ def _recorded(
     encoders = Encoders.of(calibration_of(realization), joints)
     keep = np.concatenate([[True], np.diff(trial.time) > 0])
     position = encoders.model_position(trial.position[keep][:, columns])
-    command = np.full((len(trial.command_time), len(joints)), np.nan)
+    asked = trial.setpoint
+    command = np.full((len(asked.time), len(joints)), np.nan)
     for j, joint in enumerate(joints):
         if joint in trial.command_joints:
-            command[:, j] = trial.command[:, trial.command_joints.index(joint)]
-    ascending = np.concatenate([[True], np.diff(trial.command_time) > 0])
+            command[:, j] = asked.value[:, trial.command_joints.index(joint)]
+    modes = [trial.mode_of(joint) for joint in joints]
+    hardest = trial.hardest_mode
+    each = tuple(mode or hardest for mode in modes)
+    # Of commands with one stamp the last counts.
+    ascending = np.append(np.diff(asked.time) > 0, True)
     return Segment(
         trial=index,
         model=_model(realization, trial),
-        mode=trial.command_mode,
+        mode=hardest,
+        modes=() if set(each) == {hardest} else each,
+        moving=asked.linear,
         start=0.0,
         time=trial.time[keep],
         position=position,
         velocity=_columns(trial.velocity, keep, columns, encoders),
         effort=_columns(trial.effort, keep, columns, encoders),
-        command_time=trial.command_time[ascending],
-        command=encoders.model_command(command, trial.command_mode)[ascending],
+        command_time=asked.time[ascending],
+        command=encoders.model_command(command, each)[ascending],
         initial_position=position[0],
         initial_velocity=np.zeros(len(joints)),
         coldness=coldness,
@@ -125,7 +132,11 @@ def _around(
     """The rest of the model, along a motion."""
     motion = recorded.time, position, velocity
     return Around(
-        recorded.model, joints, recorded.mode, recorded.command_time, recorded.command, motion
+        recorded.model,
+        joints,
+        [recorded.mode_of(j) for j in range(len(joints))],
+        recorded.setpoint,
+        motion,
     )
 
 

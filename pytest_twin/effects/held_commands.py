@@ -1,4 +1,4 @@
-"""What was commanded, held from stamp to stamp, as steps of a simulation see it."""
+"""What was commanded, held from stamp to stamp or moving between them, as steps see it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_twin.effects.segment import Segment
 
 
 class HeldCommands:
-    """Means of held commands over steps; what was asked for without a delay is kept.
+    """Means of commands over steps; what was asked for without a delay is kept.
 
     Args:
         segments: whose commands; all of the same joints.
@@ -94,7 +94,7 @@ class HeldCommands:
         for i, h in enumerate(held):
             n = min(most, len(h.command))
             stamps[: n + 1, i] = h.far[: n + 1]
-            commands[:n, i], commands[n:, i] = h.command[:n], h.command[n - 1]
+            commands[:n, i], commands[n:, i] = h.usual[:n], h.command[n - 1]
         row = of[:, None]
         for begun, ended, command in zip(stamps[:-1], stamps[1:], commands, strict=True):
             seconds = np.minimum(ended[row], until) - begun[row]
@@ -123,6 +123,11 @@ class HeldCommands:
             s = self.segments[segment]
             far = np.append(s.command_time, s.command_time[-1] + 1e6)
             command = np.where(np.isnan(s.command), self.idle[segment], s.command)
+            if s.moving:
+                change = np.diff(command, axis=0, append=command[-1:])
+                # Drives heed what they can of the mean: a step is too short for more.
+                self._held[segment] = _Held(far, command, _area(far, command, change), None, change)
+                return self._held[segment]
             within = np.clip(command, self.least[segment], self.greatest[segment])
             heeded = None
             if not np.array_equal(within, command):
@@ -140,12 +145,19 @@ class _Held:
         command: (stamps, joints) from each stamp on.
         area: (joints, stamps + 1) its integral up to there.
         heeded: both of what drives heed of it; None where that is all.
+        change: (stamps, joints) by which a command moves until the next stamp; None where it stays.
     """
 
     far: FloatArray
     command: FloatArray
     area: FloatArray
     heeded: tuple[FloatArray, FloatArray] | None
+    change: FloatArray | None = None
+
+    @property
+    def usual(self) -> FloatArray:
+        """(stamps, joints) mean from each stamp to the next."""
+        return self.command if self.change is None else self.command + 0.5 * self.change
 
     def last(self, at: FloatArray) -> NDArray[np.int64]:
         """The latest stamp at each time; before the first the first command holds."""
@@ -156,12 +168,18 @@ class _Held:
         self, at: FloatArray, last: NDArray[np.int64], command: FloatArray, area: FloatArray
     ) -> FloatArray:
         """(joints, steps) integrals from each time to the next."""
-        summed = area[:, last] + command[last].T * (at - self.far[last])
+        since = at - self.far[last]
+        summed = area[:, last] + command[last].T * since
+        if self.change is not None:
+            # Before the first stamp the first command holds.
+            part = np.maximum(since, 0.0) ** 2 / (self.far[last + 1] - self.far[last])
+            summed += 0.5 * self.change[last].T * part
         return np.diff(summed, axis=1)
 
 
-def _area(far: FloatArray, command: FloatArray) -> FloatArray:
-    """(joints, stamps + 1) integral of a held command up to each stamp."""
+def _area(far: FloatArray, command: FloatArray, change: FloatArray | None = None) -> FloatArray:
+    """(joints, stamps + 1) integral of a command up to each stamp."""
+    mean = command if change is None else command + 0.5 * change
     area = np.zeros((command.shape[1], len(far)))
-    np.cumsum((np.diff(far)[:, None] * command).T, axis=1, out=area[:, 1:])
+    np.cumsum((np.diff(far)[:, None] * mean).T, axis=1, out=area[:, 1:])
     return area

@@ -97,7 +97,7 @@ class Layout:
         self.gear = np.ones(count)
         self.servo = np.full(count, "none", dtype="<U8")
         for j, joint in enumerate(self.joints):
-            modes = {s.mode for s in segments if np.isfinite(s.command[:, j]).all()}
+            modes = {s.mode_of(j) for s in segments if np.isfinite(s.command[:, j]).all()}
             if not modes:
                 continue
             mode = modes.pop()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.trial import CommandMode
+from pytest_twin.trial.setpoint import Setpoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +39,15 @@ class Segment:
     Attributes:
         trial: index of the trial.
         model: what to step, the trial's controller and payload applied.
-        mode: ``position``, ``velocity`` or ``effort``: what is commanded.
+        mode: ``position``, ``velocity`` or ``effort``: what is commanded; of joints with different
+            modes, effort before velocity before position.
         start: s on the trial's clock, where the simulation begins.
         time: (n,) s on the trial's clock, stamps of the samples.
         position: (n, joints) rad or m, measured.
         velocity, effort: (n, joints) or None.
         command_time: (m,) s on the trial's clock.
+        modes: (joints,) what each joint's command is; empty where it is ``mode`` for all.
+        moving: whether a command moves in a straight line from stamp to stamp, or steps at each.
         command: (m, joints); NaN columns for joints that are not commanded: position servos then
             stay where ``unrecorded`` has them.
         initial_position, initial_velocity: (joints,).
@@ -73,6 +77,17 @@ class Segment:
     coldness: float = 1.0
     creeps: bool = False
     unrecorded: Unrecorded | None = None
+    modes: tuple[CommandMode, ...] = ()
+    moving: bool = False
+
+    def mode_of(self, joint: int) -> CommandMode:
+        """What the command of a joint is."""
+        return self.modes[joint] if self.modes else self.mode
+
+    @property
+    def setpoint(self) -> Setpoint:
+        """What was commanded at every moment, without a delay."""
+        return Setpoint(self.command_time, self.command, self.moving)
 
     @property
     def amid(self) -> bool:

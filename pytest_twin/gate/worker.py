@@ -19,7 +19,7 @@ from pytest_twin.realization import Realization, load
 from pytest_twin.realization.features.cache import Features
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.report.plots import plot
-from pytest_twin.trial import make_trial
+from pytest_twin.trial import make_trials
 from pytest_twin.twin import Twin, load_twin
 
 Progress = Callable[[float], None]
@@ -104,7 +104,7 @@ def diagnose(
     wanted = {_mode(Path(path), loaded) for path in failed} - {None}
     alike = [path for path in others if not wanted or _mode(Path(path), loaded) in wanted]
     recordings = [Path(path) for path in (*failed, *alike)]
-    trials = read_trials(recordings, [], described.topics, loaded.structure)
+    trials = read_trials(recordings, [], described.topics, loaded.structure, described.recordings)
     return write_diagnosis(
         Path(out),
         loaded,
@@ -120,7 +120,8 @@ def _mode(path: Path, realization: Realization) -> str | None:
     twin = realization.twin
     assert twin is not None
     try:
-        return make_trial(read_recording(path, twin.topics), realization.structure).command_mode
+        recording = read_recording(path, twin.topics)
+        return make_trials(recording, realization.structure, twin.recordings)[0].command_mode
     except TwinError:
         return None
 

@@ -58,6 +58,9 @@ class Encoders:
         signed: FloatArray = self.sign * values
         return signed
 
-    def model_command(self, sent: FloatArray, mode: str) -> FloatArray:
-        """Commands (..., j) of mode ``position``, ``velocity`` or ``effort``."""
-        return self.model_position(sent) if mode == "position" else self.signed(sent)
+    def model_command(self, sent: FloatArray, modes: Sequence[str]) -> FloatArray:
+        """Commands (..., j) as the model has them, each column of its own mode: ``position``,
+        ``velocity`` or ``effort``."""
+        positions = np.array([mode == "position" for mode in modes])
+        command: FloatArray = self.sign * sent + np.where(positions, self.offset, 0.0)
+        return command

@@ -184,17 +184,21 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
         rows = np.concatenate([np.arange(starts[s], starts[s + 1]) for s in parts])
         measured = np.concatenate([s.position[:, j] for s in segments])
         name = everything[worst].path.name
-        commanded = segments[0].mode == "position" and np.isfinite(segments[0].command[:, j]).all()
+        commanded = (
+            segments[0].mode_of(j) == "position" and np.isfinite(segments[0].command[:, j]).all()
+        )
         views.append(
             JointView(
                 joint=joint,
                 unit=error.unit,
                 recording=name,
-                time=np.concatenate([s.time for s in segments]),
+                time=everything[worst].offset + np.concatenate([s.time for s in segments]),
                 measured=measured,
                 before=measured - found.before[rows, j],
                 after=measured - found.after[rows, j],
-                command_time=segments[0].command_time if commanded else None,
+                command_time=everything[worst].offset + segments[0].command_time
+                if commanded
+                else None,
                 command=segments[0].command[:, j] if commanded else None,
                 floor=error.floor,
                 left_before=left[0],

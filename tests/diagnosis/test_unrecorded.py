@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pytest_twin.diagnosis.unrecorded import Around
+from pytest_twin.trial.setpoint import Setpoint
 
 PENDULUM = """
 <mujoco>
@@ -49,7 +50,9 @@ def test_actuators_have_lived_through_what_came_before(mode: str, drive: str) ->
         data.ctrl[0] = command[int(data.time / 0.01 + 1e-6)]
         mujoco.mj_step(model, data)
     motion = (np.array(time), np.array(position), np.array(velocity))
-    around = Around(model, ("swing",), mode, command_time, command[:, None], motion)
+    around = Around(
+        model, ("swing",), [mode], Setpoint(command_time, command[:, None], False), motion
+    )
     states = [(position[round(s / 0.002)], velocity[round(s / 0.002)]) for s in STARTS]
     found = around.at(STARTS, states)
     for start, (q, v), rest in zip(STARTS, states, found, strict=True):

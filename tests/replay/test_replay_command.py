@@ -110,7 +110,12 @@ def test_the_folder_of_a_diagnosis(arm: Path, name: str) -> None:
         ("twin.yaml", "none.mcap", "o.mcap", "none.mcap: "),
         ("twin.yaml", "arm.xml", "o.mcap", "arm.xml: not an MCAP file"),
         ("arm.xml", "moves.mcap", "o.mcap", "moves.mcap: state: no state messages"),
-        ("other.xml", "moves.mcap", "o.mcap", "joint 'shoulder': the model has no such joint"),
+        (
+            "other.xml",
+            "moves.mcap",
+            "o.mcap",
+            "the model has none of these joints (got 'shoulder, elbow'",
+        ),
         ("twin.yaml", "moves.mcap", "moves.mcap", "would overwrite the recording itself"),
         ("twin.yaml", "moves.mcap", "o.csv", "o.csv: no name for a recording"),
         ("twin.yaml", "moves.mcap", "no/o.mcap", "no: no such folder"),
@@ -122,7 +127,7 @@ def test_unusable_input_is_one_line_and_leaves_nothing(
 ) -> None:
     (arm / "empty").mkdir()
     (arm / "broken.xml").write_text("<mujoco><worldbody><body></mujoco>")
-    (arm / "other.xml").write_text(ARM.replace('"shoulder"', '"hip"'))
+    (arm / "other.xml").write_text(ARM.replace('"shoulder"', '"hip"').replace('"elbow"', '"knee"'))
     before = sorted(arm.rglob("*"))
     topics = ["--topics", "state=/js,command=/jc"] if model == "other.xml" else []
     arguments = ["replay", str(arm / model), str(arm / recording), "--out", str(arm / out), *topics]

@@ -85,6 +85,10 @@ def _twin_text(twin: Twin) -> str:
         "model": MODEL_FILE,
         "topics": dict(twin.topics),
     }
+    options = twin.recordings.to_json()
+    if "command_between_default" in options:
+        options["command_between"] = options.pop("command_between_default")
+    data |= options
     if twin.controllers:
         data["controllers"] = {
             name: {a: {k: _plain(v) for k, v in p.items()} for a, p in actuators.items()}

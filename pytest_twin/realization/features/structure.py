@@ -9,6 +9,7 @@ import numpy as np
 
 from pytest_twin.dependency import Structure
 from pytest_twin.realization.features.elements import OBJ, Elements
+from pytest_twin.realization.inputs import joint_inputs
 
 
 def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> Structure:
@@ -95,4 +96,14 @@ def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> 
             for g in range(model.ngeom)
             if mujoco.mj_id2name(model, OBJ.mjOBJ_GEOM, g)
         },
+        joint_inputs={
+            elements.joint[j]: taken
+            for j in range(model.njnt)
+            if (taken := _inputs(model, elements.joint[j]))
+        },
     )
+
+
+def _inputs(model: mujoco.MjModel, joint: str) -> tuple[str, ...]:
+    """Commands that the actuators of a joint take, each once."""
+    return tuple(dict.fromkeys(item.mode for item in joint_inputs(model, joint)))

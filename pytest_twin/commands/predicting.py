@@ -1,0 +1,104 @@
+"""What a model predicts for the trials of a recording, and how far it is from what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pytest_twin.formats.recording import TOPICS, JointSeries
+from pytest_twin.metrics.residual import residual
+from pytest_twin.trial import Trial, predicted_rows
+
+if TYPE_CHECKING:
+    from pytest_twin.diagnosis.patched.model import Patched
+    from pytest_twin.effects.segment import Predicted
+    from pytest_twin.realization import Realization
+    from pytest_twin.replay import Replayed
+
+
+def predict(
+    realization: Realization,
+    patched: Patched | None,
+    trials: Sequence[Trial],
+    progress: Callable[[float], None],
+) -> tuple[list[JointSeries], tuple[str, ...]]:
+    """The joint states that a model predicts for each trial, and notes.
+
+    Args:
+        realization: the model.
+        patched: effects that are stepped beside it, where a diagnosis wrote it.
+        trials: commands and first states are read, nothing else.
+        progress: told the fraction done.
+
+    Raises:
+        SimulationError: a simulation diverged.
+    """
+    from pytest_twin.diagnosis.patched.replay import beside_in_words, replay_patched
+    from pytest_twin.replay import replay
+
+    if patched is None:
+        results = replay(realization, trials, tcp=False, progress=progress)
+        for result in results:
+            if result.error is not None:
+                raise result.error
+        notes = tuple(dict.fromkeys(note for r in results for note in r.notes))
+        return [_series(t, t.joints, r) for t, r in zip(trials, results, strict=True)], notes
+    predicted = replay_patched(realization, patched, trials)
+    parts = [_series(t, patched.joints, p) for t, p in zip(trials, predicted, strict=True)]
+    return parts, beside_in_words(patched)
+
+
+def _series(trial: Trial, names: tuple[str, ...], values: Replayed | Predicted) -> JointSeries:
+    return JointSeries(
+        topic=TOPICS["state"],
+        names=names,
+        stamp=trial.stamps,
+        log_time=trial.stamps,
+        position=values.position,
+        velocity=values.velocity,
+        effort=values.effort,
+    )
+
+
+def joined(parts: Sequence[JointSeries], trials: Sequence[Trial]) -> JointSeries:
+    """The predictions of all trials as one topic."""
+    keep = [predicted_rows(trial) for trial in trials]
+
+    def of(name: str) -> Any:
+        return np.concatenate([getattr(p, name)[k] for p, k in zip(parts, keep, strict=True)])
+
+    names = ("stamp", "log_time", "position", "velocity", "effort")
+    return replace(parts[0], **{name: of(name) for name in names})
+
+
+def distances(
+    trials: Sequence[Trial], parts: Sequence[JointSeries], types: Mapping[str, str]
+) -> dict[str, Any]:
+    """Joint -> root mean square, maximum and mean of predicted less measured positions.
+
+    Samples that a message did not carry do not count; None where a trial is its first state alone.
+    """
+    found = {}
+    for column, joint in enumerate(parts[0].names):
+        left, times = [np.zeros(0)], [np.zeros(0)]
+        for trial, part in zip(trials, parts, strict=True):
+            measured = trial.position[:, trial.joints.index(joint)]
+            if len(measured) < 2 or part.position is None:
+                continue
+            seen = np.isfinite(measured)
+            left.append(part.position[seen, column] - measured[seen])
+            times.append(trial.offset + trial.time[seen])
+        difference, time = np.concatenate(left), np.concatenate(times)
+        some = len(difference) > 0
+        number = residual(difference, np.zeros_like(difference))
+        found[joint] = {
+            "rms": number.rms if some else None,
+            "max": number.maximum if some else None,
+            "mean": number.mean if some else None,
+            "at": float(time[number.maximum_at]) if some else None,
+            "unit": "m" if types[joint] == "slide" else "rad",
+        }
+    return found

@@ -1,0 +1,109 @@
+"""Options of every command that reads recordings."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from pytest_twin.formats.recording import TOPICS
+from pytest_twin.recording_options import (
+    CLOCKS,
+    COMMAND_BETWEEN,
+    COMMAND_MODES,
+    CommandMode,
+)
+
+
+def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that say how recordings are read."""
+    group = parser.add_argument_group(
+        "how recordings are read", "each goes before the key of the same name in twin.yaml"
+    )
+    group.add_argument(
+        "--topics",
+        metavar="state=/x,command=/y",
+        type=parse_topics,
+        default={},
+        help="topics of the recordings (default: twin.yaml's, else "
+        + ",".join(f"{role}={topic}" for role, topic in TOPICS.items())
+        + ")",
+    )
+    group.add_argument(
+        "--joints",
+        metavar="prefix=left_|RECORDED=MODEL,...",
+        type=parse_joints,
+        default={},
+        help="joint names of the recording: a prefix or suffix around the model's names, or single "
+        "names",
+    )
+    group.add_argument(
+        "--command-mode",
+        metavar="MODE|JOINT=MODE,...",
+        type=parse_command_mode,
+        help="which field of the commands counts: position, velocity or effort, for all joints or "
+        "for each (default: the one that the model's actuator takes)",
+    )
+    group.add_argument(
+        "--clock",
+        choices=CLOCKS,
+        help="header stamps or the recorder's log times (default: stamps where both topics have "
+        "them and they overlap)",
+    )
+    group.add_argument(
+        "--command-between",
+        choices=COMMAND_BETWEEN,
+        help="what a command does between two stamps: it is held, interpolated to the next, or the "
+        "controller ramps to it in one period (default: what the recording's metadata or twin.yaml "
+        "says, else held)",
+    )
+
+
+def recording_options(args: argparse.Namespace) -> dict[str, Any]:
+    """The options of a command line, as ``RecordingOptions.from_json`` takes them."""
+    given = {
+        "joints": args.joints,
+        "command_mode": args.command_mode,
+        "clock": args.clock,
+        "command_between": args.command_between,
+    }
+    return {key: value for key, value in given.items() if value}
+
+
+def parse_topics(text: str) -> dict[str, str]:
+    """``state=/x,command=/y`` of a command line, as a mapping."""
+    found: dict[str, str] = {}
+    for item in text.split(","):
+        role, separator, topic = item.partition("=")
+        if not separator or role not in TOPICS or not topic or role in found:
+            raise argparse.ArgumentTypeError(
+                f"{text!r}: expected state=/x,command=/y or one of them"
+            )
+        found[role] = topic
+    return found
+
+
+def parse_joints(text: str) -> dict[str, str]:
+    """``prefix=left_`` or ``left_elbow=elbow,...`` of a command line, as a mapping."""
+    return _pairs(text, "prefix=TEXT, suffix=TEXT or RECORDED=MODEL, with commas between")
+
+
+def parse_command_mode(text: str) -> CommandMode | dict[str, str]:
+    """``position`` or ``elbow=effort,...`` of a command line."""
+    for mode in COMMAND_MODES:
+        if text == mode:
+            return mode
+    expected = f"{', '.join(COMMAND_MODES)}, or JOINT=MODE with commas between"
+    found = _pairs(text, expected)
+    if not set(found.values()) <= set(COMMAND_MODES):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected {expected}")
+    return found
+
+
+def _pairs(text: str, expected: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for item in text.split(","):
+        key, separator, value = item.partition("=")
+        if not separator or not key or not value or key in found:
+            raise argparse.ArgumentTypeError(f"{text!r}: expected {expected}")
+        found[key] = value
+    return found

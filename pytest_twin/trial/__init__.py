@@ -1,0 +1,22 @@
+"""A recording made usable: one clock, the model's joints, every doubt written down."""
+
+from __future__ import annotations
+
+from pytest_twin.recording_options import CommandBetween, CommandMode
+from pytest_twin.trial.make import make_trial, make_trials
+from pytest_twin.trial.one_state import at_command_stamps, predicted_rows
+from pytest_twin.trial.stretches import stretches
+from pytest_twin.trial.trial import Mark, MarkKind, Trial
+
+__all__ = [
+    "CommandBetween",
+    "CommandMode",
+    "Mark",
+    "MarkKind",
+    "Trial",
+    "at_command_stamps",
+    "make_trial",
+    "make_trials",
+    "predicted_rows",
+    "stretches",
+]

@@ -1,0 +1,281 @@
+"""One clock for states and commands: header stamps or the recorder's log times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.recording_options import Clock
+
+Stamps = NDArray[np.int64]
+
+LATCHED_SECONDS = 1.0
+"""A command this long before the first state still holds: a latched one."""
+# Stamps that go back by more than this many usual intervals are a step of the clock, if they stay
+# back: what arrives in another order goes back by one or two.
+_STEP_INTERVALS = 4.0
+# Messages on either side of a step over which the clock's offset is compared.
+_AROUND = 20
+# Log times are usable if their usual interval is the stamps' own within this factor, ...
+_LOG_RATE = 2.0
+# ... and say nothing of a robot's time if its clock runs faster or slower by this share.
+_SAME_RATE = 0.01
+# Fewer messages than this say nothing of a rate.
+_FEWEST = 20
+_NS = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """Messages of one topic with the time that counts.
+
+    Attributes:
+        series: of the topic.
+        stamp: (n,) ns, in the order of the file.
+        rows: (n,) messages of the series.
+    """
+
+    series: JointSeries
+    stamp: Stamps
+    rows: NDArray[np.int64]
+
+    def part(self, first: int, end: int) -> Timed:
+        """Messages ``first`` to ``end``."""
+        return Timed(self.series, self.stamp[first:end], self.rows[first:end])
+
+
+@dataclass(frozen=True, slots=True)
+class Clocked:
+    """States and commands on one clock.
+
+    Attributes:
+        pieces: (states, commands) between steps of the clock; one where it does not step.
+        notes: what was decided, one line each.
+    """
+
+    pieces: tuple[tuple[Timed, Timed], ...]
+    notes: tuple[str, ...]
+
+
+def on_one_clock(
+    states: JointSeries, commands: JointSeries, asked: Clock | None, path: Path
+) -> Clocked:
+    """Choose the times of two topics.
+
+    Header stamps count if both topics have them and they overlap. Log times count where one topic
+    has no stamps, where stamps do not overlap but log times do, and where the clock of the stamps
+    steps while log times go on. Without usable log times the recording is split at a step.
+
+    Args:
+        states, commands: the topics.
+        asked: the clock that a user chose.
+        path: of the recording, for errors.
+
+    Raises:
+        RecordingError: the topics do not overlap in time on any clock; stamps were asked for and
+            there are none; a clock that steps in one topic alone.
+    """
+    topics = (states, commands)
+    unset = [_unset(one) for one in topics]
+    if asked == "log":
+        return _by_log(topics, ["log times are used for both topics, as asked"])
+    if asked == "stamp":
+        for one, none in zip(topics, unset, strict=True):
+            if none.all():
+                raise RecordingError(
+                    "no message has a stamp", path=path, where=one.topic, value="header.stamp 0",
+                    expected="stamps, or --clock log",
+                )  # fmt: skip
+    else:
+        for one, none in zip(topics, unset, strict=True):
+            if 2 * none.sum() > len(none):
+                return _without_stamps(topics, unset, one)
+    notes = []
+    timed = []
+    for one, none in zip(topics, unset, strict=True):
+        rows = np.flatnonzero(~none)
+        if none.any():
+            notes.append(
+                f"{one.topic}: {int(none.sum())} of {len(none)} messages are left out, they have "
+                "no stamp (header.stamp is 0)"
+            )
+        timed.append(Timed(one, one.stamp[rows], rows))
+    overlap, logs = _overlap(*(t.stamp for t in timed)), _log_times(topics)
+    log_overlap = _overlap(*(one.log_time for one in topics))
+    if not overlap:
+        if asked is None and log_overlap and logs:
+            for one in topics:
+                if _is_log(one):
+                    return _without_stamps(topics, unset, one)
+            return _by_log(
+                topics,
+                ["stamps of states and commands do not overlap, log times do: log times are used "
+                 "for both topics (--clock stamp to refuse)"],
+            )  # fmt: skip
+        raise _no_overlap(timed, path, log_overlap)
+    return _stepping(timed, notes, asked is None and logs and log_overlap, path)
+
+
+def _unset(series: JointSeries) -> NDArray[np.bool_]:
+    """(n,) which messages have no stamp. A simulation's time may begin with one stamp 0."""
+    none: NDArray[np.bool_] = series.stamp == 0
+    if none.sum() == 1 and none[0] and len(none) > 2:
+        usual = float(np.median(np.diff(series.stamp[1:])))
+        if series.stamp[1] <= _STEP_INTERVALS * max(usual, 1.0):
+            none = np.zeros_like(none)
+    return none
+
+
+def _is_log(series: JointSeries) -> bool:
+    """Whether a reader gave log times to messages that have no stamps."""
+    return bool((series.stamp == series.log_time).all())
+
+
+def _without_stamps(
+    topics: tuple[JointSeries, JointSeries], unset: list[NDArray[np.bool_]], bare: JointSeries
+) -> Clocked:
+    other, its_unset = (topics[1], unset[1]) if bare is topics[0] else (topics[0], unset[0])
+    if _is_log(bare):
+        said = f"{bare.topic} has log times alone and {other.topic} stamps of another clock"
+    elif (bare.stamp == 0).all():
+        said = f"{bare.topic}: no message has a stamp"
+    else:
+        said = f"{bare.topic}: few messages have a stamp"
+    rate = None if its_unset.any() else _rate(other)
+    if rate is not None:
+        slope, offset = rate
+        stamp = np.rint(offset + slope * (bare.log_time - other.log_time[0])).astype(np.int64)
+        bare_timed = Timed(bare, stamp + other.stamp[0], np.arange(len(stamp)))
+        other_timed = Timed(other, other.stamp, np.arange(len(other.stamp)))
+        pair = (bare_timed, other_timed) if bare is topics[0] else (other_timed, bare_timed)
+        return Clocked(
+            (pair,),
+            (
+                f"{said}: its log times are put on the clock of {other.topic}, which runs at "
+                f"{slope:.4g} times the recorder's",
+            ),
+        )
+    return _by_log(
+        topics, [f"{said}: log times are used for both topics (--clock stamp to refuse)"]
+    )
+
+
+def _rate(series: JointSeries) -> tuple[float, float] | None:
+    """(stamp per log time, ns at the first log time) where they differ, as of a simulation that
+    runs slower than real time; None where they do not."""
+    if len(series.stamp) < _FEWEST:
+        return None
+    log = (series.log_time - series.log_time[0]).astype(np.float64)
+    stamp = (series.stamp - series.stamp[0]).astype(np.float64)
+    if log[-1] <= 0.0 or stamp[-1] <= 0.0:
+        return None
+    slope, offset = np.polyfit(log, stamp, 1)
+    return (float(slope), float(offset)) if abs(slope - 1.0) > _SAME_RATE and slope > 0 else None
+
+
+def _by_log(topics: tuple[JointSeries, JointSeries], notes: list[str]) -> Clocked:
+    states, commands = (Timed(t, t.log_time, np.arange(len(t.stamp))) for t in topics)
+    return Clocked(((states, commands),), tuple(notes))
+
+
+def _overlap(states: Stamps, commands: Stamps) -> bool:
+    latched = int(LATCHED_SECONDS / _NS)
+    first, last = int(states.min()), int(states.max())
+    if len(states) == 1:
+        # One state: everything that was commanded after it is predicted.
+        return bool(commands.max() >= first - latched)
+    return bool(commands.min() <= last and commands.max() >= first - latched)
+
+
+def _log_times(topics: tuple[JointSeries, JointSeries]) -> bool:
+    """Whether log times are those of a recorder, and not of whoever wrote the file later."""
+    for one in topics:
+        if len(one.stamp) < 3:
+            continue
+        if (np.diff(one.log_time) < 0).any():
+            return False
+        usual = np.median(np.abs(np.diff(one.stamp[one.stamp != 0]))) if one.stamp.any() else 0.0
+        logged = np.median(np.diff(one.log_time))
+        if logged <= 0 or not usual / _LOG_RATE <= logged <= max(usual, 1) * _LOG_RATE:
+            return usual == 0.0
+    return True
+
+
+def _no_overlap(timed: list[Timed], path: Path, log_overlap: bool) -> RecordingError:
+    states, commands = timed
+    start = int(states.stamp.min())
+    first, last = ((int(t) - start) * _NS for t in (commands.stamp.min(), commands.stamp.max()))
+    way = "--clock log takes the recorder's times" if log_overlap else "log times do not either"
+    return RecordingError(
+        "commands and states do not overlap in time",
+        path=path,
+        where=commands.series.topic,
+        value=f"commands from {first:.6g} to {last:.6g} s, states from 0 to "
+        f"{(int(states.stamp.max()) - start) * _NS:.6g}",
+        unit="s",
+        expected=f"one clock; {way}",
+    )
+
+
+def _stepping(timed: list[Timed], notes: list[str], by_log: bool, path: Path) -> Clocked:
+    """Deal with a clock that steps while the recording goes on."""
+    states, commands = timed
+    back = [_steps(t, backward=True) for t in timed]
+    forward = [_steps(t, backward=False) if by_log else [] for t in timed]
+    if not any(back) and not all(forward):
+        return Clocked(((states, commands),), tuple(notes))
+    topic = states if back[0] or (not back[1] and forward[0]) else commands
+    at = (back[0] or forward[0]) if topic is states else (back[1] or forward[1])
+    jump = (int(topic.stamp[at[0]]) - int(topic.stamp[at[0] - 1])) * _NS
+    count = max(len(a) + len(b) for a, b in zip(back, forward, strict=True))
+    said = f"{topic.series.topic}: stamps step by {jump:.4g} s at message {int(topic.rows[at[0]])}"
+    if count > 1:
+        said += f", {count} such steps"
+    if by_log:
+        return _by_log(
+            (states.series, commands.series),
+            [f"{said}: log times, which go on, are used for both topics"],
+        )
+    if len(back[0]) != len(back[1]):
+        raise RecordingError(
+            "the clock of the stamps steps back in one topic alone",
+            path=path,
+            where=topic.series.topic,
+            value=f"{jump:.4g}",
+            unit="s",
+            expected="one clock in both topics, or --clock log",
+        )
+    bounds = [[0, *at, len(t.stamp)] for at, t in zip(back, timed, strict=True)]
+    pieces = tuple(
+        (
+            states.part(bounds[0][i], bounds[0][i + 1]),
+            commands.part(bounds[1][i], bounds[1][i + 1]),
+        )
+        for i in range(len(back[0]) + 1)
+    )
+    return Clocked(pieces, (*notes, f"{said} and log times do not help: the parts are apart"))
+
+
+def _steps(timed: Timed, *, backward: bool) -> list[int]:
+    """Messages before which the clock of the stamps stepped."""
+    stamp, log = timed.stamp, timed.series.log_time[timed.rows]
+    if len(stamp) < 3:
+        return []
+    step, logged = np.diff(stamp), np.diff(log)
+    usual = float(np.median(np.abs(step)))
+    bound = _STEP_INTERVALS * max(usual, 1.0)
+    # Forward, a step shows only against log times that go on as usual.
+    jumps = step < -bound if backward else (step > bound) & (logged < 2.0 * np.median(logged))
+    offset = stamp - (usual * np.arange(len(stamp)) if backward else log)
+    found: list[int] = []
+    for k in (np.flatnonzero(jumps) + 1).tolist():
+        before, after = offset[max(0, k - _AROUND) : k], offset[k : k + _AROUND]
+        moved = float(np.median(after)) - float(np.median(before))
+        if abs(moved) >= 0.5 * abs(float(step[k - 1])) and (moved < 0) == backward:
+            found.append(k)
+    return found

@@ -1,0 +1,192 @@
+"""Which field of a command message counts, joint by joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.recording_options import COMMAND_MODES, CommandMode, RecordingOptions
+from pytest_twin.trial.joints import listed
+
+_ACTUATORS: Mapping[str, str] = {
+    "position": "a position servo",
+    "velocity": "a velocity servo",
+    "effort": "a motor",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Commanded:
+    """The commands that count.
+
+    Attributes:
+        joints: that are commanded.
+        modes: (j,) which field counts.
+        table: (n, j) NaN where a message does not carry the joint.
+        never: joints that the topic names and no message commands.
+        notes: what was not used, one line each.
+    """
+
+    joints: tuple[str, ...]
+    modes: tuple[CommandMode, ...]
+    table: FloatArray
+    never: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def commanded_fields(
+    series: JointSeries,
+    inputs: Mapping[str, Sequence[str]] | None,
+    options: RecordingOptions,
+    path: Path,
+) -> Commanded:
+    """Choose the field that counts for each joint.
+
+    What ``command_mode`` says counts; else the one field that is filled; of several, the one that
+    the model's actuator of the joint takes; else the one that is not zero throughout.
+
+    Args:
+        series: of the command topic, joints as the model names them.
+        inputs: joint -> what the model's actuators of it take; None without a model.
+        options: what a user declared.
+        path: of the recording, for errors.
+
+    Raises:
+        RecordingError: no field is filled, or several and nothing decides; a declared field that is
+            empty; a declared joint that is not commanded.
+    """
+    joints: list[str] = []
+    modes: list[CommandMode] = []
+    columns: list[NDArray[np.float64]] = []
+    never: list[str] = []
+    unused: dict[tuple[CommandMode, tuple[CommandMode, ...], str], list[str]] = {}
+    if isinstance(options.command_mode, Mapping):
+        for joint in options.command_mode:
+            if joint not in series.names:
+                raise RecordingError(
+                    "command_mode names a joint that is not commanded",
+                    path=path, where=series.topic, value=joint, expected=listed(series.names),
+                )  # fmt: skip
+    unfit = _unfit(series, inputs or {}, options)
+    for column, joint in enumerate(series.names):
+        filled = _filled(series, column)
+        asked = options.mode_of(joint)
+        if asked is not None and asked not in filled and (filled or options.command_mode == asked):
+            if not filled:
+                never.append(joint)
+                continue
+            raise RecordingError(
+                f"{asked} commands of joint {joint!r} are empty",
+                path=path, where=series.topic, value=" and ".join(filled) + " filled",
+                expected=f"command_mode: {filled[0]}",
+            )  # fmt: skip
+        if not filled:
+            never.append(joint)
+            continue
+        takes = () if inputs is None else tuple(inputs.get(joint, ()))
+        if asked is None and joint in unfit:
+            continue
+        mode, why = (asked, "as declared") if asked else _chosen(series, column, filled, takes)
+        if mode is None:
+            raise _several(series.topic, joint, filled, takes, path)
+        table = getattr(series, mode)
+        joints.append(joint)
+        modes.append(mode)
+        columns.append(table[:, column])
+        rest = tuple(name for name in filled if name != mode)
+        if rest:
+            unused.setdefault((mode, rest, why), []).append(joint)
+    if not joints:
+        raise RecordingError(
+            "no command has a value",
+            path=path,
+            where=series.topic,
+            value="position, velocity and effort are empty",
+            expected="the field that the controller mode uses",
+        )
+    notes = [
+        f"{series.topic}: {mode} commands count at {listed(names)}, {why}; not used: "
+        + " and ".join(rest)
+        for (mode, rest, why), names in unused.items()
+    ]
+    notes += [
+        f"{series.topic}: {' and '.join(fields)} commands of {joint!r} are not used, the model has "
+        f"{_ACTUATORS[(inputs or {})[joint][0]]} there, which is taken to hold the joint"
+        for joint, fields in unfit.items()
+    ]
+    return Commanded(
+        tuple(joints), tuple(modes), np.stack(columns, axis=1), tuple(never), tuple(notes)
+    )
+
+
+def _filled(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
+    return tuple(
+        name
+        for name in COMMAND_MODES
+        if (table := getattr(series, name)) is not None and not np.isnan(table[:, column]).all()
+    )
+
+
+def _unfit(
+    series: JointSeries, inputs: Mapping[str, Sequence[str]], options: RecordingOptions
+) -> dict[str, tuple[CommandMode, ...]]:
+    """Joint -> fields of its commands, where its actuators take none of them.
+
+    None where that is so of every joint: then the model as a whole has other actuators, and whoever
+    steps it says so.
+    """
+    found: dict[str, tuple[CommandMode, ...]] = {}
+    others = 0
+    for column, joint in enumerate(series.names):
+        filled, takes = _filled(series, column), inputs.get(joint, ())
+        if not filled:
+            continue
+        if takes and not set(filled) & set(takes) and options.mode_of(joint) is None:
+            found[joint] = filled
+        else:
+            others += 1
+    return found if others else {}
+
+
+def _chosen(
+    series: JointSeries, column: int, filled: tuple[CommandMode, ...], takes: Sequence[str]
+) -> tuple[CommandMode | None, str]:
+    """The field, and why; None where nothing decides."""
+    if len(filled) == 1:
+        return filled[0], ""
+    fitting = [name for name in filled if name in takes]
+    if fitting:
+        # A servo with a velocity input beside its position input follows the position.
+        return fitting[0], f"the model has {_ACTUATORS[fitting[0]]} there"
+    if not takes and "effort" in filled and _moves(series, "effort", column):
+        others = [n for n in filled if n != "effort" and _moves(series, n, column)]
+        if not others:
+            return "effort", "the others are zero"
+    moving = [name for name in filled if _moves(series, name, column)]
+    if len(moving) == 1:
+        return moving[0], "the others are zero"
+    return None, ""
+
+
+def _moves(series: JointSeries, field: str, column: int) -> bool:
+    table: FloatArray = getattr(series, field)
+    return bool(np.nan_to_num(table[:, column]).any())
+
+
+def _several(
+    topic: str, joint: str, filled: Sequence[str], takes: Sequence[str], path: Path
+) -> RecordingError:
+    has = f"its actuators take {' and '.join(takes)}" if takes else "no actuator of it says which"
+    return RecordingError(
+        f"commands of joint {joint!r} fill {' and '.join(filled)}, and {has}",
+        path=path,
+        where=topic,
+        expected=f"--command-mode {joint}={filled[0]}, or 'command_mode:' in twin.yaml",
+    )

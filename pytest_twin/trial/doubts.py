@@ -1,0 +1,193 @@
+"""Marks for what is doubtful in a recording, and errors for what no robot of the model sends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.dependency import Structure
+from pytest_twin.errors import RecordingError
+from pytest_twin.recording_options import CommandMode
+from pytest_twin.trial.stretches import gaps
+from pytest_twin.trial.trial import Mark, MarkKind
+
+_UNITS: Mapping[str, tuple[str, str]] = {
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "effort": ("N*m", "N"),
+}
+# A sample this many robust deviations off the line between its neighbours, and beyond them both.
+_OUTLIER_DEVIATIONS = 12.0
+# An encoder that repeats one value for this long while its command spans this much, rad or m.
+_STUCK_SECONDS = 1.0
+_STUCK_SPAN = 0.2
+# Positions this far beyond the joint's range are in another unit: a degree is 1/57 rad.
+_BEYOND_RANGE = 10.0
+# Two sources that take turns: samples are this many times as far from their neighbours as from the
+# ones after these, and at least this far, rad or m.
+_TURNS, _TURNS_SPAN, _TURNS_SAMPLES = 10.0, 0.02, 40
+
+
+class Doubts:
+    """Collects the marks of one recording.
+
+    Args:
+        path: of the recording, for errors.
+        structure: of the model, for ranges and units; None to go without.
+    """
+
+    def __init__(self, path: Path, structure: Structure | None) -> None:
+        self.path, self.structure = path, structure
+        self.marks: list[Mark] = []
+
+    def error(self, problem: str, where: str, **details: Any) -> RecordingError:
+        """An error of the recording, to be raised."""
+        return RecordingError(problem, path=self.path, where=where, **details)
+
+    def unit(self, joint: str, field: str) -> str:
+        """Unit of a joint's position, velocity or effort."""
+        slides = self.structure is not None and self.structure.joint_type.get(joint) == "slide"
+        return _UNITS[field][1 if slides else 0]
+
+    def mark(
+        self, kind: MarkKind, topic: str, joint: str | None, start: float, end: float, text: str
+    ) -> None:
+        """Add one mark, s from the first state."""
+        self.marks.append(Mark(kind, topic, joint, float(start), float(end), text))
+
+    def mark_runs(
+        self,
+        kind: MarkKind,
+        topic: str,
+        joint: str | None,
+        time: FloatArray,
+        samples: NDArray[np.int64],
+        text: str,
+    ) -> None:
+        """Add one mark for each run of neighbouring samples."""
+        if not samples.size:
+            return
+        for run in np.split(samples, np.flatnonzero(np.diff(samples) > 1) + 1):
+            count = "1 message" if len(run) == 1 else f"{len(run)} messages"
+            self.mark(kind, topic, joint, time[run].min(), time[run].max(), f"{text} in {count}")
+
+    def refuse_infinite(
+        self, field: str, table: FloatArray, joints: tuple[str, ...], time: FloatArray, topic: str
+    ) -> None:
+        """Raise where a value is infinite."""
+        bad = np.argwhere(np.isinf(table))
+        if not bad.size:
+            return
+        row, column = bad[0]
+        joint = joints[column]
+        raise self.error(
+            f"{field} is not finite in {len(np.unique(bad[:, 0]))} of {len(table)} messages",
+            f"{topic} joint '{joint}'",
+            value=f"{table[row, column]} at {time[row]:.6g} s",
+            expected=f"a finite number of {self.unit(joint, field)}",
+        )
+
+    def note_gaps(self, time: FloatArray, topic: str) -> None:
+        """Mark intervals without messages."""
+        for at, usual in gaps(time):
+            self.mark(
+                "gap", topic, None, time[at], time[at + 1],
+                f"no message for {time[at + 1] - time[at]:.4g} s, usually {usual:.4g} s",
+            )  # fmt: skip
+
+    def within_range(self, joint: str, values: FloatArray, time: FloatArray, topic: str) -> None:
+        """Mark positions outside the joint's range; raise where they are in another unit."""
+        limits = None if self.structure is None else self.structure.joint_range.get(joint)
+        if limits is None or not len(values):
+            return
+        lower, upper = limits
+        reach = max(abs(lower), abs(upper))
+        unit = self.unit(joint, "position")
+        largest = float(np.abs(values).max())
+        said = f"the model's range, {lower:.4g} to {upper:.4g} {unit}"
+        if largest > _BEYOND_RANGE * reach:
+            guess = ""
+            if unit == "rad":
+                degrees = largest * np.pi / 180.0 <= 2.0 * reach
+                guess = ", as if in degrees" if degrees else ", as if in encoder counts"
+            elif largest * 1e-3 <= 2.0 * reach:
+                guess = ", as if in mm"
+            raise self.error(
+                f"positions far beyond the joint's range{guess}",
+                f"{topic} joint '{joint}'",
+                value=f"{largest:.6g}",
+                unit=unit,
+                expected=said,
+            )
+        beyond = np.flatnonzero((values < lower) | (values > upper))
+        self.mark_runs("beyond_range", topic, joint, time, beyond, f"outside {said}")
+
+    def note_outliers(self, joint: str, position: FloatArray, time: FloatArray, topic: str) -> None:
+        """Mark single samples that are far off the line between their neighbours."""
+        steps = np.diff(position)
+        moved = np.abs(steps[steps != 0.0])
+        if len(steps) < 8 or not moved.size:
+            return
+        off = position[1:-1] - 0.5 * (position[:-2] + position[2:])
+        spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+        bound = _OUTLIER_DEVIATIONS * max(spread, float(np.median(moved)))
+        alone = (steps[:-1] * steps[1:] < 0) & (
+            np.minimum(*np.abs((steps[:-1], steps[1:]))) > bound
+        )
+        self.mark_runs(
+            "outlier", topic, joint, time, np.flatnonzero(alone) + 1, "off the line of neighbours"
+        )
+
+    def refuse_two_sources(self, joint: str, position: FloatArray, topic: str) -> None:
+        """Raise where two publishers take turns in sending different positions of one joint."""
+        if len(position) < _TURNS_SAMPLES:
+            return
+        to_next = float(np.median(np.abs(np.diff(position))))
+        after = float(np.median(np.abs(position[2:] - position[:-2])))
+        if to_next > max(_TURNS_SPAN, _TURNS * after):
+            raise self.error(
+                "two publishers send different positions of one joint",
+                f"{topic} joint '{joint}'",
+                value=f"{to_next:.4g} apart from message to message",
+                unit=self.unit(joint, "position"),
+                expected="one publisher; record the topic of one robot, or give the joints of each "
+                "names of their own",
+            )
+
+    def note_stuck(
+        self,
+        joint: str,
+        position: FloatArray,
+        time: FloatArray,
+        command: FloatArray,
+        command_time: FloatArray,
+        mode: CommandMode,
+        topic: str,
+    ) -> None:
+        """Mark an encoder that stands still under a moving setpoint.
+
+        An effort leaves a joint at rest for good reasons.
+        """
+        if mode == "effort":
+            return
+        setpoint = command
+        if mode == "velocity":
+            travelled = np.cumsum(command[:-1] * np.diff(command_time))
+            setpoint = np.concatenate([[0.0], travelled])
+        edges = np.flatnonzero(np.diff(position) != 0.0) + 1
+        begins = np.concatenate([[0], edges])
+        ends = np.concatenate([edges, [len(position)]]) - 1
+        still = time[ends] - time[begins] > _STUCK_SECONDS
+        for begin, end in zip(begins[still], ends[still], strict=True):
+            during = setpoint[(command_time >= time[begin]) & (command_time <= time[end])]
+            if during.size and float(np.ptp(during)) > _STUCK_SPAN:
+                self.mark(
+                    "stuck", topic, joint, time[begin], time[end],
+                    f"stays at {position[begin]:.6g} {self.unit(joint, 'position')} while "
+                    "its command moves",
+                )  # fmt: skip

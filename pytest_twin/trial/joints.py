@@ -1,0 +1,112 @@
+"""Joints of a recording under the names that the model gives them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.recording_options import JointNames
+
+# Names in a message, before "and n more".
+_LISTED = 8
+
+
+def in_model_names(
+    series: JointSeries, names: JointNames, joints: Collection[str] | None, path: Path
+) -> tuple[JointSeries, list[str]]:
+    """Rename a topic's joints as the model has them and leave out those that it lacks.
+
+    Args:
+        series: of one topic.
+        names: how recorded names relate to the model's.
+        joints: of the model; None to keep every joint.
+        path: of the recording, for errors.
+
+    Returns:
+        The series, and a note where joints were left out.
+
+    Raises:
+        RecordingError: two recorded joints with one name in the model, or no joint of the model.
+    """
+    renamed = [names.in_model(name, joints or ()) for name in series.names]
+    twice = [name for name, count in Counter(renamed).items() if count > 1]
+    if twice:
+        both = [old for old, new in zip(series.names, renamed, strict=True) if new == twice[0]]
+        raise RecordingError(
+            f"two recorded joints become {twice[0]!r} of the model",
+            path=path,
+            where=series.topic,
+            value=", ".join(both),
+            expected="one; 'joints:' in twin.yaml or --joints says which",
+        )
+    keep = [i for i, name in enumerate(renamed) if joints is None or name in joints]
+    if not keep:
+        raise _no_such_joint(series, renamed, joints or (), path)
+    notes = []
+    if len(keep) < len(renamed):
+        gone = [name for i, name in enumerate(renamed) if i not in set(keep)]
+        note = f"{series.topic}: left out, not in the model: {listed(gone)}"
+        others = [joint for joint in joints or () if joint not in renamed]
+        offers = suggested(gone, others)
+        if offers:
+            note += f" ('joints: {{{offers[0]}}}' in twin.yaml would map them)"
+        elif others:
+            note += f"; of the model not recorded: {listed(others)}"
+        notes.append(note)
+    if len(keep) < len(renamed) or tuple(renamed) != series.names:
+        series = replace(
+            series,
+            names=tuple(renamed[i] for i in keep),
+            position=None if series.position is None else series.position[:, keep],
+            velocity=None if series.velocity is None else series.velocity[:, keep],
+            effort=None if series.effort is None else series.effort[:, keep],
+        )
+    return series, notes
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names with commas, the first few of many."""
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(names[:_LISTED]) + more
+
+
+def _no_such_joint(
+    series: JointSeries, names: Sequence[str], joints: Collection[str], path: Path
+) -> RecordingError:
+    expected = f"one of {listed(list(joints))}" if joints else "a model with joints"
+    offers = suggested(names, joints)
+    if offers:
+        expected += "; in twin.yaml " + " or ".join(f"joints: {{{offer}}}" for offer in offers)
+        expected += ", or --joints " + offers[0].replace(": ", "=")
+    elif joints:
+        expected += "; --joints RECORDED=MODEL,... or 'joints:' in twin.yaml maps names"
+    return RecordingError(
+        "the model has no such joint" if len(names) == 1 else "the model has none of these joints",
+        path=path,
+        where=series.topic,
+        value=listed(names),
+        expected=expected,
+    )
+
+
+def suggested(names: Sequence[str], joints: Collection[str]) -> list[str]:
+    """``prefix: left_`` or ``suffix: _joint`` that would give the names of the model, the one that
+    maps most joints first."""
+    found: Counter[str] = Counter()
+    for longs, shorts in ((names, joints), (list(joints), names)):
+        for long in longs:
+            for short in shorts:
+                if not short or long == short:
+                    continue
+                if long.endswith(short):
+                    found[f"prefix: {long.removesuffix(short)}"] += 1
+                elif long.startswith(short):
+                    found[f"suffix: {long.removeprefix(short)}"] += 1
+    if not found:
+        return []
+    most = max(found.values())
+    return [offer for offer, count in found.most_common(3) if 2 * count > most]

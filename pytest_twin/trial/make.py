@@ -1,0 +1,396 @@
+"""From a recording to trials: names, clock, one table, the field that counts, holes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.dependency import Structure
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import JointSeries, Recording
+from pytest_twin.recording_options import (
+    COMMAND_BETWEEN,
+    COMMAND_MODES,
+    NO_OPTIONS,
+    CommandBetween,
+    RecordingOptions,
+)
+from pytest_twin.trial.clock import Timed, on_one_clock
+from pytest_twin.trial.command_field import Commanded, commanded_fields
+from pytest_twin.trial.doubts import Doubts
+from pytest_twin.trial.joints import in_model_names, listed
+from pytest_twin.trial.stretches import stretches
+from pytest_twin.trial.table import (
+    StateRows,
+    kept_commands,
+    last_known,
+    merged_states,
+    sorted_rows,
+)
+from pytest_twin.trial.trial import Mark, Trial, busiest
+
+# A joint that is in fewer of a topic's messages than this share comes in messages of its own.
+_SEPARATE = 0.8
+
+
+def make_trials(
+    recording: Recording,
+    structure: Structure | None = None,
+    options: RecordingOptions = NO_OPTIONS,
+) -> list[Trial]:
+    """The trials of a recording: one, or one for each stretch between holes.
+
+    Args:
+        recording: as read from the file.
+        structure: of the model, for its joints, ranges and actuators; None to go without.
+        options: what a user declared of the recording.
+
+    Raises:
+        RecordingError: no states or commands, no positions, a value that is infinite, no field of a
+            command that counts, no overlap in time, no joint of the model, or positions in another
+            unit than the model's.
+    """
+    return [part for trial in _whole(recording, structure, options) for part in stretches(trial)]
+
+
+def make_trial(
+    recording: Recording,
+    structure: Structure | None = None,
+    options: RecordingOptions = NO_OPTIONS,
+) -> Trial:
+    """A recording as one trial, holes and all; :func:`make_trials` cuts it there.
+
+    Raises:
+        RecordingError: as :func:`make_trials`, or a clock that steps back and splits it.
+    """
+    trials = _whole(recording, structure, options)
+    if len(trials) > 1:
+        raise RecordingError(
+            "the clock steps back: no single trial", path=recording.path,
+            value=f"{len(trials)} parts", expected="one clock",
+        )  # fmt: skip
+    return trials[0]
+
+
+def _whole(
+    recording: Recording, structure: Structure | None, options: RecordingOptions
+) -> list[Trial]:
+    joints = None if structure is None else structure.joint_type.keys()
+    notes: list[str] = []
+    topics = []
+    for role in ("state", "command"):
+        series, said = in_model_names(
+            _series(recording, role), options.joints, joints, recording.path
+        )
+        topics.append(series)
+        notes += said
+    states, commands = topics
+    if states.position is None:
+        raise RecordingError("no state has positions", path=recording.path, where=states.topic)
+    clocked = on_one_clock(states, commands, options.clock, recording.path)
+    inputs = None if structure is None else structure.joint_inputs
+    commanded = commanded_fields(commands, inputs, options, recording.path)
+    notes += [*clocked.notes, *commanded.notes]
+    between, source = _between(recording, options)
+    trials: list[Trial] = []
+    since = 0.0
+    for piece in clocked.pieces:
+        maker = _Maker(recording, structure, commanded)
+        trial = maker.trial(*piece)
+        own = (*notes, *maker.notes) if not trials else tuple(maker.notes)
+        trials.append(
+            replace(
+                trial, notes=own, command_between=between, between_source=source, offset=since,
+                parts=len(clocked.pieces),
+            )
+        )  # fmt: skip
+        since += trial.duration
+    return trials
+
+
+def _series(recording: Recording, role: str) -> JointSeries:
+    found = recording.series.get(role)
+    if found is not None and len(found.stamp):
+        return found
+    if recording.damage:
+        raise RecordingError(
+            f"no {role} messages in what could be read of a damaged file",
+            path=recording.path,
+            where=role,
+            value=str(recording.damage[0]),
+            expected="a whole recording",
+        )
+    raise RecordingError(
+        f"no {role} messages",
+        path=recording.path,
+        where=role,
+        expected=f"a topic for role {role!r}; topics are mapped in twin.yaml or by "
+        "--topics state=/x,command=/y",
+    )
+
+
+def _between(recording: Recording, options: RecordingOptions) -> tuple[CommandBetween, str]:
+    """What a command does between two stamps, and where that is said."""
+    if options.command_between is not None:
+        return options.command_between, "option"
+    said = recording.metadata.get("command_between")
+    for kind in COMMAND_BETWEEN:
+        if said == kind:
+            return kind, "metadata"
+    if said is not None:
+        raise RecordingError(
+            "command_between of the trial's metadata is unknown",
+            path=recording.path,
+            where="metadata 'trial'",
+            value=said,
+            expected=" or ".join(COMMAND_BETWEEN),
+        )
+    if options.command_between_default is not None:
+        return options.command_between_default, "twin.yaml"
+    return "held", "assumed"
+
+
+class _Maker:
+    """Reads states and commands of one clock into one trial."""
+
+    def __init__(
+        self, recording: Recording, structure: Structure | None, commanded: Commanded
+    ) -> None:
+        self.recording, self.structure, self.commanded = recording, structure, commanded
+        self.doubts = Doubts(recording.path, structure)
+        self.doubts.marks += [
+            Mark("damage", None, None, 0.0, 0.0, str(item)) for item in recording.damage
+        ]
+        self.notes: list[str] = []
+
+    def trial(self, states: Timed, commands: Timed) -> Trial:
+        """One trial, not cut."""
+        topic = states.series.topic
+        rows, joints = self.states(states)
+        start = int(rows.stamp[0])
+        self.note_order(states, start)
+        self.note_order(commands, start)
+        time = _seconds(rows.stamp, start)
+        position = rows.fields["position"]
+        assert position is not None
+        command_time, command, own = self.commands(commands, start)
+        self.note_twice(topic, time)
+        self.note_twice(commands.series.topic, command_time)
+        self.doubts.note_gaps(busiest(time, np.isfinite(position)), topic)
+        self.doubts.note_gaps(busiest(command_time, own), commands.series.topic)
+        commanded = self.commanded
+        for column, joint in enumerate(joints):
+            self.look_at(joint, position[:, column], time, topic)
+            if joint in commanded.joints:
+                at = commanded.joints.index(joint)
+                seen = np.isfinite(position[:, column])
+                self.doubts.note_stuck(
+                    joint, position[seen, column], time[seen], command[:, at], command_time,
+                    commanded.modes[at], topic,
+                )  # fmt: skip
+        for at, (joint, mode) in enumerate(zip(commanded.joints, commanded.modes, strict=True)):
+            if mode == "position":
+                self.doubts.within_range(joint, command[:, at], command_time, commands.series.topic)
+        for joint in commanded.never:
+            self.doubts.mark(
+                "unavailable", commands.series.topic, joint, command_time[0], command_time[-1],
+                f"joint {joint!r} is never commanded",
+            )  # fmt: skip
+        return Trial(
+            path=self.recording.path,
+            start=start,
+            joints=joints,
+            time=time,
+            position=position,
+            velocity=self.optional("velocity", rows, joints, time, topic),
+            effort=self.optional("effort", rows, joints, time, topic),
+            command_joints=commanded.joints,
+            command_time=command_time,
+            command=command,
+            command_modes=commanded.modes,
+            metadata=dict(self.recording.metadata),
+            marks=tuple(sorted(self.doubts.marks, key=lambda mark: mark.start)),
+            own_commands=own,
+        )
+
+    def states(self, timed: Timed) -> tuple[StateRows, tuple[str, ...]]:
+        """States by stamp, from the first by which every joint was measured."""
+        series = timed.series
+        order = sorted_rows(timed.stamp)
+        stamp, picked = timed.stamp[order], timed.rows[order]
+        fields = {
+            name: None if table is None else table[picked]
+            for name in COMMAND_MODES
+            for table in [getattr(series, name)]
+        }
+        position = fields["position"]
+        assert position is not None
+        measured = ~np.isnan(position).all(axis=0)
+        joints = tuple(n for n, use in zip(series.names, measured, strict=True) if use)
+        if not joints:
+            raise self.doubts.error(
+                "no position is a number", series.topic, value="NaN throughout",
+                expected="measured positions",
+            )  # fmt: skip
+        if not measured.all():
+            gone = [n for n, use in zip(series.names, measured, strict=True) if not use]
+            self.notes.append(f"{series.topic}: left out, positions are NaN throughout: "
+                              f"{listed(gone)}")  # fmt: skip
+            fields = {n: None if t is None else t[:, measured] for n, t in fields.items()}
+            position = position[:, measured]
+        seconds = _seconds(stamp, int(stamp[0]))
+        self.doubts.refuse_infinite("position", position, joints, seconds, series.topic)
+        carried = np.isfinite(position)
+        some = carried.any(axis=1)
+        rows = merged_states(
+            stamp[some], {n: None if t is None else t[some] for n, t in fields.items()},
+            carried[some],
+        )  # fmt: skip
+        return self.begun(rows, joints, series.topic, int((~some).sum())), joints
+
+    def begun(
+        self, rows: StateRows, joints: tuple[str, ...], topic: str, without: int
+    ) -> StateRows:
+        """The rows from the first complete state on, which is made of the latest positions."""
+        position = rows.fields["position"]
+        assert position is not None
+        carried = np.isfinite(position)
+        known = last_known(position)
+        complete = np.isfinite(known).all(axis=1)
+        first = int(np.argmax(complete))
+        if without:
+            self.notes.append(
+                f"{topic}: {_messages(without)} without a position of these joints left out"
+            )
+        if first:
+            self.notes.append(
+                f"{topic}: {_messages(first)} left out before the first by which every joint was "
+                "measured"
+            )
+        counts = carried.sum(axis=0)
+        if rows.merged:
+            self.notes.append(f"{topic}: {_messages(rows.merged)} of different joints and one "
+                              "stamp taken together")  # fmt: skip
+        if counts.min() < _SEPARATE * len(carried):
+            said = ", ".join(f"{n} in {c}" for n, c in zip(joints, counts.tolist(), strict=True))
+            self.notes.append(
+                f"{topic}: joints come in separate messages ({said} of {len(carried)}); each is "
+                "compared at its own samples"
+            )
+        elif not carried.all():
+            time = _seconds(rows.stamp, int(rows.stamp[first]))
+            for column, joint in enumerate(joints):
+                self.doubts.mark_runs(
+                    "unavailable", topic, joint, time,
+                    np.flatnonzero(~carried[first:, column]) + first, "position is not filled",
+                )  # fmt: skip
+        if not first and carried[0].all():
+            return rows
+        fields = {n: None if t is None else t[first:].copy() for n, t in rows.fields.items()}
+        _complete(rows, fields, first, known[first])
+        return StateRows(rows.stamp[first:], fields, rows.merged)
+
+    def commands(
+        self, timed: Timed, start: int
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_] | None]:
+        """(m,) s, (m, j) commands, and which of them each message carries; None for all."""
+        topic, joints = timed.series.topic, self.commanded.joints
+        order = sorted_rows(timed.stamp)
+        table = self.commanded.table[timed.rows[order]]
+        time = _seconds(timed.stamp[order], start)
+        self.doubts.refuse_infinite("command", table, joints, time, topic)
+        own = ~np.isnan(table)
+        if own.all():
+            return time, table, None
+        some = own.any(axis=1)
+        time, table, own = time[some], table[some], own[some]
+        commanded = [bool(column.any()) for column in own.T]
+        if not all(commanded):
+            raise self.doubts.error(
+                "a joint has no command on this side of a step of the clock", topic,
+                value=listed([j for j, some in zip(joints, commanded, strict=True) if not some]),
+                expected="one clock, or --clock log",
+            )  # fmt: skip
+        if not some.all():
+            self.notes.append(
+                f"{topic}: {_messages(int((~some).sum()))} without a command of these joints left "
+                "out"
+            )
+        counts = own.sum(axis=0)
+        if counts.min() < _SEPARATE * len(own):
+            said = ", ".join(f"{n} in {c}" for n, c in zip(joints, counts.tolist(), strict=True))
+            self.notes.append(
+                f"{topic}: joints come in separate messages ({said} of {len(own)}); a joint keeps "
+                "its command until its next"
+            )
+        else:
+            for column, joint in enumerate(joints):
+                self.doubts.mark_runs(
+                    "unavailable", topic, joint, time, np.flatnonzero(~own[:, column]),
+                    "no command, the last one holds",
+                )  # fmt: skip
+        return time, kept_commands(table), None if own.all() else own
+
+    def look_at(self, joint: str, position: FloatArray, time: FloatArray, topic: str) -> None:
+        """Mark what is doubtful in one joint's positions."""
+        seen = np.isfinite(position)
+        position, time = position[seen], time[seen]
+        self.doubts.within_range(joint, position, time, topic)
+        self.doubts.refuse_two_sources(joint, position, topic)
+        self.doubts.note_outliers(joint, position, time, topic)
+
+    def note_order(self, timed: Timed, start: int) -> None:
+        """Mark stamps that are not in the order of the file."""
+        back = np.flatnonzero(np.diff(timed.stamp) < 0) + 1
+        self.doubts.mark_runs(
+            "unordered_stamp", timed.series.topic, None, _seconds(timed.stamp, start), back,
+            "stamps go back",
+        )  # fmt: skip
+
+    def note_twice(self, topic: str, time: FloatArray) -> None:
+        """Mark stamps of more than one message."""
+        twice = np.flatnonzero(np.diff(time) == 0) + 1
+        self.doubts.mark_runs("duplicate_stamp", topic, None, time, twice, "stamps stand twice")
+
+    def optional(
+        self, field: str, rows: StateRows, joints: tuple[str, ...], time: FloatArray, topic: str
+    ) -> FloatArray | None:
+        """A field that need not be filled; NaN is where it was not."""
+        table, position = rows.fields[field], rows.fields["position"]
+        if table is None or position is None:
+            return None
+        self.doubts.refuse_infinite(field, table, joints, time, topic)
+        for column, joint in enumerate(joints):
+            missing = np.flatnonzero(np.isnan(table[:, column]) & np.isfinite(position[:, column]))
+            self.doubts.mark_runs(
+                "unavailable", topic, joint, time, missing, f"{field} is not filled"
+            )
+        return None if np.isnan(table).all() else table
+
+
+def _complete(
+    rows: StateRows, fields: dict[str, FloatArray | None], first: int, known: FloatArray
+) -> None:
+    """Fill the first row with the latest position of each joint, moved on by its velocity."""
+    position, velocity = fields["position"], fields["velocity"]
+    before, speed = rows.fields["position"], rows.fields["velocity"]
+    assert position is not None
+    assert before is not None
+    for column in np.flatnonzero(np.isnan(position[0])):
+        row = int(np.flatnonzero(np.isfinite(before[: first + 1, column]))[-1])
+        late = float(rows.stamp[first] - rows.stamp[row]) * 1e-9
+        moved = 0.0 if speed is None else float(np.nan_to_num(speed[row, column]))
+        position[0, column] = known[column] + late * moved
+        if velocity is not None and speed is not None:
+            velocity[0, column] = speed[row, column]
+
+
+def _seconds(stamp: NDArray[np.int64], start: int) -> FloatArray:
+    return np.asarray((stamp - start) * 1e-9, dtype=np.float64)
+
+
+def _messages(count: int) -> str:
+    return "1 message" if count == 1 else f"{count} messages"

@@ -1,0 +1,43 @@
+"""A trial with one state: it is predicted at the stamps of its commands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.trial.trial import Trial
+
+
+def at_command_stamps(trial: Trial) -> Trial:
+    """The trial with a row for its state, then one for each later command, where nothing was
+    measured."""
+    later = np.unique(trial.command_time[trial.command_time > 0.0])
+    count = 1 + len(later)
+
+    def rows(table: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+        if table is None:
+            return None
+        empty = np.full((count, table.shape[1]), np.nan)
+        empty[0] = table[0]
+        return empty
+
+    position = rows(trial.position)
+    assert position is not None
+    return replace(
+        trial,
+        time=np.append(0.0, later),
+        position=position,
+        velocity=rows(trial.velocity),
+        effort=rows(trial.effort),
+    )
+
+
+def predicted_rows(trial: Trial) -> NDArray[np.bool_]:
+    """(n,) rows that a prediction is written for: all states; of :func:`at_command_stamps` the
+    commands alone."""
+    keep = np.ones(len(trial.time), dtype=bool)
+    if len(trial.time) > 1 and not np.isfinite(trial.position[1:]).any():
+        keep[0] = bool((trial.command_time == 0.0).any())
+    return keep

@@ -1,0 +1,167 @@
+"""Where a recorder lost messages, and the stretches between such holes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.trial.trial import Mark, Trial
+
+GAP_INTERVALS = 4.0
+"""An interval this many times the usual one is a gap: three messages are missing."""
+# In a topic of even rate one missing message shows: an interval of this many usual ones.
+_MISSING_INTERVALS = 1.75
+# A rate is even if this share of the intervals is within a quarter of the usual one.
+_EVEN_SHARE, _EVEN = 0.9, 0.25
+# Both topics stop and go on together if it is within this many of the longer usual interval.
+_TOGETHER = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """A time in which a recorder kept no message of either topic.
+
+    Attributes:
+        start, end: stamps of the last state before it and the first after it, s.
+        command_end: stamp of the first command after it, s.
+    """
+
+    start: float
+    end: float
+    command_end: float
+
+
+def gaps(time: FloatArray) -> list[tuple[int, float]]:
+    """(sample before it, usual interval) of every interval that is far longer than usual."""
+    steps = np.diff(time)
+    usual = _usual(steps)
+    if len(steps) < 2 or usual <= 0.0:
+        return []
+    return [(int(at), usual) for at in np.flatnonzero(steps > GAP_INTERVALS * usual)]
+
+
+def holes(time: FloatArray, command_time: FloatArray) -> list[Hole]:
+    """Where states and commands stop and go on together: the recorder lost them.
+
+    A hole in the states alone leaves the commands known. A hole in the commands alone is what the
+    robot saw: its last command stayed.
+
+    Args:
+        time, command_time: stamps, s, not decreasing.
+    """
+    states, commands = np.unique(time), np.unique(command_time)
+    steps, sent = np.diff(states), np.diff(commands)
+    usual, usual_sent = _usual(steps), _usual(sent)
+    if min(len(steps), len(sent)) < 3 or min(usual, usual_sent) <= 0.0:
+        return []
+    near = _TOGETHER * max(usual, usual_sent)
+    least = _MISSING_INTERVALS * usual if _even(steps, usual) else GAP_INTERVALS * usual
+    least_sent = (
+        _MISSING_INTERVALS * usual_sent if _even(sent, usual_sent) else GAP_INTERVALS * usual_sent
+    )
+    found = []
+    for at in np.flatnonzero(steps > least).tolist():
+        first, last = states[at], states[at + 1]
+        k = int(np.searchsorted(commands, 0.5 * (first + last), side="right")) - 1
+        if not 0 <= k < len(sent) or sent[k] <= least_sent:
+            continue
+        if steps[at] <= GAP_INTERVALS * usual and sent[k] <= GAP_INTERVALS * usual_sent:
+            continue
+        if abs(first - commands[k]) <= near and abs(last - commands[k + 1]) <= near:
+            found.append(Hole(float(first), float(last), float(commands[k + 1])))
+    return found
+
+
+def stretches(trial: Trial) -> list[Trial]:
+    """A trial cut at its holes: each part starts from its own first state.
+
+    What was commanded in a hole is in no recording, so that nothing after it can be predicted from
+    before it.
+
+    Returns:
+        The trial itself where there is no hole.
+    """
+    found = holes(trial.state_times, trial.command_times)
+    if not found:
+        return [trial]
+    starts = [-np.inf, *(hole.end for hole in found)]
+    ends = [*(hole.start for hole in found), np.inf]
+    commands = [-np.inf, *(hole.command_end for hole in found)]
+    note = (
+        f"cut into {len(found) + 1} parts: states and commands are both missing "
+        + _times(found)
+        + ", so that the recorder lost them; each part starts from its own first state"
+    )
+    parts = []
+    for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        until = commands[i + 1] if i + 1 < len(commands) else np.inf
+        part = _part(trial, start, end, commands[i], until, len(starts))
+        parts.append(replace(part, notes=(note, *part.notes) if i == 0 else part.notes))
+    return parts
+
+
+def _times(found: Sequence[Hole]) -> str:
+    shown = [f"from {h.start:.4g} to {h.end:.4g} s" for h in found[:3]]
+    more = f" and {len(found) - 3} more times" if len(found) > 3 else ""
+    return ", ".join(shown) + more
+
+
+def _part(
+    trial: Trial, start: float, end: float, sent: float, sent_until: float, parts: int
+) -> Trial:
+    """States from ``start`` to ``end``, commands from ``sent`` to before ``sent_until``."""
+    rows = np.flatnonzero((trial.time >= start) & (trial.time <= end))
+    command_rows = (trial.command_time >= sent) & (trial.command_time < sent_until)
+    first = float(trial.time[rows[0]])
+    stop = float(trial.time[rows[-1]])
+    position = trial.position[rows]
+    if not np.isfinite(position[0]).all():
+        position = position.copy()
+        position[0] = _known(trial.time, trial.position, rows[0], rows[-1])
+    return replace(
+        trial,
+        start=trial.start + round(first * 1e9),
+        time=trial.time[rows] - first,
+        position=position,
+        velocity=None if trial.velocity is None else trial.velocity[rows],
+        effort=None if trial.effort is None else trial.effort[rows],
+        command_time=trial.command_time[command_rows] - first,
+        command=trial.command[command_rows],
+        own_commands=None if trial.own_commands is None else trial.own_commands[command_rows],
+        marks=tuple(
+            _moved(mark, first)
+            for mark in trial.marks
+            if mark.kind != "gap" and mark.start <= stop and (mark.end >= first or not first)
+        )
+        + tuple(
+            _moved(mark, first)
+            for mark in trial.marks
+            if mark.kind == "gap" and mark.start >= first and mark.end <= stop
+        ),
+        offset=trial.offset + first,
+        parts=parts,
+    )
+
+
+def _known(time: FloatArray, position: FloatArray, first: int, last: int) -> FloatArray:
+    """(j,) the first position of each joint at or after a sample."""
+    row: FloatArray = position[first].copy()
+    for j in np.flatnonzero(~np.isfinite(row)):
+        known = np.flatnonzero(np.isfinite(position[first : last + 1, j]))
+        row[j] = position[first + known[0], j] if known.size else np.nan
+    return row
+
+
+def _moved(mark: Mark, by: float) -> Mark:
+    return replace(mark, start=mark.start - by, end=mark.end - by)
+
+
+def _usual(steps: FloatArray) -> float:
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _even(steps: FloatArray, usual: float) -> bool:
+    return bool(np.mean(np.abs(steps - usual) <= _EVEN * usual) >= _EVEN_SHARE)

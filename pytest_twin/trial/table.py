@@ -1,0 +1,95 @@
+"""Messages of one topic as one table: sorted, those of one stamp together, joint by joint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+
+
+def sorted_rows(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(n,) the stable order by stamp."""
+    return np.argsort(stamp, kind="stable")
+
+
+@dataclass(frozen=True, slots=True)
+class StateRows:
+    """States by stamp.
+
+    Attributes:
+        stamp: (n,) ns.
+        fields: ``position``, ``velocity``, ``effort`` -> (n, j), or None.
+        merged: messages that were taken together with others of their stamp.
+    """
+
+    stamp: NDArray[np.int64]
+    fields: dict[str, FloatArray | None]
+    merged: int
+
+
+def merged_states(
+    stamp: NDArray[np.int64], fields: dict[str, FloatArray | None], carried: NDArray[np.bool_]
+) -> StateRows:
+    """Take messages of one stamp together where they carry different joints.
+
+    Messages that carry the same joint stay apart.
+
+    Args:
+        stamp: (n,) ns, not decreasing.
+        fields: (n, j) each, or None.
+        carried: (n, j) which joints a message has a position of.
+    """
+    if not len(stamp) or carried.all():
+        return StateRows(stamp, fields, 0)
+    first = np.flatnonzero(np.append(True, np.diff(stamp) > 0))
+    owner = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(stamp))))
+    # Of each joint the first message of a stamp goes into the stamp's row, the next into one more.
+    level = np.zeros(len(stamp), dtype=np.int64)
+    last = np.append(first[1:], len(stamp))
+    several = last - first > 1
+    for begin, end in zip(first[several], last[several], strict=True):
+        mine = carried[begin:end]
+        level[begin:end] = (np.cumsum(mine, axis=0) * mine).max(axis=1) - 1
+    level = np.maximum(level, 0)
+    key = owner * (int(level.max()) + 1) + level
+    rows, of = np.unique(key, return_inverse=True)
+    if len(rows) == len(stamp):
+        return StateRows(stamp, fields, 0)
+    merged: dict[str, FloatArray | None] = {}
+    for name, table in fields.items():
+        if table is None:
+            merged[name] = None
+            continue
+        whole = np.full((len(rows), table.shape[1]), np.nan)
+        row, column = np.nonzero(carried & ~np.isnan(table))
+        whole[of[row], column] = table[row, column]
+        merged[name] = whole
+    together = np.zeros(len(rows), dtype=np.int64)
+    np.add.at(together, of, 1)
+    stamps = np.zeros(len(rows), dtype=np.int64)
+    stamps[of] = stamp
+    return StateRows(stamps, merged, int(together[together > 1].sum()))
+
+
+def last_known(table: FloatArray) -> FloatArray:
+    """(n, j) the latest value of each joint at or before each row; NaN before its first."""
+    rows = np.where(np.isnan(table), -1, np.arange(len(table))[:, None])
+    at = np.maximum.accumulate(rows, axis=0)
+    known: FloatArray = np.where(
+        at >= 0, np.take_along_axis(table, np.maximum(at, 0), axis=0), np.nan
+    )
+    return known
+
+
+def kept_commands(table: FloatArray) -> FloatArray:
+    """(n, j) commands that hold after each message: a joint that a message does not carry keeps its
+    last one, and before its first the first."""
+    known = last_known(table)
+    missing = np.isnan(known)
+    if missing.any():
+        first = np.argmax(~np.isnan(table), axis=0)
+        known = np.where(missing, table[first, np.arange(table.shape[1])], known)
+    return known
