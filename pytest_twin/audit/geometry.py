@@ -1,13 +1,14 @@
-"""Shapes as solids: how large a body is, what it would weigh, and how its mass would lie.
+"""Shapes as solids of uniform density: their volume, centroid, inertia and size.
 
-Round primitives count as polyhedra of many sides (2 % too small at most); a mesh counts as its
-convex hull, which is closed whatever the mesh is, and never smaller than the body.
+Round primitives are polyhedra of many sides, at most 2 % too small. A mesh is its convex hull: it
+is closed even where the mesh is not, and never smaller than the body.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,23 +74,32 @@ def _local(shape: Shape) -> tuple[Vector, Faces] | None:
         return shape.triangles.vertices, shape.triangles.faces
     if shape.kind == "mesh" or not shape.size or min(shape.size) <= 0:
         return None
+    return _primitive(shape.kind, shape.size)
+
+
+@lru_cache(maxsize=256)
+def _primitive(kind: str, size: tuple[float, ...]) -> tuple[Vector, Faces] | None:
+    """Vertices [m] and faces of a box, sphere, ellipsoid, cylinder or capsule; read only."""
     import trimesh
 
-    size = shape.size
-    if shape.kind == "box":
+    if kind == "box":
         made = trimesh.creation.box(extents=size)
-    elif shape.kind == "sphere":
+    elif kind == "sphere":
         made = trimesh.creation.icosphere(subdivisions=3, radius=size[0])
-    elif shape.kind == "ellipsoid":
+    elif kind == "ellipsoid":
         made = trimesh.creation.icosphere(subdivisions=3)
         made.apply_scale(size)
-    elif shape.kind == "cylinder":
+    elif kind == "cylinder":
         made = trimesh.creation.cylinder(radius=size[0], height=size[1], sections=48)
-    elif shape.kind == "capsule":
+    elif kind == "capsule":
         made = trimesh.creation.capsule(radius=size[0], height=size[1], count=[24, 24])
     else:
         return None
-    return np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int32)
+    vertices = np.array(made.vertices, dtype=np.float64)
+    faces = np.array(made.faces, dtype=np.int32)
+    vertices.setflags(write=False)
+    faces.setflags(write=False)
+    return vertices, faces
 
 
 class Geometry:
@@ -100,6 +110,7 @@ class Geometry:
         self._shapes: dict[int, Solid | None] = {}
         self._bodies: dict[tuple[str, str | None], Solid | None] = {}
         self._hulls: dict[tuple[object, ...], tuple[Vector, Faces] | None] = {}
+        self._properties: dict[tuple[object, ...], tuple[float, Vector, Vector] | None] = {}
 
     def shape(self, shape: Shape) -> Solid | None:
         """A shape's convex hull as a solid; None where it has no volume."""
@@ -128,28 +139,42 @@ class Geometry:
 
     def _solid(self, shape: Shape) -> Solid | None:
         found = self.hull(shape)
-        if found is None:
-            return None
-        vertices, faces = found
-        vertices = vertices @ shape.rotation.T + shape.position
-        properties = shapes.polyhedron(vertices, faces)
-        if properties is None:
+        properties = self._own_properties(shape)
+        if found is None or properties is None:
             return None
         volume, centroid, inertia = properties
+        axes = shape.rotation
+        vertices = found[0] @ axes.T + shape.position
         return Solid(
-            volume, centroid, inertia, vertices.min(axis=0), vertices.max(axis=0), vertices
+            volume,
+            axes @ centroid + shape.position,
+            axes @ inertia @ axes.T,
+            vertices.min(axis=0),
+            vertices.max(axis=0),
+            vertices,
         )
+
+    def _own_properties(self, shape: Shape) -> tuple[float, Vector, Vector] | None:
+        """Volume, centroid and inertia of the hull in the shape's own frame."""
+        key = _key(shape)
+        if key not in self._properties:
+            found = self.hull(shape)
+            self._properties[key] = None if found is None else shapes.polyhedron(*found)
+        return self._properties[key]
 
     def hull(self, shape: Shape) -> tuple[Vector, Faces] | None:
         """(n, 3) corners [m] and (m, 3) faces of the convex hull in the shape's own frame."""
-        key = (
-            (shape.file, *shape.scale.tolist())
-            if shape.file is not None
-            else (shape.kind, shape.size)
-        )
+        key = _key(shape)
         if key not in self._hulls:
             self._hulls[key] = _hull_of(_local(shape))
         return self._hulls[key]
+
+
+def _key(shape: Shape) -> tuple[object, ...]:
+    """Equal for shapes that differ in their place alone."""
+    if shape.file is not None:
+        return (shape.file, *shape.scale.tolist())
+    return (shape.kind, shape.size)
 
 
 def _hull_of(found: tuple[Vector, Faces] | None) -> tuple[Vector, Faces] | None:

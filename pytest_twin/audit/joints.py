@@ -94,9 +94,11 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
     element = f"joint '{edge.name}'" if asset.kind == "urdf" else f"body '{edge.child}'"
     distance = float(np.linalg.norm(edge.position))
     if distance > _LONG:
+        # A scene may place a body that far; no robot has a link that far from the one before.
+        in_scene = asset.kind == "mjcf" and edge.parent == "world"
         yield Finding(
             "joints.origin_far",
-            "critical",
+            "warning" if in_scene else "critical",
             edge.place,
             element,
             "its origin is farther off than any robot is long: millimetres taken for metres?",

@@ -23,7 +23,7 @@ from pytest_twin.audit.asset import (
     Vector,
 )
 from pytest_twin.audit.finding import LAYERS, Finding, Place, from_error
-from pytest_twin.errors import ModelError
+from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import inertia, mjcf
 from pytest_twin.realization.inputs import joint_inputs
@@ -54,21 +54,23 @@ def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
         PathError: a reference that leaves the roots or leads nowhere.
         ModelError: MuJoCo's parser refuses it, and not for a name that stands twice.
     """
-    document = mjcf.read(path, roots, limits=limits)
-    out = Asset("mjcf", path, document.root.attributes.get("model", path.stem), document.root)
+    try:
+        document = mjcf.read(path, roots, limits=limits)
+    except TwinError:
+        root = mjcf.read_tree(path, roots, limits=limits)
+        nodes = _Nodes(root)
+        if not nodes.twice:
+            raise
+        return _of_text(path, root, nodes)
     nodes = _Nodes(document.root)
-    out.named = nodes.named
-    out.files = sorted(
-        {node.path for node in document.root.walk()} | set(document.asset_paths.values())
-    )
     try:
         spec = mjcf.build(document)
     except ModelError:
         if not nodes.twice:
             raise
-        _bodies_of_text(document.root, out)
-        out.unseen = dict.fromkeys(LAYERS[1:], "MuJoCo's parser refuses the model")
-        return out
+        return _of_text(path, document.root, nodes)
+    out = _named_asset(path, document.root, nodes)
+    out.files = sorted({*out.files, *document.asset_paths.values()})
     try:
         model, warned = mjcf.compiled(spec)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
@@ -104,6 +106,21 @@ def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
     return out
 
 
+def _named_asset(path: Path, root: Node, nodes: _Nodes) -> Asset:
+    out = Asset("mjcf", path, root.attributes.get("model", path.stem), root)
+    out.named = nodes.named
+    out.files = sorted({node.path for node in root.walk()})
+    return out
+
+
+def _of_text(path: Path, root: Node, nodes: _Nodes) -> Asset:
+    """The tree alone, of a model that no parser takes because a name stands in it twice."""
+    out = _named_asset(path, root, nodes)
+    _bodies_of_text(root, out)
+    out.unseen = dict.fromkeys(LAYERS[1:], "MuJoCo refuses a model with two elements of one name")
+    return out
+
+
 class _Nodes:
     """Elements of the text by kind and name."""
 
@@ -113,11 +130,13 @@ class _Nodes:
         self.named: list[tuple[str, str, Place]] = []
         self.twice = False
         for section in root.children:
-            if section.tag in ("default", "asset"):
+            if section.tag == "default":
                 continue
-            for node in section.walk():
+            for node in section.children if section.tag == "asset" else section.walk():
                 kind = self._kind(section.tag, node.tag)
                 name = node.attributes.get("name")
+                if section.tag == "asset":
+                    name = mjcf.asset_name(node)
                 if kind is None or not name:
                     continue
                 self.twice |= (kind, name) in self.by_name
@@ -130,6 +149,8 @@ class _Nodes:
             return {"freejoint": "joint"}.get(
                 tag, tag if tag in ("body", "joint", "geom", "site") else None
             )
+        if section == "asset":
+            return tag
         return section if section in ("actuator", "sensor", "equality", "tendon") else None
 
     def place(self, kind: str, name: str) -> Place:
@@ -458,11 +479,12 @@ class _Compiled:
                 self.nodes.place("site", name),
             )
         for index in range(model.nkey):
-            pose = {}
-            for joint in self.out.joints:
-                if joint.scalar:
-                    address = int(model.joint(joint.name).qposadr[0])
-                    pose[joint.name] = float(model.key_qpos[index, address])
+            # Joints stand here in the order of the compiled model; not all of them have names.
+            pose = {
+                joint.name: float(model.key_qpos[index, address])
+                for joint, address in zip(self.out.joints, model.jnt_qposadr, strict=True)
+                if joint.scalar
+            }
             self.out.poses[self.name("key", index)] = pose
 
     def _angles(self) -> None:

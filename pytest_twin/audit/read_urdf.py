@@ -95,6 +95,8 @@ class _Reader:
             self._link(node)
         for node in self.root.all("joint"):
             self._joint(node)
+        ends = [(edge.parent, edge.child) for edge in self.out.edges]
+        urdf.check_depth(self.root, ends, self.meshes.limits.audited_link_depth)
         for node in self.root.all("transmission"):
             self._transmission(node)
         for node in self.root.all("ros2_control"):

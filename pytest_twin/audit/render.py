@@ -1,8 +1,10 @@
-"""Pictures of what collides: three orthographic views, each body in a colour of its own."""
+"""Pictures of the collision shapes: three orthographic views, each body in its own colour."""
 
 from __future__ import annotations
 
 import io
+import itertools
+import math
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -24,6 +26,11 @@ _WIDTH, _HEIGHT, _GAP = 11.0, 4.2, 0.5
 _DIM = "#5c6675"
 _MOST_FACES = 40_000
 """Triangles of one picture; finer meshes are drawn with merged corners."""
+_FACES_PER_CELL = 8
+"""Triangles of a sphere that is merged on a grid of n cells, over n squared; measured: 5 to 8."""
+_LEAST_CELLS = 3
+"""Cells along a shape below which it is drawn as its box."""
+_Drawn = tuple[Shape, tuple[Vector, Faces]]
 _OVERLAP = (0.85, 0.29, 0.20)
 _BASE = (0.74, 0.76, 0.78)
 _SHADES = (
@@ -126,11 +133,9 @@ def _surface(
         for shape in shapes
         if shape.body in places and (surface := triangles(shape)) is not None
     ]
-    total = sum(len(faces) for _, (_, faces) in found)
     corners: list[Vector] = []
     colours: list[Vector] = []
-    for shape, surface in found:
-        vertices, faces = coarse(*surface) if total > _MOST_FACES else surface
+    for shape, (vertices, faces) in _within_budget(found):
         if not len(faces):
             continue
         position, rotation = places[shape.body]
@@ -144,6 +149,30 @@ def _surface(
     if not corners:
         return None, np.zeros((0, 3))
     return np.concatenate(corners), np.concatenate(colours)
+
+
+def _within_budget(found: list[_Drawn]) -> list[_Drawn]:
+    """The same surfaces with fewer triangles, where there are more than a picture needs.
+
+    Meshes get a coarser grid, the more of them there are; beyond that the largest shapes are drawn
+    as boxes, and the rest is left out: it is smaller than a pixel beside so many others.
+    """
+    if sum(len(faces) for _, (_, faces) in found) <= _MOST_FACES:
+        return found
+    cells = math.isqrt(_MOST_FACES // (_FACES_PER_CELL * len(found)))
+    if cells >= _LEAST_CELLS:
+        return [(shape, coarse(*surface, min(cells, 40))) for shape, surface in found]
+    largest = sorted(found, key=lambda one: -float(np.ptp(one[1][0], axis=0).max()))
+    return [(shape, _box(vertices)) for shape, (vertices, _) in largest[: _MOST_FACES // 12]]
+
+
+def _box(vertices: Vector) -> tuple[Vector, Faces]:
+    """The box around vertices, along the axes of their frame."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [corner for a, b, c, d in sides for corner in ((a, b, c), (a, c, d))]
+    return corners, np.array(faces, dtype=np.int32)
 
 
 def coarse(vertices: Vector, faces: Faces, cells: int = 40) -> tuple[Vector, Faces]:

@@ -1,4 +1,4 @@
-"""Distances of collision shapes to each other at declared poses, by two engines."""
+"""Distances between collision shapes at declared poses, by two engines."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.audit.asset import Asset, Vector
+from pytest_twin.audit.broad_phase import MOST_CANDIDATES, near_pairs
 from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Faces, Geometry
 from pytest_twin.errors import ModelError, TwinError
@@ -25,11 +26,13 @@ _NEAR = 0.05
 _MOST_PAIRS = 1000
 """Pairs of one pose whose distance is computed, the nearest by their bounding spheres."""
 _MOST_POSES = 20
-_MOST_SHAPES = 3000
+_MOST_SHAPES = 20_000
+"""Collision shapes of one model; the broad phase of so many takes some seconds."""
 _TOUCH = 1e-3
 """m: overlap that rounded origins and the hulls of meshes do not explain."""
 _AGREE = 1e-4
 """m: how far two engines may differ."""
+_GOLDEN = "add a golden of kind collision_distance for the pairs of bodies that can meet"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +55,17 @@ class PoseResult:
     """One pose: values of joints in rad or m, and what is near what, the nearest first.
 
     Attributes:
-        looked_at: pairs of shapes whose distance was computed, of ``pairs`` that may be near.
-        engine: that computed ``near``'s distance.
+        looked_at: pairs of shapes whose distance was computed.
+        pairs: pairs of shapes that may be near by their bounding spheres; None where they are
+            more than the broad phase lists, and no distance was computed.
+        engine: that computed the distances of ``near``.
     """
 
     name: str
     values: Mapping[str, float]
     near: tuple[Near, ...]
     looked_at: int
-    pairs: int
+    pairs: int | None
     engine: str = "MuJoCo"
 
     @property
@@ -95,31 +100,35 @@ def poses(asset: Asset, declared: Mapping[str, Mapping[str, float]]) -> dict[str
 def measure(
     asset: Asset, geometry: Geometry, declared: Mapping[str, Mapping[str, float]]
 ) -> tuple[list[PoseResult], list[Finding]]:
-    """Distances at every pose, and what they say.
+    """Distances at every pose, and their findings.
 
-    URDF and MJCF are compiled and measured by MuJoCo, and what is near by coal too. A USD stage,
-    and a model that does not compile, are measured by coal alone, between the convex hulls of the
-    shapes that could be read.
+    URDF and MJCF are compiled and measured by MuJoCo, and pairs that are near by coal too. A USD
+    stage, and a model that does not compile, are measured by coal alone, between the convex hulls
+    of the shapes that could be read.
     """
     if not any(shape.role == "collision" for shape in asset.shapes):
-        return [], [_unknown(asset, "it has no collision shape", "collision shapes, from CAD")]
+        return [], [_unknown(asset, "it has no collision shape", "add collision shapes from CAD")]
     realization = None
     if asset.kind != "usd":
-        # What no simulator takes is still measured, between hulls.
+        # A model that no simulator takes is still measured, between hulls.
         with contextlib.suppress(TwinError):
             realization = load(asset.path, roots=asset.roots_of_files, accept_invalid_inertia=True)
-    if realization is None:
-        results = [
-            by_hulls(asset, geometry, name, values)
-            for name, values in poses(asset, declared).items()
+    count = len(asset.shapes) if realization is None else realization.model.ngeom
+    if count > _MOST_SHAPES:
+        return [], [
+            _unknown(
+                asset,
+                f"it has {count} shapes, and distances are computed for at most {_MOST_SHAPES}",
+                _GOLDEN,
+            )
         ]
-        return results, [finding for result in results for finding in _findings(asset, result)]
-    if realization.model.ngeom > _MOST_SHAPES:
-        return [], [_unknown(asset, "it has too many shapes", f"at most {_MOST_SHAPES} shapes")]
-    shapes = Shapes(realization)
-    results = [
-        _at(realization, shapes, name, values) for name, values in poses(asset, declared).items()
-    ]
+    shapes = None if realization is None else Shapes(realization)
+    results = []
+    for name, values in poses(asset, declared).items():
+        if realization is None or shapes is None:
+            results.append(by_hulls(asset, geometry, name, values))
+        else:
+            results.append(_at(realization, shapes, name, values))
     return results, [finding for result in results for finding in _findings(asset, result)]
 
 
@@ -129,8 +138,8 @@ def _unknown(asset: Asset, why: str, settle: str) -> Finding:
         "unknown",
         asset.place,
         f"robot '{asset.name}'",
-        f"distances of its bodies to each other are unknown: {why}",
-        why="a self-collision that is not seen here is found by the robot",
+        f"distances between collision shapes were not computed: {why}",
+        why="a self-collision that is not found here is found by the robot",
         settle=settle,
     )
 
@@ -140,13 +149,16 @@ def _at(
 ) -> PoseResult:
     model = realization.model
     data = mujoco.MjData(model)
-    known = {joint: value for joint, value in values.items() if joint in realization.joints}
+    names = set(realization.joints)
+    known = {joint: value for joint, value in values.items() if joint in names}
     data.qpos[:] = realization.qpos(known)
     mujoco.mj_kinematics(model, data)
-    pairs = _pairs(model)
+    pairs = _near_geoms(model, data)
+    if pairs is None:
+        return PoseResult(name, dict(known), (), 0, None)
     apart = np.linalg.norm(data.geom_xpos[pairs[:, 0]] - data.geom_xpos[pairs[:, 1]], axis=1)
     gaps = apart - model.geom_rbound[pairs].sum(axis=1)
-    order = [int(i) for i in np.argsort(gaps) if gaps[i] < _NEAR][:_MOST_PAIRS]
+    order = np.argsort(gaps, kind="stable")[:_MOST_PAIRS]
     found: dict[tuple[str, str], Near] = {}
     for index in order:
         first, second = (int(geom) for geom in pairs[index])
@@ -161,7 +173,7 @@ def _at(
         dict(known),
         tuple(sorted(found.values(), key=lambda n: n.distance)),
         len(order),
-        int((gaps < _NEAR).sum()),
+        len(pairs),
     )
 
 
@@ -178,15 +190,17 @@ def by_hulls(
         position, rotation = places[shape.body]
         corners = (hull[0] @ shape.rotation.T + shape.position) @ rotation.T + position
         solids.append((shape.body, corners.min(axis=0), corners.max(axis=0), corners, hull[1]))
-    solids = solids[:_MOST_SHAPES]
     low = np.array([solid[1] for solid in solids]).reshape(-1, 3)
     high = np.array([solid[2] for solid in solids]).reshape(-1, 3)
-    at, other = np.triu_indices(len(solids), 1)
+    pairs = near_pairs((low + high) / 2, np.linalg.norm(high - low, axis=1) / 2, _NEAR)
+    if pairs is None:
+        return PoseResult(name, dict(values), (), 0, None, "coal")
+    at, other = pairs.T
     gaps = np.maximum(low[at] - high[other], low[other] - high[at]).max(axis=1, initial=-np.inf)
     adjacent = _adjacent(asset)
     near = [
         int(i)
-        for i in np.argsort(gaps)
+        for i in np.argsort(gaps, kind="stable")
         if gaps[i] < _NEAR
         and frozenset((asset.group[solids[at[i]][0]], asset.group[solids[other[i]][0]]))
         not in adjacent
@@ -252,21 +266,27 @@ def _near(
     return Near(low, high, distance, by_coal if np.isfinite(by_coal) else None)
 
 
-def _pairs(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """(n, 2) geoms of the robot that MuJoCo would let collide."""
-    contype, conaffinity = model.geom_contype, model.geom_conaffinity
-    colliding = (contype != 0) | (conaffinity != 0)
+def _near_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64] | None:
+    """(n, 2) geoms near each other that MuJoCo would let collide; None where they are too many."""
+    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     geoms = np.flatnonzero(colliding & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)))
-    at, other = np.triu_indices(len(geoms), 1)
-    first, second = geoms[at], geoms[other]
+    near = near_pairs(data.geom_xpos[geoms], model.geom_rbound[geoms], _NEAR)
+    return None if near is None else _allowed(model, geoms[near])
+
+
+def _allowed(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those pairs of geoms that MuJoCo would let collide."""
+    contype, conaffinity = model.geom_contype, model.geom_conaffinity
+    first, second = pairs[:, 0], pairs[:, 1]
     a, b = model.geom_bodyid[first], model.geom_bodyid[second]
     weld, parent = model.body_weldid, model.body_parentid
     above_a, above_b = weld[parent[weld[a]]], weld[parent[weld[b]]]
     family = (weld[a] == weld[b]) | (weld[a] == above_b) | (weld[b] == above_a)
-    excluded = np.isin((np.minimum(a, b) << 16) + np.maximum(a, b), model.exclude_signature)
+    signature = (np.minimum(a, b).astype(np.int64) << 16) + np.maximum(a, b)
+    excluded = np.isin(signature, model.exclude_signature)
     masked = (contype[first] & conaffinity[second]) | (contype[second] & conaffinity[first])
-    kept = ~family & ~excluded & (masked != 0)
-    return np.stack([first[kept], second[kept]], axis=1).astype(np.int64)
+    kept: NDArray[np.int64] = pairs[~family & ~excluded & (masked != 0)]
+    return kept
 
 
 def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
@@ -285,26 +305,29 @@ def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
             "warning",
             place,
             f"links '{near.first}' and '{near.second}'",
-            f"their collision shapes overlap at the pose '{result.name}'"
-            + ("" if agreed else ", by how much MuJoCo and coal do not agree"),
+            f"their collision shapes overlap by {-near.distance * 1e3:.3g} mm at the pose "
+            f"'{result.name}'" + ("" if agreed else "; MuJoCo and coal disagree about the depth"),
             near.distance,
             "m",
-            "no overlap at a pose that the robot can stand in"
-            + (f"; coal finds {near.by_coal:.4g} m" if near.by_coal is not None else ""),
-            "a simulator pushes them apart from the first step on, or the pair has to be disabled",
-            "a photograph of the robot at this pose; smaller collision shapes, or the pair "
-            "declared as never colliding",
+            "a distance of 0 or more at a pose that the robot can take"
+            + (f"; coal computes {near.by_coal:.4g} m" if near.by_coal is not None else ""),
+            "a simulator pushes the two apart from the first step",
+            "shrink one of the shapes, or declare that the pair never collides",
         )
-    if result.pairs > result.looked_at:
-        yield Finding(
-            "meshes.distances_unknown",
-            "unknown",
-            asset.place,
-            f"robot '{asset.name}'",
-            f"at the pose '{result.name}' only the {result.looked_at} pairs of shapes nearest by "
-            f"their bounding spheres were looked at, of {result.pairs} that may be near",
-            why="a self-collision that is not seen here is found by the robot",
-            settle="a golden of kind collision_distance for the pairs that matter",
+    if result.pairs is None:
+        yield _unknown(
+            asset,
+            f"at the pose '{result.name}' more than {MOST_CANDIDATES} pairs of shapes are near "
+            "each other",
+            _GOLDEN,
+        )
+    elif result.pairs > result.looked_at:
+        yield _unknown(
+            asset,
+            f"at the pose '{result.name}' {result.pairs} pairs of shapes may be near each other; "
+            f"the {result.looked_at} with the smallest gap between their bounding spheres were "
+            "measured",
+            _GOLDEN,
         )
 
 

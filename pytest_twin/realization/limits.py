@@ -11,6 +11,9 @@ class ModelLimits:
 
     Attributes:
         elements: elements after includes and repetitions are counted out.
+        link_depth: links of a URDF one below the other. An MJCF nests its bodies, and XML readers
+            stop at 256 levels; MuJoCo's compiler refuses 1024 and crashes on some thousands.
+        audited_link_depth: the same for an audit, which needs no compiled model.
         include_files: files spliced into one model.
         include_depth: files that include files that include.
         nested_models: depth of models that attach models.
@@ -24,6 +27,8 @@ class ModelLimits:
     """
 
     elements: int = 100_000
+    link_depth: int = 250
+    audited_link_depth: int = 10_000
     include_files: int = 200
     include_depth: int = 8
     nested_models: int = 4

@@ -33,7 +33,7 @@ class Document:
     Attributes:
         root: the ``mujoco`` element with every include spliced in.
         assets: name that MuJoCo asks for -> bytes of a mesh, texture or other asset.
-        models: name that MuJoCo asks for -> text of a model that is attached.
+        models: name that MuJoCo's parser asks for -> an attached model, the file of a flexcomp.
         asset_paths: the same name -> a file that the bytes were read from.
         files: every file that was read, those of equal bytes too.
     """
@@ -71,9 +71,25 @@ def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Document:
     Raises:
         FormatError: not well-formed, or beyond a bound.
         PathError: a reference that leaves the roots or leads nowhere.
-        ModelError: a value that no model may have.
+        ModelError: a value that no model may have, or two assets of one name.
     """
     return _Reader(roots, limits).document(path, depth=0)
+
+
+def read_tree(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Node:
+    """The ``mujoco`` element with every include spliced in; no other file is opened.
+
+    Raises:
+        FormatError: not well-formed, or beyond a bound.
+        PathError: an include that leaves the roots or leads nowhere.
+    """
+    return _Reader(roots, limits).tree(path)
+
+
+def asset_name(node: Node) -> str:
+    """The name of a mesh, texture or other asset: its own, or else that of its file."""
+    file = node.attributes.get("file", "").replace("\\", "/")
+    return node.attributes.get("name") or Path(file).stem
 
 
 def build(document: Document) -> mujoco.MjSpec:
@@ -189,12 +205,17 @@ class _Reader:
         self.bytes = 0
         self.faces = 0
 
-    def document(self, path: Path, depth: int) -> Document:
+    def tree(self, path: Path) -> Node:
         root = self._tree(path, path.parent, (path,))
         if root.tag != "mujoco":
             raise root.error("not an MJCF model", value=root.tag, expected="the root <mujoco>")
+        return root
+
+    def document(self, path: Path, depth: int) -> Document:
+        root = self.tree(path)
         document = Document(root)
         self._check(root, 1.0)
+        self._check_asset_names(root)
         self._take_files(document, depth)
         document.files = self.read
         return document
@@ -329,6 +350,9 @@ class _Reader:
         # Named by content: equal files are one, and MuJoCo's cache cannot mix two of one name.
         name = hashlib.sha256(content).hexdigest()[:24] + suffix
         document.assets[name] = content
+        if node.tag == "flexcomp":
+            # MuJoCo's parser expands it, and reads nothing but the files that are included.
+            document.models[name] = content
         document.asset_paths[name] = path
         self.read.add(path)
         if node.tag in ("mesh", "hfield", "skin", "texture"):
@@ -367,6 +391,20 @@ class _Reader:
                 )
 
     # -- values
+
+    @staticmethod
+    def _check_asset_names(root: Node) -> None:
+        """Refuse a second asset of one name, before a file of either is looked for."""
+        first: dict[tuple[str, str], Node] = {}
+        for section in root.all("asset"):
+            for node in section.children:
+                name = asset_name(node)
+                before = first.setdefault((node.tag, name), node)
+                if name and before is not node:
+                    raise node.error(
+                        f"a second {node.tag} named '{name}'",
+                        expected=f"a name unlike that of {before.place}",
+                    )
 
     def _check(self, node: Node, repeated: float) -> None:
         """Refuse what is not finite, negative, or without measure. ``repeated``: copies of node."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -138,10 +139,44 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
                 expected=f"unlike line {joints[joint.name].node.line}",
             )
         joints[joint.name] = joint
+    check_depth(root, [(joint.parent, joint.child) for joint in joints.values()], limits.link_depth)
     robot = Robot(root, "", links, joints, {name: [] for name in links})
     _check_tree(robot)
     _check_mimics(robot)
     return robot
+
+
+def check_depth(robot: Node, ends: Iterable[tuple[str, str]], most: int) -> None:
+    """Refuse links that hang too deep below each other.
+
+    Args:
+        robot: the ``robot`` element.
+        ends: parent and child of each joint.
+        most: links between a root and a leaf, both counted.
+
+    Raises:
+        LimitError: a longer chain.
+    """
+    children: dict[str, list[str]] = {}
+    below: set[str] = set()
+    for parent, child in ends:
+        children.setdefault(parent, []).append(child)
+        below.add(child)
+    level = [name for name in children if name not in below]
+    reached = set(level)
+    depth = 0
+    while level:
+        depth += 1
+        found = (child for name in level for child in children.get(name, ()))
+        level = [name for name in dict.fromkeys(found) if name not in reached]
+        reached.update(level)
+    if depth > most:
+        raise robot.limit(
+            "too many links one below the other",
+            value=depth,
+            unit="links in one chain",
+            expected=f"at most {most}",
+        )
 
 
 def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
