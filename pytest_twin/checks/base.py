@@ -103,7 +103,12 @@ class Check(ABC):
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """First specs of this kind that a robot can have, for ``pytest-twin init``.
 
-        Each is a spec without ``schema`` and ``kind`` and with ``name``, its file name without
-        suffix. Empty where the robot cannot have one.
+        Each is a spec without ``schema`` and ``kind`` and with ``name``: what it is about, such as
+        a joint; unique within the kind, any text. ``notes``, where there are some, say what was
+        left out of the spec and why; they become comments at the top of its file. Empty where
+        there is nothing to propose.
+
+        Raises:
+            SpecError: why the robot cannot have one.
         """
         return []

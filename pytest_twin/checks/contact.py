@@ -296,7 +296,7 @@ def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
         ]
         release: list[Mapping[str, Any]] = [
             {
-                "name": _file_name("release", target["pair"][1]),
+                "name": f"release_{target['pair'][1]}",
                 "title": f"A box let go above {target['pair'][1]}",
                 "target": {"primitive": "release", **target},
                 "stimulus": {"duration": "1.5 s", "gap": "20 mm", "others": "locked", **pose},
@@ -307,7 +307,7 @@ def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
         push = {"direction": [1.0, 0.0, 0.0], "force": f"{2.0 * _LOAD:.3g} N", "duration": "0.5 s"}
         slide: list[Mapping[str, Any]] = [
             {
-                "name": _file_name("slide", target["pair"][1]),
+                "name": f"slide_{target['pair'][1]}",
                 "title": f"A box pushed over {target['pair'][1]}",
                 "target": {"primitive": "slide", **target},
                 "stimulus": {
@@ -324,7 +324,7 @@ def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
         return [
             [
                 {
-                    "name": _file_name("release", body),
+                    "name": f"release_{body}",
                     "title": f"The robot let go above a floor, {body} first",
                     "target": {"primitive": "release", "pair": [body, FLOOR], "floor": -5.0},
                     "stimulus": {"duration": "0.3 s", "gap": "20 mm", **pose},
@@ -341,7 +341,7 @@ def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
     return [
         [
             {
-                "name": _file_name("approach", body),
+                "name": f"approach_{body}",
                 "title": f"A ball pressed on {body}",
                 "target": {"primitive": "approach", "pair": [OBJECT, body], "object": ball},
                 "stimulus": {
@@ -356,7 +356,3 @@ def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
             for body in reversed(touching)
         ]
     ]
-
-
-def _file_name(primitive: str, name: str) -> str:
-    return f"{primitive}_{name}".replace("/", "_").replace(" ", "_")

@@ -219,7 +219,7 @@ class FrequencyResponse(Check):
         specs: list[Mapping[str, Any]] = []
         for joint, command in (joints[i] for i in chosen):
             spec: dict[str, Any] = {
-                "name": joint.replace("/", "_"),
+                "name": joint,
                 "title": f"Frequency response of {joint}",
                 "target": {"joint": joint, "command": command},
                 "stimulus": {

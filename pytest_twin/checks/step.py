@@ -187,7 +187,7 @@ class Step(Check):
                 )
             specs.append(
                 {
-                    "name": joint.replace("/", "_"),
+                    "name": joint,
                     "title": f"Step of {joint}",
                     "target": {"joint": joint, "command": command},
                     "stimulus": {

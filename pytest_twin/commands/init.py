@@ -79,7 +79,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
         )
     for note in seen["notes"]:
         show(f"note: {note}")
-    specs = [writing.write_spec(folder, spec) for spec in found["specs"]]
+    specs = writing.write_specs(folder, found["specs"])
     recorded, failing, left_out = _record(twin_file, specs)
     summary = {
         "twin": str(twin_file),

@@ -40,3 +40,24 @@ def file_sha256(path: Path) -> str:
 def bytes_sha256(data: bytes) -> str:
     """SHA-256 of ``data``, hex."""
     return hashlib.sha256(data).hexdigest()
+
+
+def only_line_endings(data: bytes, sha256: str) -> str | None:
+    """What to do where ``data`` has another digest only because LF became CR LF; else None.
+
+    Args:
+        data: the file's bytes.
+        sha256: the digest that was recorded, hex.
+    """
+    if b"\r\n" not in data or bytes_sha256(data.replace(b"\r\n", b"\n")) != sha256:
+        return None
+    return (
+        "has CR LF line endings where LF was recorded; nothing else differs. Git converts them "
+        "under core.autocrlf: " + LINE_ENDINGS_ADVICE
+    )
+
+
+LINE_ENDINGS_ADVICE = (
+    "commit a .gitattributes with '* -text' in the twin's folder (pytest-twin init writes one) "
+    "and check the files out again"
+)

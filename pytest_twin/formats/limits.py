@@ -40,7 +40,7 @@ class TraceLimits:
     file_bytes: int = 16 * 2**20
     rows_count: int = 200_000
     columns_count: int = 512
-    name_chars: int = 256
+    heading_chars: int = 2048
 
 
 @dataclass(frozen=True, slots=True)

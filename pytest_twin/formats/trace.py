@@ -1,16 +1,23 @@
-"""Traces as CSV: one axis, one column per series, every number as it was."""
+"""Traces as CSV: one axis, one column per series, every number with all its digits.
+
+A heading holds a name and a unit, ``position:elbow [rad]``. In the name, characters that a heading
+cannot hold (``,`` ``"`` ``[`` ``]`` ``%`` and control characters) are written as ``%`` and two hex
+digits for each byte of their UTF-8 form, as in URLs: ``position:finger%5B1%5D [rad]``.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import re
 from pathlib import Path
+from urllib.parse import quote, unquote
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import atomic, limits
+from pytest_twin.formats.digest import only_line_endings
 from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.trace import Trace
 
@@ -37,7 +44,8 @@ def read_trace(path: Path, sha256: str | None = None) -> Trace:
         found = hashlib.sha256(data).hexdigest()
         if found != sha256:
             raise FormatError(
-                "is not the trace that the spec names: SHA-256 differs",
+                only_line_endings(data, sha256)
+                or "is not the trace that the spec names: SHA-256 differs",
                 path=path,
                 value=found,
                 expected=sha256,
@@ -108,7 +116,7 @@ def trace_text(trace: Trace) -> str:
             )
         if not np.isfinite(series).all():
             raise FormatError("a value that is not finite", where=name, unit=unit)
-    header = ",".join(f"{name} [{unit}]" for name, unit, _ in named)
+    header = ",".join(f"{_escaped(name)} [{unit}]" for name, unit, _ in named)
     table = [[float.__repr__(v) for v in np.asarray(s, np.float64).tolist()] for _, _, s in named]
     text = "\n".join([header, *map(",".join, zip(*table, strict=True))]) + "\n"
     if len(text) > limits.TRACE.file_bytes:
@@ -143,7 +151,7 @@ def _headings(line: str, path: Path) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
     for index, cell in enumerate(cells):
         match = _HEADING.fullmatch(cell)
-        if match is None or len(cell) > limits.TRACE.name_chars or not cell.isprintable():
+        if match is None or len(cell) > limits.TRACE.heading_chars or not cell.isprintable():
             raise FormatError(
                 f"heading {index + 1} is no name with a unit",
                 path=path,
@@ -151,10 +159,26 @@ def _headings(line: str, path: Path) -> list[tuple[str, str]]:
                 value=cell,
                 expected="such as 'time [s]'",
             )
-        if any(name == match["name"] for name, _ in found):
+        try:
+            name = unquote(match["name"], errors="strict")
+        except UnicodeDecodeError:
+            raise FormatError(
+                f"heading {index + 1} has a % escape that is not UTF-8",
+                path=path,
+                line=1,
+                value=cell,
+                expected="'%25' for a percent sign",
+            ) from None
+        if any(name == other for other, _ in found):
             raise FormatError("a heading stands twice", path=path, line=1, value=cell)
-        found.append((match["name"], match["unit"]))
+        found.append((name, match["unit"]))
     return found
+
+
+def _escaped(name: str) -> str:
+    return "".join(
+        quote(char, safe="") if char in ',"[]%' or not char.isprintable() else char for char in name
+    )
 
 
 def _numbers(rows: list[str], headings: list[tuple[str, str]], path: Path) -> FloatArray:

@@ -45,11 +45,14 @@ class FileEntry:
         name: relative POSIX path: in the release's folder, or, for external files, from the
             twin's folder.
         sha256: hex. size: bytes.
+        original: the path in the twin's folder where that is no valid file name on every system,
+            and ``name`` stands for it; None where they are the same.
     """
 
     name: str
     sha256: str
     size: int
+    original: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,21 +361,28 @@ def _name(entry: FileEntry) -> str:
 
 def _descriptor(entry: FileEntry) -> dict[str, Any]:
     """An in-toto ResourceDescriptor."""
+    annotations: dict[str, Any] = {"size": entry.size}
+    if entry.original is not None:
+        annotations["original"] = entry.original
     return {
         "name": entry.name,
         "digest": {"sha256": entry.sha256},
-        "annotations": {"size": entry.size},
+        "annotations": annotations,
     }
 
 
 def _read_descriptor(fields: Any) -> FileEntry:
     _require_fields(fields, {"name", "digest", "annotations"}, "file")
     _require_fields(fields["digest"], {"sha256"}, "file.digest")
-    _require_fields(fields["annotations"], {"size"}, "file.annotations")
-    size = fields["annotations"]["size"]
+    annotations = dict(fields["annotations"])
+    original = annotations.pop("original", None)
+    _require_fields(annotations, {"size"}, "file.annotations")
+    size = annotations["size"]
     if not isinstance(fields["name"], str) or type(size) is not int or size < 0:
         raise TypeError("a file without name or size")
-    return FileEntry(fields["name"], _require_sha256(fields["digest"]["sha256"]), size)
+    if original is not None and not isinstance(original, str):
+        raise TypeError("an original path that is no text")
+    return FileEntry(fields["name"], _require_sha256(fields["digest"]["sha256"]), size, original)
 
 
 def _require_fields(table: Any, expected: set[str], where: str) -> None:

@@ -18,6 +18,7 @@ from securesystemslib.signer import CryptoSigner
 from pytest_twin.errors import PathError, ReleaseError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import bytes_sha256
+from pytest_twin.formats.file_names import portable_paths
 from pytest_twin.formats.paths import open_regular
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
@@ -166,19 +167,34 @@ def _stage(
 
 def _copy(staging: Path, root: Path, draft: Draft) -> tuple[list[FileEntry], list[FileEntry]]:
     files, external = [], []
+    names = {path: _relative_name(path, root) for path in draft.files}
+    copies = portable_paths(names[path] for path in draft.files if _is_inside(path, root))
     for path, expected in draft.files.items():
-        real = Path(os.path.realpath(path))
-        inside = real.is_relative_to(root)
-        name = PurePosixPath(os.path.relpath(real, root)).as_posix()
-        copy = staging / FILES / name if inside else None
+        real, name = Path(os.path.realpath(path)), names[path]
+        inside = _is_inside(path, root)
+        copy = staging / FILES / copies[name] if inside else None
         sha256, size = _digest_into(real, copy)
         if sha256 != expected:
             raise ReleaseError("changed under the run; nothing was released", path=path)
         if inside:
-            files.append(FileEntry(f"{FILES}/{name}", sha256, size))
+            original = None if copies[name] == name else _as_text(name)
+            files.append(FileEntry(f"{FILES}/{copies[name]}", sha256, size, original))
         else:
             external.append(FileEntry(name, sha256, size))
     return files, external
+
+
+def _is_inside(path: Path, root: Path) -> bool:
+    return Path(os.path.realpath(path)).is_relative_to(root)
+
+
+def _relative_name(path: Path, root: Path) -> str:
+    return PurePosixPath(os.path.relpath(os.path.realpath(path), root)).as_posix()
+
+
+def _as_text(name: str) -> str:
+    """A path as JSON can hold it; bytes that are no text are written as escapes."""
+    return name.encode("utf-8", "backslashreplace").decode()
 
 
 def _digest_into(path: Path, copy: Path | None) -> tuple[str, int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import resources
@@ -16,6 +17,7 @@ import yaml
 from pytest_twin.checks import kinds
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
+from pytest_twin.formats.file_names import portable_names
 from pytest_twin.gate.schema import golden_schema, modeline
 from pytest_twin.twin import FILE_NAME
 
@@ -134,21 +136,48 @@ def write_twin_file(
     return path
 
 
-def write_spec(folder: Path, spec: Mapping[str, Any]) -> Path:
-    """One first golden, ``golden/<kind>/<name>.yaml``; returns its path.
+def write_specs(folder: Path, specs: Sequence[Mapping[str, Any]]) -> list[Path]:
+    """First goldens, ``golden/<kind>/<name>.yaml`` with names that every system can hold.
+
+    A spec's ``name`` is what it is about, such as a joint; ``notes`` become comments at its top.
 
     Raises:
         SpecError: there is one already.
     """
+    names: dict[str, list[str]] = {}
+    for spec in specs:
+        names.setdefault(str(spec["kind"]), []).append(str(spec["name"]))
+    files = {kind: portable_names(of_kind) for kind, of_kind in names.items()}
+    return [
+        _write_spec(
+            folder / _GOLDEN / spec["kind"] / f"{files[spec['kind']][spec['name']]}.yaml", spec
+        )
+        for spec in specs
+    ]
+
+
+def _write_spec(path: Path, spec: Mapping[str, Any]) -> Path:
     body = {"schema": 1, **spec}
-    name = str(body.pop("name"))
-    path = folder / _GOLDEN / str(spec["kind"]) / f"{name}.yaml"
+    del body["name"]
+    notes = body.pop("notes", [])
     if path.exists():
         raise SpecError("the golden's place is taken", path=path, expected="a new folder")
     path.parent.mkdir(parents=True, exist_ok=True)
     head = modeline(f"../../{_SCHEMAS}/golden.schema.json")
-    atomic.write_text(path, f"{head}\n{_dump(body)}")
+    comments = "".join(f"{line}\n" for note in notes for line in _comment(note))
+    atomic.write_text(path, f"{head}\n{comments}{_dump(body)}")
     return path
+
+
+def _comment(note: str) -> list[str]:
+    return textwrap.wrap(
+        " ".join(note.split()),
+        width=100,
+        initial_indent="# ",
+        subsequent_indent="#   ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def write_schemas(folder: Path) -> None:

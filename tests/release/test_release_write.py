@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -140,11 +141,27 @@ def test_an_advisory_failure_is_released_as_such(root: Path) -> None:
     assert not proof.outcome.measures[0].passed
 
 
-def test_a_name_that_is_another_file_elsewhere_is_refused(root: Path) -> None:
-    (root / "meshes" / "LINK.stl").write_bytes(b"other")
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        ("LINK.stl", r"files/meshes/LINK_stl-[0-9a-f]{8}\.stl"),
+        ("a:b.stl", r"files/meshes/a_b_stl-[0-9a-f]{8}\.stl"),
+        ("con.stl", r"files/meshes/con_stl-[0-9a-f]{8}\.stl"),
+        ("dot.", r"files/meshes/dot-[0-9a-f]{8}"),
+    ],
+)
+def test_a_name_that_another_system_lacks_is_kept_under_a_portable_one(
+    root: Path, given: str, kept: str
+) -> None:
+    (root / "meshes" / given).write_bytes(b"other")
     signer, _ = release.signer(root)
-    with pytest.raises(ReleaseError, match=r"two files are one on other systems.*LINK\.stl"):
-        release.write(root, make_draft(root), signer, html)
+    release.write(root, make_draft(root), signer, html, now=NOW)
+    verdict = release.check(root / "releases" / "0001", now=NOW)
+    assert verdict.holds
+    assert verdict.release is not None
+    (entry,) = [e for e in verdict.release.files if e.original == f"meshes/{given}"]
+    assert re.fullmatch(kept, entry.name)
+    assert (root / "releases" / "0001" / entry.name).read_bytes() == b"other"
 
 
 # interrupted and concurrent writes

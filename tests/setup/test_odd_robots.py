@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 BIN = Path(sys.executable).parent
 NAMELESS = """\
@@ -108,3 +110,44 @@ def test_a_spec_that_is_there_is_never_overwritten(tmp_path: Path) -> None:
     )
     assert mine.read_text() == "# mine\n"
     assert sorted(path.name for path in folder.iterdir()) == ["golden", "robot.xml"]
+
+
+ODD_NAMES = """\
+<mujoco model="hand"><worldbody><geom name="floor: main" type="plane" size="2 2 .1"/>
+<body name="robot0:palm" pos="0 0 .5"><joint name="robot0:FFJ3" axis="0 1 0" range="-60 60"
+damping=".2" armature=".01"/><geom name="robot0:C/palm" type="box" size=".1 .1 .02" mass="1"/>
+<site name="robot0:S palm" pos="0 0 .1"/>
+<body name="con" pos=".2 0 0"><joint name="CON" axis="0 1 0" range="-60 60" damping=".2"
+armature=".01"/><geom type="box" size=".1 .02 .02" mass=".3"/>
+<body name="親指 [1], &quot;x&quot;" pos=".2 0 0"><joint name="con" axis="0 1 0" range="-60 60"
+damping=".2" armature=".01"/><geom type="box" size=".1 .02 .02" mass=".3"/>
+<body name="Con" pos=".2 0 0"><joint name="関節/1, [a] &quot;b&quot;" type="slide" axis="0 0 1"
+range="-.1 .1" damping="2" armature=".1"/><geom type="box" size=".1 .02 .02" mass=".3"/>
+<site name="Spitze." pos=".1 0 0"/></body></body></body></body></worldbody>
+<actuator><position name="robot0:A_FFJ3" joint="robot0:FFJ3" kp="30" kv="2"/>
+<position name="a/b" joint="CON" kp="20" kv="1"/><motor name="con." joint="con"/>
+<velocity name="駆動" joint="関節/1, [a] &quot;b&quot;" kv="20"/></actuator>
+<keyframe><key name="home: 1" qpos=".1 .1 0 0"/></keyframe></mujoco>
+"""
+
+
+def test_odd_names_get_portable_files_and_a_release(tmp_path: Path) -> None:
+    folder = tmp_path / "twin"
+    folder.mkdir()
+    (folder / "robot.xml").write_text(ODD_NAMES)
+    made = run("pytest-twin", "init", "robot.xml", cwd=folder)
+    assert made.returncode == 0, made.stdout + made.stderr
+    told = json.loads((folder / ".twin" / "init.json").read_text())
+    assert told["failing"] == told["left_out"] == {}
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("golden/*/*"))
+    assert all(re.fullmatch(r"[A-Za-z0-9_.\-/]+", file) for file in files)
+    assert len({file.lower() for file in files}) == len(files)
+    steps = [file for file in files if re.fullmatch(r"golden/step/.*\.yaml", file)]
+    assert len(steps) == 4
+    titles = [yaml.safe_load((folder / step).read_text())["title"] for step in steps]
+    assert any("robot0:FFJ3" in title for title in titles)
+    released = run("pytest", "--twin-release", cwd=folder)
+    assert released.returncode == 0, released.stdout[-3000:]
+    assert "release 0001 signed" in released.stdout
+    verified = run("pytest-twin", "verify", "releases/0001", cwd=folder)
+    assert verified.returncode == 0, verified.stdout + verified.stderr

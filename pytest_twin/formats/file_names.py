@@ -1,0 +1,119 @@
+"""File names for the names that robots use: valid on every system, one file for each name.
+
+A name keeps its spelling where that is a valid file name everywhere: letters of ASCII, digits,
+``_``, ``-`` and ``.``. Any other name gets a readable form and the start of its SHA-256:
+``robot0:FFJ3`` becomes ``robot0_FFJ3-cc9add09``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable
+
+MAX_LENGTH = 80
+"""Characters: leaves room for a suffix, folders and Windows' 260 characters of a whole path."""
+
+_DIGEST_LENGTHS = (8, 16, 32, 64)
+_VALID = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]*[A-Za-z0-9_-])?")
+_OTHER = re.compile(r"[^A-Za-z0-9_-]+")
+# Windows keeps these names for devices, whatever the suffix.
+_DEVICE = re.compile(r"(?:con|prn|aux|nul|conin\$|conout\$|com[0-9]|lpt[0-9])(?:\..*)?", re.I)
+
+
+def portable_names(names: Iterable[str]) -> dict[str, str]:
+    """Each name with its file name, without suffix.
+
+    Two names never share a file, on systems that ignore case neither: names that would, such as
+    ``FFJ3`` and ``ffj3``, all get a part of their SHA-256. Apart from such a group, the file name
+    depends on the name alone, not on the other names or their order.
+    """
+    digits = dict.fromkeys(names, 0)
+    for name in digits:
+        if not _is_valid(name):
+            digits[name] = _DIGEST_LENGTHS[0]
+    while True:
+        found = {name: _spelled(name, length) for name, length in digits.items()}
+        users = Counter(file_name.casefold() for file_name in found.values())
+        shared = [name for name, file_name in found.items() if users[file_name.casefold()] > 1]
+        if not shared:
+            return found
+        for name in shared:
+            # Two full digests never agree, so the lengths stop growing before they end.
+            digits[name] = next((n for n in _DIGEST_LENGTHS if n > digits[name]), digits[name])
+
+
+def portable_name(name: str) -> str:
+    """The file name, without suffix, of a name that has a folder of its own."""
+    return portable_names([name])[name]
+
+
+def portable_paths(paths: Iterable[str]) -> dict[str, str]:
+    """Each relative POSIX path with one whose every part is valid everywhere; none coincide.
+
+    Files keep their suffix where it is valid.
+    """
+    given = list(dict.fromkeys(paths))
+    tree: dict[str, set[str]] = {}
+    for path in given:
+        parts = path.split("/")
+        for depth, part in enumerate(parts):
+            tree.setdefault("/".join(parts[:depth]), set()).add(part)
+    named = {folder: _with_suffixes(parts) for folder, parts in tree.items()}
+    found = {}
+    for path in given:
+        parts = path.split("/")
+        spelled = (named["/".join(parts[:depth])][part] for depth, part in enumerate(parts))
+        found[path] = "/".join(spelled)
+    return found
+
+
+def _with_suffixes(parts: Iterable[str]) -> dict[str, str]:
+    """Names of one folder's files and folders, each as ``portable_names`` has it, with suffix."""
+    parts = sorted(parts)
+    folded = Counter(part.casefold() for part in parts)
+    kept = {part for part in parts if _fits(part) and folded[part.casefold()] == 1}
+    found = {part: part for part in kept}
+    for part, spelled in portable_names(part for part in parts if part not in kept).items():
+        stem, dot, suffix = part.rpartition(".")
+        ending = f".{suffix}" if stem and dot and re.fullmatch(r"[A-Za-z0-9]{1,10}", suffix) else ""
+        file_name = spelled + ending
+        taken = {other.casefold() for other in found.values()}
+        if file_name.casefold() in taken:
+            file_name = f"{_digest(part, _DIGEST_LENGTHS[-1])}{ending}"
+        found[part] = file_name
+    return found
+
+
+def _fits(part: str) -> bool:
+    """Whether a file or folder that exists can keep its name: letters of any alphabet are fine."""
+    return (
+        unicodedata.normalize("NFC", part) == part
+        and not part.endswith((".", " "))
+        and not any(char in '<>:"|?*\\' or unicodedata.category(char)[0] == "C" for char in part)
+        and not _DEVICE.fullmatch(part)
+    )
+
+
+def _is_valid(name: str) -> bool:
+    return (
+        len(name) <= MAX_LENGTH
+        and _VALID.fullmatch(name) is not None
+        and _DEVICE.fullmatch(name) is None
+    )
+
+
+def _spelled(name: str, digest_length: int) -> str:
+    if not digest_length:
+        return name
+    digest = _digest(name, digest_length)
+    # Accents go, other alphabets too: not every system writes them as the same bytes.
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    words = _OTHER.sub("_", plain).strip("_-")[: MAX_LENGTH - digest_length - 1].rstrip("_-")
+    return f"{words}-{digest}" if words else digest
+
+
+def _digest(name: str, length: int) -> str:
+    return hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:length]
