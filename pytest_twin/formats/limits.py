@@ -92,6 +92,14 @@ class CsvLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class ParquetLimits:
+    """Bounds on a data set in Parquet: what is read of one file, and how many files."""
+
+    uncompressed_bytes: int = 2 * 2**30
+    files_count: int = 100_000
+
+
+@dataclass(frozen=True, slots=True)
 class HashLimits:
     """Bound on a file that is only digested."""
 
@@ -104,4 +112,5 @@ XML = XmlLimits()
 TRACE = TraceLimits()
 MCAP = McapLimits()
 CSV = CsvLimits()
+PARQUET = ParquetLimits()
 HASH = HashLimits()

@@ -1,0 +1,237 @@
+"""LeRobot data sets, versions 2.0, 2.1 and 3.0: each episode is a recording.
+
+Layout: ``meta/info.json`` describes the features and where the Parquet files lie; version 2 writes
+a file for each episode, version 3 many episodes into one.
+https://github.com/huggingface/lerobot, ``src/lerobot/datasets/utils.py``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.errors import FormatError, LimitError, RecordingError
+from pytest_twin.formats import limits
+from pytest_twin.formats.paths import decode_text, read_bytes
+from pytest_twin.formats.recording import JointSeries, Notes, Recording
+from pytest_twin.formats.recordings.base import Asked
+from pytest_twin.formats.recordings.lerobot_units import Unit, unit_of
+from pytest_twin.formats.recordings.parquet import data_files, read_columns
+from pytest_twin.formats.serialized import QUANTITIES, Floats, Integers
+
+INFO = "meta/info.json"
+_VERSION = re.compile(r"v[23]\.\d{1,3}")
+_FEATURES = {"state": "observation.state", "command": "action"}
+_SUFFIXES = {
+    ".pos": "position",
+    ".vel": "velocity",
+    ".effort": "effort",
+    ".torque": "effort",
+}
+# Timestamps are frame / fps, rounded to single precision.
+_SINGLE = 2.0**-22
+
+
+class LeRobotDataset:
+    """Reads the folder of a LeRobot data set."""
+
+    kind: ClassVar[str] = "LeRobot data set"
+
+    def reads(self, path: Path) -> bool:
+        """Whether it is a folder with ``meta/info.json``."""
+        return path.is_dir() and (path / INFO).is_file()
+
+    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+        """Read all its episodes, in their order."""
+        return _Dataset(path, asked).recordings()
+
+
+@dataclass(frozen=True)
+class _Feature:
+    """One vector of the data set: a name and a quantity for each of its values."""
+
+    column: str
+    names: tuple[str, ...]
+    quantities: tuple[str, ...]
+
+
+class _Dataset:
+    def __init__(self, path: Path, asked: Asked) -> None:
+        self.path, self.asked = path, asked
+        self.file = path / INFO
+        self.notes = Notes()
+        self.info = self.read_info()
+        features = self.info.get("features")
+        if not isinstance(features, dict):
+            raise FormatError("describes no features", path=self.file, where="features")
+        self.features = {
+            role: self.feature(features[column], column)
+            for role, column in _FEATURES.items()
+            if column in features and role in asked.topics
+        }
+        if not self.features:
+            raise RecordingError(
+                "no joint states and no actions",
+                path=self.file,
+                where="features",
+                value=", ".join(map(str, features)),
+                expected=" and ".join(_FEATURES.values()),
+            )
+        self.declared = features
+
+    def read_info(self) -> dict[str, Any]:
+        text = decode_text(read_bytes(self.file, limits.YAML.file_bytes), self.file)
+        try:
+            found = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise FormatError(f"not JSON: {str(error)[:80]}", path=self.file) from None
+        if not isinstance(found, dict):
+            raise FormatError("not a JSON object", path=self.file)
+        version = str(found.get("codebase_version"))
+        if not _VERSION.fullmatch(version):
+            raise FormatError(
+                "a version of LeRobot's format that is not read",
+                path=self.file,
+                where="codebase_version",
+                value=version,
+                expected="v2.0 to v3.0; lerobot converts older data sets",
+            )
+        return found
+
+    def feature(self, declared: object, column: str) -> _Feature:
+        shape = declared.get("shape") if isinstance(declared, dict) else None
+        where = f"features.{column}"
+        match shape:
+            case [int() as count] if 0 < count <= limits.MCAP.joints_count:
+                pass
+            case _:
+                raise FormatError(
+                    "not a vector of joints",
+                    path=self.file,
+                    where=f"{where}.shape",
+                    value=str(shape),
+                    expected=f"[n] with n up to {limits.MCAP.joints_count}",
+                )
+        assert isinstance(declared, dict)
+        written = _flat(declared.get("names"))
+        if len(written) != count or len(set(written)) != count:
+            self.notes.add(
+                column,
+                f"has no name for each of its {count} values: joints are named by their place, "
+                f"0 to {count - 1}",
+            )
+            written = [str(place) for place in range(count)]
+        names, quantities = [], []
+        for name in written:
+            if not name.isprintable() or len(name) > limits.CSV.name_chars:
+                raise FormatError("no joint's name", path=self.file, where=where, value=name)
+            suffix = next((s for s in _SUFFIXES if name.endswith(s) and name != s), "")
+            names.append(name.removesuffix(suffix))
+            quantities.append(_SUFFIXES.get(suffix, "position"))
+        return _Feature(column, tuple(names), tuple(quantities))
+
+    def recordings(self) -> list[Recording]:
+        columns = [feature.column for feature in self.features.values()]
+        sizes = {f.column: len(f.names) for f in self.features.values()}
+        table = read_columns(
+            data_files(self.path, self.info.get("data_path"), self.file),
+            {**sizes, "timestamp": 0, "frame_index": 0, "episode_index": 0},
+        )
+        if not len(table["episode_index"]):
+            raise RecordingError("no frames", path=self.path)
+        order = np.lexsort((table["frame_index"], table["episode_index"]))
+        table = {name: values[order] for name, values in table.items()}
+        unit = unit_of(
+            self.asked.units,
+            self.info,
+            [self.declared[column] for column in columns],
+            {c: table[c] for c in columns},
+            self.file,
+            self.notes,
+        )
+        time = self.times(table)
+        episode = table["episode_index"].astype(np.int64)
+        first = np.flatnonzero(np.diff(episode, prepend=episode[0] - 1))
+        if len(first) > limits.MCAP.messages_free_count:
+            raise LimitError("too many episodes", path=self.path, value=len(first))
+        ends = [*first[1:].tolist(), len(episode)]
+        notes = tuple(str(note) for note in self.notes.all())
+        return [
+            self.episode(int(episode[begin]), slice(begin, end), table, time, unit, notes)
+            for begin, end in zip(first.tolist(), ends, strict=True)
+        ]
+
+    def episode(
+        self,
+        number: int,
+        rows: slice,
+        table: Mapping[str, Floats],
+        time: Integers,
+        unit: Unit,
+        notes: tuple[str, ...],
+    ) -> Recording:
+        series = {
+            role: self.series(role, feature, table[feature.column][rows], time[rows], unit)
+            for role, feature in self.features.items()
+        }
+        metadata = (
+            {"robot_type": str(self.info["robot_type"])} if self.info.get("robot_type") else {}
+        )
+        role = self.role_of(number)
+        if role:
+            metadata["role"] = role
+        return Recording(self.path / f"episode_{number:06d}", series, metadata, (), notes)
+
+    def series(
+        self, role: str, feature: _Feature, values: Floats, time: Integers, unit: Unit
+    ) -> JointSeries:
+        names = tuple(dict.fromkeys(feature.names))
+        tables: dict[str, Floats | None] = dict.fromkeys(QUANTITIES)
+        for at, (name, quantity) in enumerate(zip(feature.names, feature.quantities, strict=True)):
+            table = tables[quantity]
+            if table is None:
+                table = tables[quantity] = np.full((len(time), len(names)), np.nan)
+            scale = 1.0 if quantity == "effort" else unit.scale
+            table[:, names.index(name)] = values[:, at] * scale
+        return JointSeries(
+            topic=self.asked.topics[role], names=names, stamp=time, log_time=time.copy(), **tables
+        )
+
+    def times(self, table: Mapping[str, Floats]) -> Integers:
+        """(n,) ns. Single precision is a grid of 8 us after 100 s: frame / fps is exact."""
+        written, frame = table["timestamp"], table["frame_index"]
+        fps = self.info.get("fps")
+        if isinstance(fps, (int, float)) and 0 < fps < 1e6:
+            exact = frame / fps
+            if (np.abs(written - exact) <= _SINGLE * np.abs(exact)).all():
+                written = exact
+        if not np.isfinite(written).all() or np.abs(written).max() > 2**33:
+            raise RecordingError("a timestamp that is no time", path=self.path, where="timestamp")
+        return np.rint(written * 1e9).astype(np.int64)
+
+    def role_of(self, number: int) -> str | None:
+        """``fit`` or ``held_out`` where the data set has splits besides ``train``."""
+        splits = self.info.get("splits")
+        if not isinstance(splits, dict) or len(splits) < 2:
+            return None
+        for name, span in splits.items():
+            first, _, last = str(span).partition(":")
+            if first.isdecimal() and last.isdecimal() and int(first) <= number < int(last):
+                return "fit" if name == "train" else "held_out"
+        return None
+
+
+def _flat(names: object) -> list[str]:
+    """Names of a feature: a list, a list in a list, or lists under headings."""
+    if isinstance(names, str):
+        return [names]
+    parts = names.values() if isinstance(names, dict) else names
+    if not isinstance(parts, (list, type({}.values()))):
+        return []
+    return [name for part in parts for name in _flat(part)]

@@ -1,0 +1,166 @@
+"""Numbers of Parquet files, through ``pyarrow``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.formats import limits
+from pytest_twin.formats.paths import Roots, open_regular
+from pytest_twin.formats.serialized import Floats
+
+_FIELD = re.compile(r"\{(episode_chunk|episode_index|chunk_index|file_index)(?::0?\d{1,2}d)?\}")
+
+
+def data_files(folder: Path, template: object, at: Path) -> list[Path]:
+    """The files that a template such as ``data/chunk-{chunk_index:03d}/...`` stands for.
+
+    Args:
+        folder: of the data set; nothing outside it is named.
+        template: as written.
+        at: the file in which it is written, for errors.
+
+    Raises:
+        FormatError: no template, or no file of it.
+        PathError: a file that is a link out of the folder, or no file.
+        LimitError: too many.
+    """
+    if not isinstance(template, str) or not template.endswith(".parquet"):
+        raise FormatError(
+            "no place of the data",
+            path=at,
+            where="data_path",
+            value=template,
+            expected="such as data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        )
+    pattern = "*".join(re.split(r"\*+", _FIELD.sub("*", template)))
+    parts = Path(pattern).parts
+    if Path(pattern).is_absolute() or ".." in parts or any(mark in pattern for mark in "{}[]?"):
+        raise FormatError("not a place in the data set", path=at, where="data_path", value=template)
+    found = sorted(folder.glob(pattern))
+    if len(found) > limits.PARQUET.files_count:
+        raise LimitError(
+            "too many data files",
+            path=folder,
+            value=len(found),
+            expected=f"at most {limits.PARQUET.files_count}",
+        )
+    if not found:
+        raise FormatError("no data file is there", path=at, where="data_path", value=template)
+    roots = Roots(folder)
+    return [
+        roots.resolve(str(file.relative_to(folder)), at=folder / "data", where="data_path")
+        for file in found
+    ]
+
+
+def read_columns(files: Sequence[Path], columns: Mapping[str, int]) -> dict[str, Floats]:
+    """Columns of all files, one after another.
+
+    Args:
+        files: of one layout.
+        columns: name -> values a row, 0 for a plain number.
+
+    Returns:
+        name -> (n,) or (n, values), float64.
+
+    Raises:
+        FormatError: ``pyarrow`` is missing, or a file is damaged or of another layout.
+        LimitError: beyond ``limits.PARQUET``.
+        PathError: no regular file.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise FormatError(
+            "Parquet files are read by pyarrow, which is not installed",
+            path=files[0],
+            expected="pip install 'pytest-twin[lerobot]'",
+        ) from None
+    parts: dict[str, list[Floats]] = {name: [] for name in columns}
+    rows = 0
+    for file in files:
+        with open_regular(file) as stream:
+            try:
+                parquet = pyarrow.parquet.ParquetFile(stream)
+                rows += parquet.metadata.num_rows
+                _check_size(parquet.metadata, columns, rows, file)
+                missing = set(columns) - set(parquet.schema_arrow.names)
+                if missing:
+                    raise FormatError(
+                        "a column is missing",
+                        path=file,
+                        value=", ".join(sorted(missing)),
+                        expected=", ".join(columns),
+                    )
+                table = parquet.read(columns=list(columns), use_threads=False)
+                for name, width in columns.items():
+                    parts[name].append(_numbers(table.column(name), width, name, file))
+            except _damage(pyarrow.ArrowException) as error:
+                reason = " ".join(str(error).split())[:120] or "out of memory"
+                raise FormatError(f"cannot be read as Parquet: {reason}", path=file) from None
+    return {name: np.concatenate(some) for name, some in parts.items()}
+
+
+def _damage(arrow: type[Exception]) -> tuple[type[Exception], ...]:
+    """What pyarrow raises on damaged files: its own errors, and Python's from its wrappers."""
+    return (arrow, OSError, MemoryError, OverflowError, ValueError, KeyError, IndexError, TypeError)
+
+
+def _check_size(metadata: Any, columns: Mapping[str, int], rows: int, file: Path) -> None:
+    values = sum(max(1, width) for width in columns.values())
+    if rows * values > limits.MCAP.samples_count:
+        raise LimitError(
+            "too many values",
+            path=file,
+            value=rows * values,
+            expected=f"at most {limits.MCAP.samples_count}",
+        )
+    unpacked = 0
+    for group in range(metadata.num_row_groups):
+        for at in range(metadata.num_columns):
+            column = metadata.row_group(group).column(at)
+            if column.path_in_schema.removesuffix(".list.element") in columns:
+                unpacked += column.total_uncompressed_size
+    if not 0 <= unpacked <= limits.PARQUET.uncompressed_bytes:
+        raise LimitError(
+            "too much when unpacked",
+            path=file,
+            value=unpacked,
+            unit="bytes",
+            expected=f"at most {limits.PARQUET.uncompressed_bytes} bytes",
+        )
+
+
+def _numbers(column: Any, width: int, name: str, file: Path) -> Floats:
+    import pyarrow
+
+    def refuse(problem: str) -> FormatError:
+        expected = f"{width} numbers a row" if width else "a number a row"
+        return FormatError(problem, path=file, where=name, expected=expected)
+
+    whole = column.combine_chunks()
+    if isinstance(whole, pyarrow.ChunkedArray):
+        whole = pyarrow.concat_arrays(whole.chunks) if whole.num_chunks else pyarrow.array([])
+    count = len(column)
+    kind = whole.type
+    nested = pyarrow.types.is_list(kind) or pyarrow.types.is_fixed_size_list(kind)
+    nested = nested or pyarrow.types.is_large_list(kind)
+    if nested != bool(width) and not (nested and width == 0) and not (width == 1 and not nested):
+        raise refuse(f"a column of {kind}")
+    if nested:
+        lengths = whole.value_lengths() if not whole.null_count else None
+        per_row = max(1, width)
+        if lengths is None or (count and not (np.asarray(lengths) == per_row).all()):
+            raise refuse("rows of another length")
+        whole = whole.flatten()
+    if not (pyarrow.types.is_floating(whole.type) or pyarrow.types.is_integer(whole.type)):
+        raise refuse(f"a column of {whole.type}")
+    values = np.asarray(whole.to_numpy(zero_copy_only=False), dtype=np.float64)
+    return values.reshape(count, width) if width else values.reshape(count)
