@@ -1,0 +1,316 @@
+"""Commands and states in the messages of ros2_control, in each encoding."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros_messages as ros
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+from mcap_files import START, Message, cdr, put
+
+from pytest_twin.errors import RecordingError, TwinError
+from pytest_twin.formats.recording import Recording
+from pytest_twin.formats.recordings import read_one
+
+NAN = np.nan
+MS = 1_000_000
+JOINTS = ("a", "b")
+
+
+def bag(
+    messages: Iterable[tuple[str, str, int, bytes]], encoding: str = "cdr", *, long: bool = True
+) -> bytes:
+    """MCAP of (topic, type, log time, message)."""
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start(profile="ros2", library="test")
+    channels: dict[str, int] = {}
+    for topic, kind, log_time, data in messages:
+        if topic not in channels:
+            name = kind if long else kind.replace("/msg/", "/")
+            schema = writer.register_schema(name, "ros2msg", b"x")
+            channels[topic] = writer.register_channel(topic, encoding, schema)
+        writer.add_message(channels[topic], log_time, data, log_time)
+    writer.finish()
+    return stream.getvalue()
+
+
+def read(folder: Path, data: bytes, **topics: str) -> Recording:
+    return read_one(put(folder, data), topics)
+
+
+@pytest.mark.parametrize("old", [True, False])
+@pytest.mark.parametrize("long", [True, False])
+def test_a_controller_state_is_command_and_state(tmp_path: Path, old: bool, long: bool) -> None:
+    messages = [
+        (
+            "/jtc",
+            ros.CONTROLLER_STATE,
+            START + k * MS + 5,
+            ros.controller_state(
+                START + k * MS,
+                JOINTS,
+                ros.point([k + 0.1, -k], [1.0, 2.0]),
+                ros.point([k + 0.2, -k], (), [3.0, 4.0]),
+                old=old,
+            ),
+        )
+        for k in range(5)
+    ]
+    recording = read(tmp_path, bag(messages, long=long), state="/jtc", command="/jtc")
+    command, state = recording.series["command"], recording.series["state"]
+    assert command.names == state.names == JOINTS
+    assert state.stamp.tolist() == [START + k * MS for k in range(5)]
+    assert state.log_time.tolist() == [START + k * MS + 5 for k in range(5)]
+    np.testing.assert_array_equal(command.position, [[k + 0.1, -k] for k in range(5)])
+    np.testing.assert_array_equal(command.velocity, [[1.0, 2.0]] * 5)
+    assert command.effort is None
+    np.testing.assert_array_equal(state.position, [[k + 0.2, -k] for k in range(5)])
+    np.testing.assert_array_equal(state.effort, [[3.0, 4.0]] * 5)
+    assert recording.damage == ()
+    (topic,) = recording.topics
+    assert (topic.type, topic.messages, topic.joints) == (ros.CONTROLLER_STATE, 5, JOINTS)
+
+
+def test_dynamic_joint_states_have_interfaces_of_their_own_each(tmp_path: Path) -> None:
+    joints = {
+        "a": {"velocity": 1.5, "position": 0.5, "temperature": 40.0},
+        "b": {"position": -0.5},
+        "gripper": {"voltage": 12.0},
+    }
+    messages = [("/d", ros.DYNAMIC, START + k, ros.dynamic(START + k, joints)) for k in range(3)]
+    state = read(tmp_path, bag(messages), state="/d").series["state"]
+    assert state.names == ("a", "b", "gripper")
+    np.testing.assert_array_equal(state.position, [[0.5, -0.5, NAN]] * 3)
+    np.testing.assert_array_equal(state.velocity, [[1.5, NAN, NAN]] * 3)
+    assert state.effort is None
+
+
+@pytest.mark.parametrize(
+    ("topic", "labels", "names", "filled"),
+    [
+        ("/c", ("a", "b"), ("a", "b"), ("position", "velocity", "effort")),
+        ("/c", (), ("0", "1"), ("position", "velocity", "effort")),
+        ("/c", ("joints",), ("0", "1"), ("position", "velocity", "effort")),
+        ("/forward_velocity_controller/commands", (), ("0", "1"), ("velocity",)),
+        ("/joint_group_effort_controller/commands", ("a", "b"), ("a", "b"), ("effort",)),
+    ],
+)
+def test_arrays_are_named_by_labels_or_places_and_say_what_is_open(
+    tmp_path: Path,
+    topic: str,
+    labels: tuple[str, ...],
+    names: tuple[str, ...],
+    filled: tuple[str, ...],
+) -> None:
+    messages = [(topic, ros.ARRAY, START + k * MS, ros.array([k, k + 1], labels)) for k in range(3)]
+    recording = read(tmp_path, bag(messages), command=topic)
+    command = recording.series["command"]
+    assert command.names == names
+    assert command.stamp.tolist() == command.log_time.tolist()
+    for quantity in ("position", "velocity", "effort"):
+        table = getattr(command, quantity)
+        if quantity in filled:
+            np.testing.assert_array_equal(table, [[0, 1], [1, 2], [2, 3]])
+        else:
+            assert table is None
+    said = " ".join(recording.notes)
+    assert "does not say what its values are" in said
+    assert ("named by their place" in said) == (names == ("0", "1"))
+
+
+def points(*rows: tuple[int, float]) -> list[object]:
+    return [ros.point([value, -value], after=after * MS) for after, value in rows]
+
+
+def test_a_trajectory_runs_until_the_next_replaces_the_rest(tmp_path: Path) -> None:
+    messages = [
+        (
+            "/t",
+            ros.TRAJECTORY,
+            START + 7,
+            ros.trajectory(START, JOINTS, points((100, 1.0), (200, 2.0), (300, 3.0))),
+        ),
+        (
+            "/t",
+            ros.TRAJECTORY,
+            START + 250 * MS,
+            ros.trajectory(START + 250 * MS, JOINTS, points((50, 9.0))),
+        ),
+    ]
+    recording = read(tmp_path, bag(messages), command="/t")
+    command = recording.series["command"]
+    assert ((command.stamp - START) // MS).tolist() == [100, 200, 250, 300]
+    np.testing.assert_allclose(command.position, [[1, -1], [2, -2], [2.5, -2.5], [9, -9]])
+    assert ((command.log_time[:2] - START) % MS).tolist() == [7, 7]
+    assert recording.metadata == {"command_between": "interpolated"}
+
+
+def test_a_trajectory_that_has_ended_holds_its_last_point(tmp_path: Path) -> None:
+    messages = [
+        ("/t", ros.TRAJECTORY, START, ros.trajectory(START, JOINTS, points((0, 1.0), (10, 2.0)))),
+        (
+            "/t",
+            ros.TRAJECTORY,
+            START + 50 * MS,
+            ros.trajectory(START + 50 * MS, JOINTS, points((0, 5.0), (10, 6.0))),
+        ),
+    ]
+    command = read(tmp_path, bag(messages), command="/t").series["command"]
+    assert (command.stamp - START).tolist() == [0, 10 * MS, 50 * MS - 1, 50 * MS, 60 * MS]
+    assert command.position is not None
+    assert command.position[:, 0].tolist() == [1, 2, 2, 5, 6]
+
+
+def test_a_trajectory_without_stamp_begins_when_it_is_received(tmp_path: Path) -> None:
+    data = bag([("/t", ros.TRAJECTORY, START, ros.trajectory(0, JOINTS, points((10, 1.0))))])
+    recording = read(tmp_path, data, command="/t")
+    assert recording.series["command"].stamp.tolist() == [START + 10 * MS]
+    assert "1 trajectories without header.stamp begin when the recorder" in recording.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ([], "no points: a stop where the joints are"),
+        (points((20, 1.0), (10, 2.0)), "time_from_start does not increase"),
+        ([ros.point([1.0], after=1)], "1 values of position for 2 joints"),
+    ],
+)
+def test_trajectories_that_mean_nothing_are_named(
+    tmp_path: Path, given: list[object], words: str
+) -> None:
+    data = bag([("/t", ros.TRAJECTORY, START, ros.trajectory(START, JOINTS, given))])
+    with pytest.raises(RecordingError) as caught:
+        read(tmp_path, data, command="/t")
+    assert words in str(caught.value)
+
+
+def test_ros_1_messages_are_read(tmp_path: Path) -> None:
+    messages = [
+        ("/js", ros.JOINT_STATE, START + k, ros.ros1_joint_state(START + k, JOINTS, [k, 2 * k]))
+        for k in range(4)
+    ]
+    state = read(tmp_path, bag(messages, "ros1", long=False), state="/js").series["state"]
+    assert state.names == JOINTS
+    assert state.stamp.tolist() == [START + k for k in range(4)]
+    np.testing.assert_array_equal(state.position, [[k, 2 * k] for k in range(4)])
+
+
+STAMP = {"stamp": {"sec": START // 10**9, "nanosec": 5}}
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "position"),
+    [
+        (
+            ros.CONTROLLER_STATE,
+            ros.as_json(
+                header=STAMP,
+                joint_names=JOINTS,
+                reference={"positions": [1, 2]},
+                feedback={"positions": [3, 4]},
+            ),
+            [1, 2],
+        ),
+        (
+            ros.CONTROLLER_STATE,
+            ros.as_json(header=STAMP, joint_names=JOINTS, desired={"positions": [1, 2]}),
+            [1, 2],
+        ),
+        (
+            ros.DYNAMIC,
+            ros.as_json(
+                header=STAMP,
+                joint_names=JOINTS,
+                interface_values=[
+                    {"interface_names": ["position"], "values": [1]},
+                    {"interface_names": ["velocity", "position"], "values": [0, 2]},
+                ],
+            ),
+            [1, 2],
+        ),
+        (
+            ros.ARRAY,
+            ros.as_json(layout={"dim": [{"label": "a"}, {"label": "b"}]}, data=[1, 2]),
+            [1, 2],
+        ),
+        (
+            ros.TRAJECTORY,
+            ros.as_json(
+                header=STAMP,
+                joint_names=JOINTS,
+                points=[{"positions": [1, 2], "time_from_start": {"sec": 0, "nanosec": 1}}],
+            ),
+            [1, 2],
+        ),
+    ],
+)
+def test_each_type_is_read_from_json(
+    tmp_path: Path, kind: str, message: bytes, position: list[float]
+) -> None:
+    command = read(tmp_path, bag([("/c", kind, START, message)], "json"), command="/c")
+    series = command.series["command"]
+    assert series.names == JOINTS
+    np.testing.assert_array_equal(series.position, [position])
+
+
+def test_topics_that_are_not_read_are_known_with_their_joints(tmp_path: Path) -> None:
+    messages = [
+        ("/js", ros.JOINT_STATE, START, cdr(Message(START, JOINTS, (1.0, 2.0), (3.0, 4.0)))),
+        ("/arm/commands", ros.ARRAY, START, ros.array([1.0], ("a",))),
+        ("/tf", "tf2_msgs/msg/TFMessage", START, b"\0\1\0\0\0\0\0\0"),
+    ]
+    recording = read(tmp_path, bag(messages), state="/joint_states", command="/joint_commands")
+    assert recording.series == {}
+    found = {topic.name: (topic.roles, topic.joints, topic.filled) for topic in recording.topics}
+    assert found == {
+        "/js": (("state", "command"), JOINTS, ("position", "velocity")),
+        "/arm/commands": (("command",), ("a",), ("position", "velocity", "effort")),
+        "/tf": ((), (), ()),
+    }
+
+
+SEEDS = {
+    ros.CONTROLLER_STATE: ros.controller_state(
+        START, JOINTS, ros.point([1, 2]), ros.point([3, 4]), old=False
+    ),
+    ros.DYNAMIC: ros.dynamic(START, {"a": {"position": 1.0}, "b": {"effort": 2.0}}),
+    ros.ARRAY: ros.array([1.0, 2.0], JOINTS),
+    ros.TRAJECTORY: ros.trajectory(START, JOINTS, points((0, 1.0), (10, 2.0))),
+}
+
+
+def error_of(path: Path) -> TwinError | None:
+    try:
+        read_one(path, {"command": "/c"})
+    except TwinError as error:
+        return error
+    return None
+
+
+@pytest.mark.parametrize("kind", list(SEEDS))
+@settings(
+    max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_changed_messages_are_read_or_one_line(
+    kind: str, data: st.DataObject, tmp_path: Path
+) -> None:
+    message = bytearray(SEEDS[kind])
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(message) - 1))
+        message[at : at + 4] = data.draw(
+            st.sampled_from([b"\xff" * 4, b"\0" * 4, b"\xff\xff\xff\x7f", b"\1\0\0\0", b""])
+        )
+    del message[data.draw(st.integers(4, len(message))) :]
+    encoding = data.draw(st.sampled_from(["cdr", "ros1"]))
+    path = put(tmp_path, bag([("/c", kind, START, bytes(message))], encoding))
+    error = error_of(path)
+    assert error is None or error.path == path
