@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -12,6 +13,8 @@ from pytest_twin.report.each_minute import EachMinute
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
+
+_LOOK_SECONDS = 1.0
 
 
 class Progress:
@@ -27,6 +30,8 @@ class Progress:
         self._stages = stages
         self._log = EachMinute(work)
         self._live: RichProgress | None = None
+        self._done = 0.0
+        self._ended = threading.Event()
 
     def __enter__(self) -> Self:
         # A terminal alone is worth the time that rich takes to load.
@@ -34,6 +39,8 @@ class Progress:
             self._live = _live_line()
             self._live.start()
             self._live.add_task(self.work, total=1.0)
+        else:
+            threading.Thread(target=self._each_minute, daemon=True).start()
         return self
 
     def __exit__(
@@ -42,6 +49,7 @@ class Progress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._ended.set()
         if self._live is not None:
             self._live.stop()
             self._live = None
@@ -49,18 +57,27 @@ class Progress:
     def begin(self, work: str) -> None:
         """Start the next piece of work, at nothing done."""
         self.work = work
+        self._done = 0.0
         self._log = EachMinute(work)
         if self._live is not None:
             self._live.reset(self._live.task_ids[0], description=work, total=1.0)
 
     def __call__(self, fraction: float) -> None:
         """Show that ``fraction``, 0 to 1, is done."""
-        stage = next((name for start, name in reversed(self._stages) if fraction >= start), "")
+        self._done = fraction
         if self._live is not None:
+            stage = self._stage()
             text = f"{self.work}: {stage}" if stage else self.work
             self._live.update(self._live.task_ids[0], completed=fraction, description=text)
-        elif (line := self._log.line(fraction, stage)) is not None:
-            print(line, file=sys.stderr, flush=True)
+
+    def _stage(self) -> str:
+        return next((name for start, name in reversed(self._stages) if self._done >= start), "")
+
+    def _each_minute(self) -> None:
+        # A step of the work may take many minutes, in which it reports nothing.
+        while not self._ended.wait(_LOOK_SECONDS):
+            if (line := self._log.line(self._done, self._stage())) is not None:
+                print(line, file=sys.stderr, flush=True)
 
 
 def _live_line() -> RichProgress:
