@@ -1,4 +1,4 @@
-"""Where what is left, or what was explained, may be the error of the model's own step."""
+"""Notes where a residual or a finding may come from the integration error of the time step."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.verdict import JointError
 
 _STANDS, _OF_IT = 2.0, 3.0
-"""Floors that are left, and times as much that the step's own error has to be."""
+"""Residual in floors, and ratio of integration error to residual, from which a note is made."""
 _OF_ALL = 0.5
-"""Share of what was to be explained beyond which the step's own error may have been what was."""
+"""Ratio of integration error to nominal error from which a finding may come from the step."""
 
 
 def off_by_the_step(
     problem: Problem, errors: Mapping[str, JointError], times: float
 ) -> dict[str, float]:
-    """Joint -> root mean square of the step's own error, rad or m, where more than the floor is
-    left and that error is more than so many times what is.
+    """Joint -> RMS integration error in rad or m, where it is large compared with the residual.
 
     Args:
-        problem: refined at what explains it.
-        errors: of each joint that was tested.
-        times: how much more.
+        problem: refined at the hypothesis.
+        errors: of each tested joint.
+        times: least ratio of integration error to residual.
     """
     return {
         joint: float(rms)
@@ -38,16 +37,15 @@ def off_by_the_step(
 def coarse_step(
     problem: Problem, hypothesis: Hypothesis, errors: Mapping[str, JointError]
 ) -> list[str]:
-    """A line for each joint where the step's own error is far more than what is left over the
-    floor, or about what was to be explained where something was found.
+    """A note for each joint whose integration error is large compared with residual or findings.
 
-    Every prediction is corrected by that error, measured by refining the step, to first order: of a
-    gear that rings or a push that is sudden some stays, and what was found bends to it.
+    Predictions are corrected by the integration error to first order only. For a resonant
+    transmission or a sudden force a part remains and biases the findings.
 
     Args:
-        problem: what was explained.
-        hypothesis: what explains it.
-        errors: of each joint that was tested.
+        problem: the problem.
+        hypothesis: the findings.
+        errors: of each tested joint.
     """
     if not hypothesis.terms:
         return []
@@ -59,17 +57,20 @@ def coarse_step(
     lines = []
     for joint, error in errors.items():
         if joint in off:
-            words = f"{own[joint] / error.after:.0f} times what is left: that, and sizes, may be"
+            words = (
+                f"{own[joint] / error.after:.0f} times the residual; residual and values may come "
+                "from it"
+            )
         elif joint in found_at and own[joint] > _OF_ALL * error.before:
             words = (
-                f"and {error.before:.2g} {error.unit} were to be explained: what was found at it "
-                "may be"
+                f"compared with {error.before:.2g} {error.unit} of the model's error; the findings "
+                "at this joint may come from it"
             )
         else:
             continue
         lines.append(
-            f"joint {joint!r}: with what was found the simulator's step of {step:g} ms is itself "
-            f"{own[joint]:.2g} {error.unit} off, {words} the step's; a smaller timestep of the "
-            "model says more"
+            f"joint {joint!r}: the integration error of the time step ({step:g} ms) is "
+            f"{own[joint]:.2g} {error.unit}, {words}. Reduce the model's timestep and repeat the "
+            "diagnosis"
         )
     return lines

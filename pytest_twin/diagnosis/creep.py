@@ -33,8 +33,8 @@ from pytest_twin.diagnosis.verdict import LEFT_FLOORS, STANDS_OUT
 from pytest_twin.effects.rows import RowSimulator
 
 CREEPS = (
-    "dry friction creeps under load, as MuJoCo's default friction constraint has it: with friction "
-    "that holds more is left"
+    "dry friction creeps under load in these recordings, as in MuJoCo's default friction "
+    "constraint; with friction that holds at rest the residual is larger"
 )
 # Share of what stands above the floor that may be left where the other way is right, and before
 # anything is fitted to it.

@@ -1,4 +1,4 @@
-"""The whole way: trials to a problem, a structure, findings, and what is left."""
+"""A diagnosis from recordings to findings and the unexplained residual."""
 
 from __future__ import annotations
 
@@ -53,36 +53,35 @@ from pytest_twin.trial import Trial
 _CLEAR = 0.1
 _CONTACT = "contact"
 _IN_WINDOWS = (
-    f"predicted in windows of {WINDOW:g} s that start from what was measured: over whole "
-    "recordings small errors of this motion grow (a servo that hunts, an arm that falls, a speed "
-    "that adds up)"
+    f"all errors are of predictions over windows of {WINDOW:g} s that start from measured states: "
+    "over whole recordings small errors of this motion grow (an oscillating servo, a falling arm, "
+    "an integrated velocity)"
 )
 
 _NAMED_IN_WINDOWS = (
-    f"named in windows of {WINDOW:g} s that start from what was measured, fitted over whole "
-    "recordings: where a joint sticks and slips, whole motions tell fewer names apart"
+    f"the effects were selected in windows of {WINDOW:g} s that start from measured states, and "
+    "fitted over whole recordings: over whole recordings stick-slip motion separates effects less"
 )
 
 _AS_A_DRIVE = (
-    "named as a drive: all that every motor behind a gear has was fitted at once, for where a "
-    "joint sticks and slips none of it stands out alone; what else could stand in the place of "
-    "those that are half sure was not asked"
+    "all drive parameters were fitted together, because stick-slip motion does not separate them; "
+    "alternatives to the findings with 50 % confidence were not tested"
 )
 
 
 @dataclass(slots=True)
 class Diagnosis:
-    """What was found.
+    """Result of a diagnosis.
 
     Attributes:
-        verdict: in one word.
+        verdict: one word.
         explained: findings.
-        errors: joint -> prediction errors on held-out recordings, or on all without any.
-        left: joint -> what is unexplained, only joints that are the cause.
-        notes: what a reader has to know, one line each.
-        prepared, selected, trials: what it rests on.
+        errors: joint -> prediction error on held-out recordings, or on all if none is held out.
+        left: joint -> unexplained residual, only for joints that cause it.
+        notes: one line each, for the reader.
+        prepared, selected, trials: problem, model selection and recordings behind the result.
         before, after: (samples, signals) residuals over all segments.
-        cost: in time.
+        cost: computing time.
     """
 
     verdict: Verdict
@@ -99,7 +98,7 @@ class Diagnosis:
 
     @property
     def has_held_out(self) -> bool:
-        """Whether any recording was kept from the fits."""
+        """Whether any recording was held out."""
         return bool(len(self.prepared.problem.held_out))
 
     def to_json(self, *, realization: str) -> dict[str, Any]:
@@ -147,18 +146,18 @@ def diagnose(
     threads: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Diagnosis:
-    """Locate, name, fit and verify.
+    """Diagnose a model: locate errors, identify effects, fit them, and test them.
 
     Args:
-        realization: the model as it came.
-        trials: what was recorded.
-        inherited: effects beside the model, where it is the realization of an earlier diagnosis.
-        threads: of the batches, 0 for all cores.
-        progress: told the fraction done.
+        realization: the nominal model.
+        trials: the recordings.
+        inherited: effects of an earlier diagnosis that the MJCF of ``realization`` cannot hold.
+        threads: threads of batch simulations, 0 for all cores.
+        progress: called with the fraction done.
 
     Raises:
-        RecordingError: no joint that the model and every recording share, or angles in no rad.
-        SpecError: a controller, payload or actuator that the model lacks.
+        RecordingError: model and recordings share no joint, or angles are not in rad.
+        SpecError: a controller, payload or actuator is missing in the model.
     """
     since = time.perf_counter()
     notes = list(trials.notes)
@@ -175,10 +174,10 @@ def diagnose(
         nonlocal steps
         del text
         steps += 1
-        # Nobody knows how many rounds a search takes: every one does a part of what is left.
+        # The number of rounds is unknown: each one advances by a fixed part of the remainder.
         progress(0.06 + 0.74 * (1.0 - 0.95**steps))
 
-    # Candidates that run away overflow; what is not finite is ranked last.
+    # Diverging candidates overflow; values that are not finite are ranked last.
     problems: list[Problem] = []
     with np.errstate(over="ignore", invalid="ignore"):
         given, prepared, trials = simulated_so(given, prepared, trials, problems)
@@ -196,7 +195,9 @@ def diagnose(
     notes += found.explained.notes
     notes += coarse_step(found.prepared.problem, found.explained.hypothesis, found.errors)
     if not len(prepared.problem.held_out):
-        notes.append("errors and gains are of the recordings that were fitted")
+        notes.append(
+            "no recording was held out: errors and gains are those of the fitted recordings"
+        )
     progress(0.94)
     return Diagnosis(
         found.verdict, found.explained, found.errors, left, tuple(notes), found.prepared,
@@ -391,7 +392,7 @@ def _left_out_joints(
             notes.append(f"joint {joint!r} is left out: {', '.join(lacking)} {lack} it")
         elif lacking:
             notes.append(
-                f"joint {joint!r} is in no recording: it starts where the model has it, and what "
-                "the others feel of it is known no better"
+                f"joint {joint!r} is in no recording: it is simulated from the model's initial "
+                "position, and its influence on the other joints is not tested"
             )
     return notes

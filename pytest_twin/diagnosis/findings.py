@@ -1,4 +1,4 @@
-"""From a chosen structure to findings: parameters with intervals, what each buys, and what next."""
+"""Findings of a selected model: parameters with intervals, gain, alternatives, next test."""
 
 from __future__ import annotations
 
@@ -21,24 +21,26 @@ from pytest_twin.diagnosis.verdict import UNSEEN
 from pytest_twin.effects.base import Parameter
 from pytest_twin.trial import Trial
 
-# Without recordings to predict, no name is surer than this.
+# Largest confidence without held-out recordings.
 _UNTESTED = 0.8
+# Correlation of two parameters from which only a combination of them is reported as known.
 _CORRELATED = 0.9
-# A name whose parameter stands at its physical bound, or that is told by other joints alone, is no
-# surer than this.
+# Largest confidence with a parameter at its physical bound, or a joint whose encoder is stuck.
 _DOUBTED = 0.5
-# s from the start of a window of an effort drive, in which what a name does is measured.
+# s after the start of a window under effort commands in which a finding's effect is measured: later
+# the open-loop error of any change dominates.
 _SOON = 0.25
-# A finding moves whole motions if it moves them this many times as far as they are off with it: two
-# motions that have parted are as far from one another as from a third.
+# A finding changes whole motions if it moves them this many times as far as their residual; two
+# motions that have diverged differ from each other as much as from a third.
 _TOLD = 2.0
-# A reciprocal whose interval reaches zero: its inverse is open; this many times the value is said.
+# Where the interval of a reciprocal reaches zero, its inverse is unbounded. The reported end
+# is then this many times the known one.
 _OPEN = 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter: SI value in ``unit`` and the 95 % interval."""
+    """One parameter: value in ``unit`` (SI) and the 95 % interval."""
 
     value: float
     unit: str
@@ -48,7 +50,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A rival in a finding's place."""
+    """An effect that may explain the data instead of a finding."""
 
     effect: str
     joint: str | None
@@ -60,19 +62,18 @@ class Finding:
     """An effect that the data support.
 
     Attributes:
-        effect, joint: what and where; joint None for the whole robot's.
-        confidence: share of the evidence against the rivals in its place.
+        effect, joint: id and joint name; joint None for an effect of the whole robot.
+        confidence: posterior share against its alternatives.
         parameters: name -> estimate.
         where: when and in which regime it shows.
-        held_out_gain: fraction of the squared held-out error, in units of each signal's floor,
-            that goes when this finding joins the others, those refitted without it.
-        stands: floors by which some joint's predicted position (or effort, where no position
-            feels it) moves when the finding is taken away from the others as they are; findings
-            are ordered by it.
-        alternatives: rivals, best first.
-        next_test: the recording that would separate it from the best rival.
-        correlated: parameters of which only a combination is known, one line each.
-        term: in the problem's own numbering.
+        held_out_gain: fraction of the squared held-out error, in floors, that disappears when the
+            finding is added to the others, which were refitted without it.
+        stands: largest change of a predicted position without the finding, in floors (of a
+            measured effort where no position changes); findings are ordered by it.
+        alternatives: other effects, most likely first.
+        next_test: the experiment that separates it from the most likely alternative.
+        correlated: parameters of which only a combination is identifiable, one line each.
+        term: effect and joint in the problem's numbering.
     """
 
     effect: str
@@ -90,12 +91,13 @@ class Finding:
 
 @dataclass(slots=True)
 class Explained:
-    """Findings and the predictions behind them.
+    """Findings, and the hypothesis and covariance behind them.
 
     Attributes:
-        findings: ordered by how much of the mismatch each explains.
-        hypothesis: of all of them.
-        spread: of its parameters.
+        findings: ordered by how much of the error each explains.
+        hypothesis: all of them together.
+        spread: intervals and correlations of its parameters.
+        notes: one line each, for the reader.
     """
 
     findings: tuple[Finding, ...]
@@ -110,13 +112,13 @@ def explain(
     pruned: Pruned,
     trials: Sequence[Trial],
 ) -> Explained:
-    """Turn the selected structure into findings.
+    """Findings of the selected model, with intervals, gains and alternatives.
 
     Args:
         prepared: the problem.
-        selected: its best structure.
-        pruned: what of it stands.
-        trials: fit, then held-out, as ``prepared`` numbers them.
+        selected: result of the model selection.
+        pruned: the terms that remain after pruning.
+        trials: fitted, then held-out, as ``prepared`` numbers them.
     """
     problem = prepared.problem
     hypothesis = pruned.fitted.hypothesis
@@ -143,21 +145,21 @@ def explain(
         others = selected.alternatives.get(term, [])
         confidence = selected.confidence.get(term, 1.0)
         if not np.isfinite(confidence):
-            # Nothing speaks for it where even what was chosen could not be compared.
+            # The selected model itself could not be compared: no support.
             confidence = 0.0
         if not len(problem.held_out):
             confidence = min(confidence, _UNTESTED)
         if term.joint >= 0 and problem.floor[term.joint] >= UNSEEN:
             confidence = min(confidence, _DOUBTED)
             pruned.notes.append(
-                f"{label(problem, term)}: its own encoder says nothing; what it is, and where it "
-                "starts, is told by what other joints feel of it alone"
+                f"{label(problem, term)}: the encoder of this joint gives no information. The "
+                "effect was identified from the other joints only; confidence is at most 50 %"
             )
         if hypothesis.at_bound(term) or problem.out_of_shape(hypothesis, term):
             confidence = min(confidence, _DOUBTED)
             pruned.notes.append(
-                f"{label(problem, term)}: a parameter stands at its physical bound; something "
-                "else may be at work"
+                f"{label(problem, term)}: a parameter is at its physical bound. Another effect may "
+                "be the cause; confidence is at most 50 %"
             )
         found.append(
             Finding(
@@ -181,12 +183,12 @@ def explain(
 
 
 def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
-    """Findings of windows, ordered by how far whole motions of ``problem`` move without each.
+    """Findings of short windows, reordered by their effect on whole motions of ``problem``.
 
-    A speed that adds up, or a servo that swings, moves them further than any window. Where one of
-    them runs away nothing is told, and they stay. So do, behind the others, those that move them no
-    further than all that was found is off there: an arm that flails is somewhere else in the end
-    whatever changes.
+    An integrated velocity or an oscillating servo changes whole motions more than any window. The
+    order stays where a prediction diverges. Findings that change whole motions less than twice the
+    residual keep their order behind the others: such motions have diverged, and their differences
+    carry no information.
     """
     hypothesis = explained.hypothesis
     gone = [hypothesis.without(f.term) for f in explained.findings]
@@ -201,11 +203,10 @@ def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
 
 
 def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
-    """Floors by which the predictions of all but the first differ from it, at the joint where most.
+    """Largest RMS difference of each prediction to the first over all joints, in floors.
 
-    Of positions; of efforts where no position differs. Windows of effort drives count by what
-    stands soon after each start: an arm that nothing holds runs away from any change, and what acts
-    first has grown most in the end.
+    Positions are compared, or efforts where no position differs. In windows under effort commands
+    only the beginning counts: later the open-loop motion diverges after any change.
     """
     first, *others = problem.predict(hypotheses, problem.tested)
     segments = [problem.simulator.segments[s] for s in problem.tested]
@@ -230,17 +231,17 @@ def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
 
 
 def _gain(without: float, with_it: float) -> float:
-    """Share of a squared error that a finding removes; all of it where it ends a divergence."""
+    """Share of a squared error that a finding removes; 1 where the simulation diverges without."""
     if not np.isfinite(without):
         return 1.0
     return float(np.clip((without - with_it) / without, -1.0, 1.0)) if without > 0.0 else 0.0
 
 
 def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) -> FloatArray:
-    """(samples,) rise of the squared error, in floors, where the term is taken away."""
+    """(samples,) increase of the squared error without the term, in squared floors."""
     rise = (without**2 - best**2) / problem.signal_floor**2
     diverged = ~np.isfinite(rise)
-    # All of a stretch that diverges is to blame alike, and no less than any other.
+    # All diverged samples count equally, and at least as much as any other.
     rise[diverged] = max(float(rise[~diverged].max(initial=0.0)), 1.0)
     joints = len(problem.joints)
     columns = range(rise.shape[1]) if term.joint < 0 else range(term.joint, rise.shape[1], joints)
@@ -249,7 +250,7 @@ def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) 
 
 
 def joint_type(problem: Problem, joint: int) -> str:
-    """``hinge`` or ``slide``; of the whole robot, the first joint's."""
+    """``hinge`` or ``slide``; for the whole robot (-1) the first joint's."""
     model = problem.simulator.segments[0].model
     kind = int(model.jnt_type[problem.simulator.layout.joint_ids[max(joint, 0)]])
     return "slide" if kind == int(mujoco.mjtJoint.mjJNT_SLIDE) else "hinge"
@@ -279,21 +280,21 @@ def _estimates(
 
 
 def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -> Estimate:
-    """A parameter as it is reported: finite numbers, within its physical bounds.
+    """The reported value and interval of a parameter: finite and within its physical bounds.
 
     Args:
         p: the parameter.
-        theta, half: value and half of the interval's width, in multiples of ``scale``; where
-            the width is unknown the interval is all that the bounds allow.
-        scale: SI units.
-        unit: of the reported value.
+        theta, half: value and half width of the interval, in multiples of ``scale``; an unknown
+            width gives the whole range of the bounds.
+        scale: reference scale in SI units.
+        unit: unit of the reported value.
     """
     half = half if np.isfinite(half) else np.inf
     low, high = (float(x) * scale for x in np.clip([theta - half, theta + half], p.lower, p.upper))
     value = theta * scale
     if p.reciprocal_of is None:
         return Estimate(value, unit, low, high)
-    # No reciprocal of zero can be said: an open end is far beyond what the interval does know.
+    # The reciprocal of zero is infinite: report an end far beyond the known one.
     far = max(high, p.upper * scale / _OPEN) / _OPEN
     value = value if value > far / _OPEN else far
     high = max(high, value)
@@ -303,7 +304,7 @@ def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -
 def trade_offs(
     problem: Problem, hypothesis: Hypothesis, term: Term, width: Spread
 ) -> tuple[str, ...]:
-    """What is known where two parameters of a fit trade off against each other, a line each."""
+    """One line for each pair of strongly correlated parameters: the combination that is known."""
     owner = [(t, p) for t in hypothesis.terms for p in t.parameters]
     place = hypothesis.slice_of(term)
     lines = []
@@ -317,15 +318,15 @@ def trade_offs(
             p = owner[i][1]
             mine, its = (problem.scales.value(x, t.joint) for x, t in ((p, term), (q, other)))
             sd = np.sqrt(np.diag(width.covariance).clip(1e-300))
-            # The direction in which the two move together leaves this sum alone.
+            # This combination is constant along the correlated direction.
             slope = -rho * sd[i] * mine / (sd[k] * its)
             value = hypothesis.theta[i] * mine + slope * hypothesis.theta[k] * its
             narrow = width.quantile * sd[i] * mine * np.sqrt(max(1.0 - rho * rho, 0.0))
             name = _parameter_name(problem, other, q, term)
             lines.append(
-                f"{p.name} trades off against {name} (correlation {rho:+.2f}); known well is "
-                f"{p.name} {'+' if slope >= 0 else '-'} {abs(slope):.3g} x {name} = "
-                f"{value:.4g} +- {narrow:.2g} (SI)"
+                f"{p.name} and {name} are not identifiable separately (correlation {rho:+.2f}); "
+                f"well known is {p.name} {'+' if slope >= 0 else '-'} {abs(slope):.3g} x {name} = "
+                f"{value:.4g} +- {narrow:.2g} (SI units, 95 %)"
             )
     return tuple(lines)
 
@@ -338,20 +339,20 @@ def _parameter_name(problem: Problem, term: Term, p: Parameter, beside: Term) ->
 
 
 def _next_test(term: Term, rivals: Sequence[Term]) -> str:
-    """The experiment that separates a term from its best rival."""
+    """The experiment that separates a term from its most likely alternative."""
     for rival in rivals:
         for one, other in ((term, rival), (rival, term)):
             text = one.law.confused_with.get(other.effect)
             if text is not None:
                 return str(text)
         if rival.effect == term.effect and rival.joint != term.joint:
-            return "move one joint at a time: the cause stays with its joint"
+            return "move one joint at a time: only the faulty joint shows the error"
     texts = term.law.confused_with
-    return next(iter(texts.values()), "another recording of the same kind, held out")
+    return next(iter(texts.values()), "make another recording of the same kind and hold it out")
 
 
 def finding_json(finding: Finding) -> dict[str, Any]:
-    """As ``diagnosis.json`` has it."""
+    """The finding as an object of ``diagnosis.json``."""
     out: dict[str, Any] = {
         "effect": finding.effect,
         "joint": finding.joint,

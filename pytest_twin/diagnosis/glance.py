@@ -1,8 +1,8 @@
-"""A first look at one recording that a model does not follow: what it looks like, in seconds.
+"""A quick diagnosis of one recording, in seconds: the single most likely effect.
 
-Where the force is missing, which effect at that joint would take most of the error away after a
-short fit on one stretch, and how much that takes off the whole recording. Nothing is chosen among
-structures and nothing is held against other recordings: that is a diagnosis.
+It locates the missing force, fits each effect at that joint to a short part of the recording, and
+tests the best one on the whole recording. It does not combine effects and uses no other recording;
+:mod:`pytest_twin.diagnosis.diagnose` does.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ _STATE_SECONDS = 0.06
 
 @dataclass(frozen=True, slots=True)
 class Suspect:
-    """What a mismatch looks like.
+    """The most likely effect.
 
     Attributes:
-        term: effect and joint's column.
-        joint: its name, None for the whole robot's.
+        term: effect and column of the joint.
+        joint: name of the joint, None for an effect of the whole robot.
         values: reported name of a parameter -> (value, unit).
-        share: of the evidence among what was tried.
-        removed: share of the squared error over all that was looked at that it takes away.
-        rivals: (effect, joint) that the stretch cannot tell from it.
-        of: joints whose errors it was to explain; none where all of them are.
+        share: posterior share among the effects that were fitted.
+        removed: share of the squared error that it removes.
+        rivals: (effect, joint) of effects that fit nearly as well.
+        of: joints whose errors it was fitted to; empty for all joints.
     """
 
     term: Term
@@ -74,13 +74,13 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """What a first look saw.
+    """Result of a quick diagnosis.
 
     Attributes:
-        suspect: None where nothing stands out.
-        joint: whose force is missing, None where none stands out of the sensors' noise.
+        suspect: the most likely effect; None where no effect explains enough.
+        joint: joint at which a force is missing, None where none is above the sensor noise.
         where: when and in which regime.
-        floors: root mean square error of the worst joint that is looked at, in floors.
+        floors: RMS error of the worst joint that was to be explained, in floors.
     """
 
     suspect: Suspect | None

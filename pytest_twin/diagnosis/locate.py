@@ -1,8 +1,8 @@
-"""Where and when an error is: which joint is the cause, in which regime, in which stretches.
+"""Localization of an error: which joint causes it, in which regime, in which time intervals.
 
-A position error spreads along the chain; the generalized force that is missing does not. What is
-left of the positions is therefore turned back into a force, by the equation of motion of small
-deviations, and held against what the sensors' noise alone would give.
+A position error spreads along the kinematic chain; the missing generalized force does not. Position
+residuals are therefore converted to forces by the linearized equation of motion, and compared with
+the forces that encoder noise alone would give.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from pytest_twin.trial import Trial
 _WINDOW = 0.1
 _MERGE = 0.25
 _TOUCHING = 0.01
-"""m from a surface, as the model has it: contact for the eye that looks for one."""
+"""m from a surface of the model that counts as contact."""
 _COVER = 0.8
-# Share of the greatest speed below which a joint stands still.
+# Share of the largest speed below which a joint is at rest.
 _STILL = 0.02
 _MOST_WINDOWS = 12
 _LIFT, _SHARE = 1.5, 0.45
 _EDGES = 33
-# A slice whose ends were searched fits better by that alone.
+# Factor on the score of a position interval: its ends were fitted, so it scores higher by chance.
 _SEARCHED = 0.8
-# s of the longest stretch that a spectrum is taken of, and samples of the shortest.
+# Longest segment of a spectrum in s, and fewest samples.
 _SPECTRUM, _FEWEST = 4.0, 16
-# Values of one condition that are slices; more are names of recordings, or measured temperatures.
+# Most values of a metadata key that are regimes; more values are recording names or temperatures.
 _MOST_VALUES = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """When and in which regime something shows.
+    """When and in which regime an error occurs.
 
     Attributes:
-        summary: in words.
-        windows: recording's file name -> stretches (start, end), s from its first state.
+        summary: regime in words with units.
+        windows: file name -> time intervals (start, end), s from the recording's first state.
     """
 
     summary: str
@@ -59,16 +59,16 @@ class Where:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One segment's motion, smoothed.
+    """Smoothed measured motion of one segment.
 
     Attributes:
         name: the recording's file name.
         time: (n,) s.
-        position, velocity, acceleration: (n, joints), of what was measured.
-        load: (n, joints) N*m or N, effort that the rigid bodies ask for.
-        command_rate: (n, joints) of the command, per s.
-        touching: (n,) whether the robot is at a surface; None where there is none.
-        conditions: what the recording says of itself: payload, controller, temperature, any ID.
+        position, velocity, acceleration: (n, joints) measured motion, smoothed.
+        load: (n, joints) N*m or N, inverse dynamics of the rigid bodies.
+        command_rate: (n, joints) rate of the command, per s.
+        touching: (n,) whether the robot is at a surface; None without surfaces.
+        conditions: metadata of the recording: payload, controller, temperature, IDs.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Motion:
 
 
 def motions(prepared: Prepared, trials: Sequence[Trial]) -> list[Motion]:
-    """Every segment's smoothed motion, in the problem's order."""
+    """Smoothed motion of every segment, in the problem's order."""
     problem = prepared.problem
     return [
         _motion(problem, segment, trials[owner])
@@ -99,7 +99,7 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
         model = far_sighted(model, contact.world, _TOUCHING)
     data = mujoco.MjData(model)
     load = np.empty_like(q)
-    # Every tenth sample: a load varies no faster than the motion.
+    # At most 600 samples: the load varies no faster than the motion.
     at = np.arange(0, len(q), max(1, len(q) // 600))
     rows = np.empty((len(at), q.shape[1]))
     close = np.zeros(len(at))
@@ -125,7 +125,7 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
 
 
 def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
-    """The fewest stretches of a recording that hold most of the blame."""
+    """The fewest time intervals of a recording that contain 80 % of the error ``blame``."""
     total = float(blame.sum())
     if total <= 0.0 or len(time) < 3:
         return []
@@ -148,7 +148,13 @@ def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
 
 
 def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> Where:
-    """Where blame (samples over all segments,) lies, seen from a joint in ``unit``, rad or m."""
+    """When and in which regime of a joint the error ``blame`` occurs.
+
+    Args:
+        paths: motion of the segments.
+        blame: (samples over all segments,) squared error, not negative.
+        joint, unit: column of the joint and its unit, rad or m.
+    """
     recordings: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
     at = 0
     for m in paths:
@@ -157,7 +163,7 @@ def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) 
     total = max(float(blame.sum()), 1e-300)
     kept = {}
     for name, parts in recordings.items():
-        # A recording that was cut into windows is one all the same.
+        # Windows of one recording are evaluated together.
         time, mine = (np.concatenate(x) for x in zip(*parts, strict=True))
         order = np.argsort(time, kind="stable")
         found = blame_windows(time[order], mine[order])
@@ -167,10 +173,10 @@ def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) 
 
 
 def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> str:
-    """The regime that holds more of the blame than of the time, in words with units."""
+    """The regime that contains more of the error than of the time, in words with units."""
     total = float(blame.sum())
     if total <= 0.0:
-        return "nowhere in particular"
+        return "no particular regime"
     best, words = 0.0, "throughout the motion"
     slices = [(1.0, text, inside) for text, inside in regimes(paths, joint, unit)]
     position = np.concatenate([m.position[:, joint] for m in paths])
@@ -185,17 +191,17 @@ def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) ->
         score = weight * held * np.log(max(held / time, 1e-9))
         if held >= _SHARE and held / time >= _LIFT and score > best:
             best = score
-            words = f"{text}: {100 * held:.0f} % of it in {100 * time:.0f} % of the time"
+            words = f"{text} ({100 * held:.0f} % of the error in {100 * time:.0f} % of the time)"
     return words
 
 
 def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | None:
-    """The band that holds more of what is left of a joint than of its motion, in words.
+    """The frequency band that contains more of a joint's residual than of its motion, in words.
 
     Args:
-        paths: of the segments.
-        left: (samples over all segments,) rad or m.
-        joint: its column.
+        paths: motion of the segments.
+        left: (samples over all segments,) residual, rad or m.
+        joint: column of the joint.
     """
     interval = float(np.median(np.concatenate([np.diff(m.time) for m in paths])))
     longest = max(float(m.time[-1] - m.time[0]) for m in paths)
@@ -215,7 +221,7 @@ def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | 
     held, usual = np.concatenate([np.zeros((2, 1)), np.cumsum(power, axis=1)], axis=1)
     held, usual = held / held[-1], usual / usual[-1]
     inside, motion = (x[None, :] - x[:, None] for x in (held, usual))
-    # A band is said for being narrow, too.
+    # A wide band contains much of any residual: compare with its width as well.
     edges = np.arange(len(held))
     width = (edges[None, :] - edges[:, None]) / len(held)
     expected = np.maximum(np.maximum(motion, width), 1e-9)
@@ -226,13 +232,13 @@ def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | 
         return None
     low, high = ((k - 0.5) / (size * interval) for k in (first, last))
     return (
-        f"{max(low, 0.0):.2g} to {high:.2g} Hz: {100 * inside[first, last]:.0f} % of what is left, "
-        f"{100 * motion[first, last]:.0f} % of the motion"
+        f"{max(low, 0.0):.2g} to {high:.2g} Hz ({100 * inside[first, last]:.0f} % of the residual, "
+        f"{100 * motion[first, last]:.0f} % of the motion)"
     )
 
 
 def _span(values: FloatArray, blame: FloatArray) -> tuple[float, float]:
-    """The stretch of values that holds most of the blame for its share of the time."""
+    """The interval of values with the largest share of the error for its share of the time."""
     edges = np.quantile(values, np.linspace(0.0, 1.0, _EDGES))
     order = np.argsort(values, kind="stable")
     summed = np.concatenate([[0.0], np.cumsum(blame[order])]) / max(float(blame.sum()), 1e-300)
@@ -245,8 +251,10 @@ def _span(values: FloatArray, blame: FloatArray) -> tuple[float, float]:
 
 
 def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Slices of the motion: by speed, reversal, direction, acceleration, pose, load, time, contact,
-    and by what differs between recordings (temperature, payload, controller, any ID).
+    """(words, mask over all samples) of each regime of the motion.
+
+    Regimes are ranges of speed, direction, acceleration, position, load and time, reversals,
+    contact, and metadata values that differ between recordings.
     """
 
     def column(name: str) -> FloatArray:
@@ -260,7 +268,7 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
     speed, push = np.abs(v), np.abs(a)
     slow, fast = (float(x) for x in np.quantile(speed, (0.3, 0.75)))
     hard = float(np.quantile(push, 0.75))
-    # A joint that mostly stands has no slow, fast and hard in all of its time, but while it moves.
+    # Of a joint that is mostly at rest, take the quantiles while it moves.
     slow = max(slow, _STILL * float(speed.max()))
     if fast <= slow < speed.max():
         fast = float(np.median(speed[speed > slow]))
@@ -281,19 +289,19 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
         (f"position within {low:.2g} and {high:.2g} {unit}", (q >= low) & (q <= high)),
         (f"loaded, |effort| > {heavy:.2g} {force}", np.abs(load) > heavy),
         (f"unloaded, |effort| < {light:.2g} {force}", np.abs(load) < light),
-        ("at rest under a resting command", (speed < slow) & (np.abs(rate) < slow)),
+        ("at rest with a constant command", (speed < slow) & (np.abs(rate) < slow)),
         ("the first third of the recording", since < end / 3),
         ("the last third of the recording", since > 2 * end / 3),
     ]
     if all(m.touching is not None for m in paths):
         at_surface = np.concatenate([m.touching for m in paths if m.touching is not None])
-        words = f"in contact, or within {1e3 * _TOUCHING:.0f} mm of it"
+        words = f"in contact or within {1e3 * _TOUCHING:.0f} mm of a surface"
         found += [(words, at_surface), ("without contact", ~at_surface)]
     return found + _conditions(paths)
 
 
 def _conditions(paths: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Slices by what recordings say of themselves, where several say the same or few differ."""
+    """Regimes by metadata values, where few values differ between the recordings."""
     recordings = {m.name: m.conditions for m in paths}
     found = []
     for key in sorted({k for c in recordings.values() for k in c}):
@@ -310,7 +318,7 @@ def _conditions(paths: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
 
 
 def _groups(key: str, values: Collection[str]) -> list[tuple[str, Collection[str]]]:
-    """Values of a condition that are a slice together, in words: each, or the colder half."""
+    """(words, values) of each regime of a metadata key: each value, or two temperature halves."""
     words = _shortened(values)
     if len(values) <= _MOST_VALUES:
         return [(words[v], (v,)) for v in sorted(values)]
@@ -323,7 +331,7 @@ def _groups(key: str, values: Collection[str]) -> list[tuple[str, Collection[str
 
 
 def _shortened(values: Collection[str]) -> dict[str, str]:
-    """Values as people read them: measured ones to four digits, as far as these tell them apart."""
+    """Metadata value -> its text, numbers rounded to four digits where they stay different."""
     short = {v: _four_digits(v) for v in values}
     return short if len({*short.values()}) == len(short) else {v: v for v in values}
 
@@ -339,7 +347,7 @@ def _four_digits(value: str) -> str:
 def _near_reversal(m: Motion, joint: int) -> NDArray[np.bool_]:
     """(n,) within 0.15 s of a change of direction."""
     v = m.velocity[:, joint]
-    # Where a joint rests between, it stops and starts.
+    # Stops between two movements do not count as changes of direction.
     moving = np.flatnonzero(np.abs(v) > _STILL * np.abs(v).max())
     turned = np.flatnonzero(np.diff(np.signbit(v[moving])))
     turn = m.time[moving[np.union1d(turned, turned + 1)]]
@@ -356,7 +364,7 @@ class MissingForce:
 
     Attributes:
         force: (samples, joints) over all segments, N*m or N.
-        noise: (joints,) root mean square that the encoders' noise alone would give.
+        noise: (joints,) RMS force that encoder noise alone would give.
     """
 
     force: FloatArray
@@ -364,22 +372,21 @@ class MissingForce:
 
     @property
     def strength(self) -> FloatArray:
-        """(joints,) how far the force stands out of its noise."""
+        """(joints,) signal-to-noise ratio of the missing force."""
         size = np.sqrt(np.nanmean(self.force**2, axis=0))
         strength: FloatArray = np.sqrt(np.maximum((size / self.noise) ** 2 - 1.0, 0.0))
         return strength
 
 
 def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> MissingForce:
-    """Turn position residuals back into the force that would remove them.
+    """The generalized force that would remove position residuals.
 
-    Small deviations r of the simulated motion obey M(q) r'' + D r' + K r = f, with D and K of
-    the drives and of passive dampers and springs: f is what the model lacks, at the joint that
-    lacks it.
+    Small deviations r of the simulated motion obey M(q) r'' + D r' + K r = f. D and K are damping
+    and stiffness of the drives and of passive elements. f is the missing force of each joint.
 
     Args:
         residual: (samples, signals) over all segments, positions first.
-        noise: (joints,) of the encoders, rad or m.
+        noise: (joints,) RMS encoder noise, rad or m.
     """
     simulator = problem.simulator
     joints = len(simulator.joints)
@@ -420,7 +427,7 @@ def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> 
 
 
 def _linear(problem: Problem, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
-    """(joints,) damping and stiffness that a small deviation meets."""
+    """(joints,) damping and stiffness of drives and passive elements."""
     simulator = problem.simulator
     damping = model.dof_damping[simulator.layout.dof_index].copy()
     stiffness = model.jnt_stiffness[simulator.layout.joint_ids].copy()

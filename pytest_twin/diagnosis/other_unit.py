@@ -1,8 +1,8 @@
-"""Angles in degrees or counts that nothing in a recording gives away: the model tells.
+"""Detection of recordings in degrees or encoder counts, by comparison with the model.
 
-States in another unit than their commands show it by themselves. Where both are in the same wrong
-one, or commands are efforts, a model that is any good follows the recording once it is read in the
-right one, and not before.
+States in another unit than their commands are detected without a model. Where both have the same
+wrong unit, or commands are efforts, the model decides: it follows the recording in the right unit
+and not in rad.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ from pytest_twin.realization import Realization
 from pytest_twin.replay import Replayed, replay
 from pytest_twin.trial import Trial
 
-# A recording of which every hinge that moves turns further, rad, is asked.
+# rad that every moving hinge must travel before the unit of a recording is tested; rad that counts
+# as moving.
 _FAR = 2.0 * np.pi
 _MOVES = 1e-6
-# So many hinges at least: one wheel under a servo turns on and on, and a model that is too weak for
-# it follows whatever is small.
+# Least number of such hinges by command mode. A single wheel under a servo may turn many times, and
+# a model with a weak servo follows any small motion.
 _FEWEST = {"position": 2, "velocity": 2, "effort": 1}
-# Replayed until a hinge has gone this part of its way, and s on: under effort commands small errors
-# grow.
+# The replay ends when a hinge has moved this part of its range, plus some s: under effort commands
+# small errors grow.
 _PART, _ON = {"position": 0.5, "velocity": 0.5, "effort": 0.05}, 0.3
-# Error beside the motion that the reading as it came leaves somewhere (what is slow a servo follows
-# in any unit), that another one leaves in most recordings at most, and how much less that is.
+# RMS error relative to the RMS motion: at least this in rad in some recording (a servo follows slow
+# motion in any unit), at most this in the other unit, and at most this ratio of the two.
 _FAILS, _FOLLOWS, _CLOSER = 0.5, 0.3, 0.25
-# Degrees are what people write: counts have to be that much closer.
+# Degrees are far more common than counts: counts need an error smaller by this factor.
 _COUNTS_CLOSER = 0.5
-# What is read -> rad.
+# Unit of the reading -> rad.
 _UNITS = {
     "degrees": np.radians(1.0),
     **{f"counts of {n} a turn": 2.0 * np.pi / n for n in 2 ** np.arange(10, 21)},
@@ -41,15 +42,15 @@ _UNITS = {
 
 
 def without_other_units(realization: Realization, trials: TrialSet, notes: list[str]) -> TrialSet:
-    """Leave out recordings that the model follows once they are read in another unit.
+    """Trials without the recordings that are in degrees or encoder counts.
 
     Args:
-        realization: the model as it came.
-        trials: what was recorded.
-        notes: gets what was left out.
+        realization: the nominal model.
+        trials: the recordings.
+        notes: gets a line for each recording that is left out.
 
     Raises:
-        RecordingError: all that could be fitted are in another unit.
+        RecordingError: no recording remains to fit.
     """
     everything = (*trials.fit, *trials.held_out)
     far = [t for t in everything if _turns_far(t, _hinges(realization, t))]
@@ -58,10 +59,10 @@ def without_other_units(realization: Realization, trials: TrialSet, notes: list[
         return trials
     errors = [
         RecordingError(
-            f"{'states' if t.hardest_mode == 'effort' else 'states and commands'} as if in {unit}: "
-            "read so, the model follows them",
+            f"{'states' if t.hardest_mode == 'effort' else 'states and commands'} seem to be in "
+            f"{unit}: in this unit the model follows them",
             path=t.path,
-            expected="rad (m where a joint slides)",
+            expected="rad (m for a sliding joint); convert the recording",
         )
         for t in far
     ]
@@ -76,7 +77,7 @@ def without_other_units(realization: Realization, trials: TrialSet, notes: list[
 
 
 def _hinges(realization: Realization, trial: Trial) -> list[int]:
-    """Columns of a trial that are angles."""
+    """Columns of a trial that belong to hinges."""
     kind = realization.structure.joint_type
     return [i for i, j in enumerate(trial.joints) if kind.get(j) == "hinge"]
 
@@ -88,9 +89,7 @@ def _turns_far(trial: Trial, hinges: Sequence[int]) -> bool:
 
 
 def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
-    """The unit in which the model follows trials and does not as they came; None where there is
-    none.
-    """
+    """The unit in which the model follows the trials, where it does not in rad; else None."""
     scales = (1.0, *_UNITS.values())
     angles = [_hinges(realization, t) for t in trials]
     starts = [_beginning(t, hinges) for t, hinges in zip(trials, angles, strict=True)]
@@ -98,7 +97,7 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     try:
         read = replay(realization, [_scaled(*row) for row in rows], tcp=False)
     except SpecError:
-        return None  # what the model lacks is said where it is needed
+        return None  # the search reports a missing controller or payload
     off = np.reshape(
         [_error(r, hinges) for r, (_, hinges, _) in zip(read, rows, strict=True)], (-1, len(scales))
     )
@@ -112,8 +111,9 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
 
 
 def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
-    """Until it has moved; it starts as its recording does, at rest where that has no velocity: one
-    that is told from positions carries their noise, which under effort commands grows.
+    """The beginning of a trial until it has moved; without a recorded velocity it starts at rest.
+
+    A velocity from positions carries their noise, which grows under effort commands.
     """
     position = trial.position[:, hinges]
     gone = np.abs(position - position[0]) > _PART[trial.hardest_mode] * np.ptp(position, axis=0)
@@ -129,7 +129,7 @@ def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
 
 
 def _scaled(trial: Trial, hinges: Iterable[int], scale: float) -> Trial:
-    """The same with the angles of hinges in another unit, and what commands them."""
+    """The trial with states and commands of hinges times ``scale``."""
     names = {trial.joints[i] for i in hinges}
 
     def of(joints: Iterable[str], values: FloatArray) -> FloatArray:
@@ -147,9 +147,7 @@ def _scaled(trial: Trial, hinges: Iterable[int], scale: float) -> Trial:
 
 
 def _error(replayed: Replayed, hinges: Sequence[int]) -> float:
-    """Root mean square of what is left beside that of the motion, over hinges; infinite where the
-    model diverged.
-    """
+    """RMS error of the hinges divided by their RMS motion; infinite where the model diverged."""
     measured = replayed.trial.position[:, hinges]
     left = replayed.position[:, hinges] - measured
     if not np.isfinite(left).all():

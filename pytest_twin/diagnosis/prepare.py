@@ -154,9 +154,9 @@ def prepare(
     is_fit = np.array(owner) < len(fit)
     if not is_fit.any():
         raise RecordingError(
-            "the robot is at what it meets all the time",
+            "the robot is close to a surface all the time",
             path=trials[0].path,
-            expected=f"a stretch at least {NEAR:g} m away from it",
+            expected=f"motion at least {NEAR:g} m away from all surfaces",
         )
     shown = greatest_noise(segments, [s.position for s in segments], owner)
     segments = set_in_motion(segments, moving, joints, shown, threads=threads, fixed=fixed)
@@ -308,7 +308,7 @@ def shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[st
     )
     if not joints:
         raise RecordingError(
-            "no joint of the model is in every recording",
+            "no joint of the model is in all recordings",
             path=trials[0].path,
             value=", ".join(trials[0].joints),
             expected=", ".join(realization.joints),

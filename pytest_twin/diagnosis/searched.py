@@ -294,16 +294,17 @@ def pose(
                 problem.floor[problem.joints.index(joint)] = UNSEEN
             return prepared, trials
         for i in sorted(lost):
-            notes.append(f"left out: {everything[i].path}: the model as it came diverges there")
+            notes.append(f"left out: {everything[i].path}: the simulation of the model diverges")
         fit = tuple(t for i, t in enumerate(everything[: len(trials.fit)]) if i not in lost)
         aside = tuple(
             t for i, t in enumerate(trials.held_out, start=len(trials.fit)) if i not in lost
         )
         if not fit:
             raise SimulationError(
-                "the model as it came diverges under the recorded commands",
+                "the simulation of the model diverges under the recorded commands",
                 path=everything[min(lost)].path,
-                expected="a model that can be stepped through at least one recording",
+                expected="a model that can be simulated through at least one recording; check its "
+                "gains, inertias and timestep",
             )
         trials = replace(trials, fit=fit, held_out=aside)
 
@@ -317,7 +318,7 @@ def _taken_for_granted(
     """What no recording says and a diagnosis assumes, a line each."""
     problem = prepared.problem
     notes = [
-        f"{e.effect} of joint {e.joint!r} is left out: no motion of it"
+        f"{e.effect} of joint {e.joint!r} is not applied: no recording contains this joint"
         for e in beside
         if not e.in_model and e.joint not in (None, *problem.joints)
     ]
@@ -326,17 +327,17 @@ def _taken_for_granted(
         first = problem.simulator.segments[owners.index(i)]
         if first.start > 0.0 and first.command_time[0] > 0.0:
             notes.append(
-                f"{trial.path.name}: its first {first.start:.3g} s are left out: nobody says what "
-                "the robot was told before the first command"
+                f"{trial.path.name}: its first {first.start:.3g} s are not used, because the "
+                "command before the first recorded one is unknown"
             )
         if first.velocity is None and not first.amid and first.initial_velocity.any():
             notes.append(
-                f"{trial.path.name} begins amid a motion and has no velocities: its first are "
-                "taken from its positions"
+                f"{trial.path.name}: the robot moves at the start and no velocity is recorded; the "
+                "initial velocity is estimated from the positions"
             )
     notes += [
-        f"joint {joint!r} has a servo that no recording commands: it is taken to hold the joint "
-        "where it starts, and nothing is held against it"
+        f"joint {joint!r}: no recording contains commands of its servo; it is assumed to hold its "
+        "initial position, and its error is not evaluated"
         for joint in idle
     ]
     return notes + _half_trusted(problem)
@@ -349,9 +350,8 @@ def _half_trusted(problem: Problem) -> list[str]:
     weights = np.array(list(problem.trust.values()))
     few = (weights < 0.5 * weights.max(axis=0)).sum(axis=0)
     return [
-        f"joint {joint!r}: {few[j]} of {len(weights)} windows count by less than half of the "
-        "others, in errors too: its dry friction sticks, slips or turns around there, and what it "
-        "does before it slides is in no data sheet"
+        f"joint {joint!r}: {few[j]} of {len(weights)} windows have less than half the weight, in "
+        "the errors too: dry friction sticks or reverses there, and its presliding is unknown"
         for j, joint in enumerate(problem.joints)
         if few[j]
     ]

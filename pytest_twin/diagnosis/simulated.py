@@ -119,11 +119,11 @@ def explains_more(stepped: Searched, found: Searched) -> bool:
 
 
 def simulated_in_words(prepared: Prepared) -> str:
-    """One line that says how the recordings are taken to have been made."""
+    """A note that the recordings come from a simulation with a certain time step."""
     step = 1e3 * prepared.problem.simulator.timestep
     return (
-        f"the recordings are a simulation's, with a step of {step:g} ms: predictions have the "
-        "error of that step in them, which is taken out for a robot"
+        f"the recordings come from a simulation with a time step of {step:g} ms: predictions keep "
+        "the integration error of that step (for recordings of a robot it is removed)"
     )
 
 

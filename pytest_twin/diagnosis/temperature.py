@@ -49,10 +49,10 @@ def coldness_in(known: Coldness, trial: Trial) -> float:
     numbers = None if name is None else degrees([*known, name])
     if name is None or numbers is None:
         raise RecordingError(
-            "friction that depends on temperature was found, and this recording's is not known",
+            "the model's friction depends on temperature, and this recording has no usable one",
             path=trial.path,
             value=name,
-            expected=f"metadata {KEY!r} of the record 'trial' like {', '.join(known)}",
+            expected=f"metadata {KEY!r} in the record 'trial', like {', '.join(known)}",
         )
     warmest, coldest = (pick(known, key=lambda n: known[n]) for pick in (min, max))
     share = (numbers[name] - numbers[warmest]) / (numbers[coldest] - numbers[warmest])

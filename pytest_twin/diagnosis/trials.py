@@ -1,4 +1,4 @@
-"""Which recordings a diagnosis fits and which it only predicts."""
+"""Reading of recordings for a diagnosis: which are fitted, held out, or left out."""
 
 from __future__ import annotations
 
@@ -103,9 +103,9 @@ def read_trials(
         if first_error is not None:
             raise first_error
         raise RecordingError(
-            "nothing left to fit: every recording is held out",
+            "no recording remains to fit: every one is held out",
             path=held_out[0],
-            expected="at least one RECORDING besides --held-out",
+            expected="at least one RECORDING that is not under --held-out",
         )
     modes = [_modes(t) for t in trials]
     if len({*modes, *(_modes(t) for t in aside)}) > 1:
@@ -113,8 +113,8 @@ def read_trials(
         for t in [*trials, *aside]:
             if _modes(t) != kept:
                 notes.append(
-                    f"left out: {t.path}: {_modes(t)} commands, the others give {kept}; "
-                    "diagnose them by themselves"
+                    f"left out: {t.path}: it has {_modes(t)} commands, most others have "
+                    f"{kept} commands; diagnose it separately"
                 )
         trials = [t for t in trials if _modes(t) == kept]
         aside = [t for t in aside if _modes(t) == kept]
@@ -125,7 +125,7 @@ def read_trials(
         trials, aside, said = _by_role(trials)
         notes.append(said)
     elif not aside:
-        notes.append("no held-out recording could be used: confidence is limited")
+        notes.append("no held-out recording could be used; confidence is at most 80 %")
     notes += _rules([*trials, *aside])
     notes += _doubts([*trials, *aside])
     notes += _far([*trials, *aside], structure)
@@ -138,15 +138,15 @@ def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
         fit = [t for t, role in zip(trials, roles, strict=True) if role != "held_out"]
         aside = [t for t, role in zip(trials, roles, strict=True) if role == "held_out"]
         if fit:
-            return fit, aside, f"held out by their own metadata: {_names(aside)}"
-    # The parts of one recording have its temperature and its sensors' zeros: they stay together.
+            return fit, aside, f"held out (role in the metadata): {_names(aside)}"
+    # Parts of one recording share temperature and sensor zeros, so they have the same role.
     paths = list(dict.fromkeys(t.path for t in trials))
     if len(paths) == 1:
         return (
             list(trials),
             [],
-            "one recording only: nothing is held out, so that confidence is limited; record "
-            "a second one",
+            "one recording only: nothing is held out, and confidence is at most 80 %; make a "
+            "second recording",
         )
     count = max(1, len(paths) // _ONE_HELD_OUT_OF)
     at = np.linspace(len(paths) - 1, 0, count + 1).round().astype(int)[:count]
@@ -154,8 +154,8 @@ def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
     aside = [t for t in trials if t.path in chosen]
     fit = [t for t in trials if t.path not in chosen]
     return fit, aside, (
-        f"no role is given: whole recordings were split, held out: {_names(aside)} "
-        "(--held-out or metadata 'role' decides otherwise)"
+        f"held out (chosen automatically): {_names(aside)}; choose with --held-out or with 'role' "
+        "in the metadata"
     )  # fmt: skip
 
 
@@ -198,7 +198,9 @@ def _leave_out_lacking(trials: list[Trial], aside: list[Trial], notes: list[str]
     for t in everything:
         lacking = [j for j in usual if j not in t.joints]
         if lacking:
-            notes.append(f"left out: {t.path}: it lacks {', '.join(lacking)}, which others have")
+            notes.append(
+                f"left out: {t.path}: it lacks {', '.join(lacking)}, which most others have"
+            )
     trials[:], aside[:] = whole_fit, whole_aside
 
 
@@ -235,9 +237,9 @@ def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozen
             "every encoder is stuck while its command moves",
             path=bad[0].path,
             value=", ".join(sorted(joints)),
-            expected="positions that follow",
+            expected="positions that follow the commands",
         )
-    notes += [f"joint {j!r}: its encoder is stuck; nothing is held against it" for j in
+    notes += [f"joint {j!r}: its encoder is stuck; its error is not evaluated" for j in
               sorted(joints)]  # fmt: skip
     return joints
 
@@ -259,7 +261,7 @@ def _motionless(
     still = {j: float(q[0]) for j, q in readings.items() if not np.ptp(q)}
     if joints and len(still) == len(joints):
         raise RecordingError(
-            "every joint reads one and the same position in all messages of all recordings",
+            "every joint has the same position in all messages of all recordings",
             path=trials[0].path,
             value=", ".join(f"{j} {at:.6g}" for j, at in still.items()),
             expected="a joint that moves",
@@ -269,10 +271,12 @@ def _motionless(
         said = f"joint {j!r}: its encoder reads {at:.6g} in every message"
         if trials[0].mode_of(j) == "effort":
             dead.add(j)
-            notes.append(f"{said}: it is stuck or something holds the joint; nothing is held "
-                         "against it")  # fmt: skip
+            notes.append(f"{said}: the encoder is stuck or the joint is blocked; its error is not "
+                         "evaluated")  # fmt: skip
         elif j not in unseen:
-            notes.append(f"{said}, which does not say how noisy it is: as the others, at most")
+            notes.append(
+                f"{said}, so its noise is unknown; the largest noise of the others is assumed"
+            )
     return frozenset(dead)
 
 
@@ -350,17 +354,18 @@ def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
         for factor, name in ((np.degrees(1.0), "degrees"), (np.radians(1.0), "radians")):
             if abs(np.log(ratio / factor)) < _LIKE:
                 raise RecordingError(
-                    f"states move {ratio:.3g} times as far as commands, as if in {name}",
+                    f"states move {ratio:.3g} times as far as commands: they seem to be in {name}",
                     path=trial.path,
                     where=f"joint '{joint}'",
-                    expected="one unit, rad (m where it slides)",
+                    expected="states and commands in rad (m for a sliding joint)",
                 )
         if ratio > _COUNTS or ratio < 1.0 / _COUNTS:
             raise RecordingError(
-                f"states move {ratio:.3g} times as far as commands, as if in encoder counts",
+                f"states move {ratio:.3g} times as far as commands: they seem to be in encoder "
+                "counts",
                 path=trial.path,
                 where=f"joint '{joint}'",
-                expected="one unit, rad (m where it slides)",
+                expected="states and commands in rad (m for a sliding joint)",
             )
 
 
@@ -375,8 +380,9 @@ def _clipped(trial: Trial) -> list[str]:
         share = float(np.mean(speed == top))
         if top > 0.0 and share > _CLIPPED:
             lines.append(
-                f"{trial.path.name}: velocity of {joint} stands at {top:.4g} in "
-                f"{100 * share:.0f} % of the messages, as if clipped; positions are what counts"
+                f"{trial.path.name}: the velocity of {joint} is at its maximum of {top:.4g} in "
+                f"{100 * share:.0f} % of the messages and seems to be clipped; the diagnosis uses "
+                "positions"
             )
     return lines
 
@@ -389,9 +395,9 @@ def _far(trials: Sequence[Trial], structure: Structure) -> list[str]:
             travel = float(np.ptp(trial.position[:, column]))
             if structure.joint_type.get(joint) == "hinge" and travel > _FAR and joint not in lines:
                 lines[joint] = (
-                    f"{trial.path.name}: {joint} turns through {travel:.3g} rad, "
-                    f"{travel / (2.0 * np.pi):.2g} turns; where states and commands are in degrees "
-                    "or counts, write them in rad"
+                    f"{trial.path.name}: {joint} moves through {travel:.3g} rad "
+                    f"({travel / (2.0 * np.pi):.2g} turns); if states and commands are in degrees "
+                    "or counts, convert them to rad"
                 )
     return list(lines.values())
 
@@ -415,6 +421,6 @@ def _doubts(trials: Sequence[Trial]) -> list[str]:
     lines = [line for trial in trials for line in _clipped(trial)]
     for (kind, joint, topic), texts in found.items():
         who = " ".join(part for part in (topic, joint) if part)
-        more = f", and {len(texts) - 1} more like it" if len(texts) > 1 else ""
+        more = f", and {len(texts) - 1} similar" if len(texts) > 1 else ""
         lines.append(f"{kind.replace('_', ' ')} in {who or 'a file'}: {texts[0]}{more}")
     return lines

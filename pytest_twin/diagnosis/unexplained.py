@@ -1,4 +1,4 @@
-"""What stays unexplained: the joints that are the cause, when and in which regime."""
+"""The unexplained residual: which joints cause it, when, and in which regime."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.searched import Searched, left_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
 
-# A joint whose missing force stands out this much less than the clearest one only shows it.
+# A joint is a cause from this share of the largest signal-to-noise ratio of missing forces; the
+# others only move because of it.
 _CAUSE = 0.4
 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What stays unexplained at one joint.
+    """The unexplained residual of one joint.
 
     Attributes:
-        fraction: of the squared mismatch.
+        fraction: share of the squared error.
         where: when and in which regime.
     """
 
@@ -30,14 +31,14 @@ class Left:
 
 
 def unexplained(diagnosed: Searched, near: Prepared, trials: TrialSet) -> dict[str, Left]:
-    """The joints whose own force is missing, the clearest first.
+    """The joints at which a force is missing, the largest signal-to-noise ratio first.
 
     Args:
-        diagnosed: what was found.
-        near: the problem by which what is left is found in time and pose: in windows, where whole
-            motions part from what was recorded. What a small deviation would need is no force that
-            is missing where the simulated arm is somewhere else by then.
-        trials: of that.
+        diagnosed: result of the search.
+        near: problem in which the missing force is computed. Where whole predictions diverge from
+            the recordings it consists of short windows, because the force is computed for small
+            deviations.
+        trials: recordings of ``near``.
     """
     errors, problem = diagnosed.errors, near.problem
     whole = motions(diagnosed.prepared, (*diagnosed.trials.fit, *diagnosed.trials.held_out))
@@ -62,7 +63,8 @@ def unexplained(diagnosed: Searched, near: Prepared, trials: TrialSet) -> dict[s
         if problem.joints[j] in errors and errors[problem.joints[j]].fraction > 0.0:
             add(j, np.maximum((force.force[:, j] / force.noise[j]) ** 2 - 1.0, 0.0))
     if not found:
-        # No force stands out of the encoders' noise: what is left is slow, and only shows.
+        # No missing force is above the encoder noise: the residual is slow, so report it where it
+        # shows.
         for joint, error in errors.items():
             if not error.explained:
                 j = problem.joints.index(joint)

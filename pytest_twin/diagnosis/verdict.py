@@ -1,4 +1,4 @@
-"""What the numbers amount to, in one word."""
+"""The verdict of a diagnosis, and the thresholds on residuals behind it."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from pytest_twin.arrays import FloatArray
 Verdict = Literal["no_mismatch", "explained", "improved", "unexplained"]
 
 AT_FLOOR = 3.0
-"""Root mean square up to this many floors is at the floor: it is an estimate itself, and a real
-joint's micro-slip and a simulator's contact law leave a few of it."""
+"""An RMS residual of up to this many floors counts as noise. The floor is an estimate, and
+micro-slip of real joints and MuJoCo's soft contacts leave residuals of 2 to 3 floors."""
 STANDS_OUT = 1.5
-"""A signal up to this many floors holds nothing that could be named."""
+"""A signal below this many floors contains no identifiable effect."""
 UNSEEN = 1e6
-"""The floor, rad or m, of a joint whose encoder says nothing."""
+"""Floor in rad or m of a joint whose encoder gives no information, so that it has no weight."""
 LEFT = 0.02
-"""Share of the squared mismatch that may be left and still count as explained, ..."""
+"""A residual of up to this share of the squared error counts as explained, ..."""
 LEFT_FLOORS = 10.0
-"""... up to this many floors: a large mismatch leaves a large remainder, which is one."""
+"""... if it is also below this many floors: above, it is a mismatch of its own."""
 
-# A name must take away this share of what still stands above the floor at some joint, and this
-# share of what the nominal model left there, of so many floors at most: less is the simulator's own
-# imperfection.
+# Least share of the remaining squared error above the floor, and of the nominal model's squared
+# error (counted up to so many floors), that an effect must remove at some joint. Less is within the
+# accuracy of the simulation.
 _SHARE_OF_REST = 0.1
 _SHARE_OF_ALL, _MOST_FLOORS = 0.003, 100.0
 
@@ -35,14 +35,12 @@ _SHARE_OF_ALL, _MOST_FLOORS = 0.003, 100.0
 def worth_a_name(
     floor: FloatArray, before: FloatArray, after: FloatArray, whole: FloatArray
 ) -> bool:
-    """Whether some signal falls by enough for a name to have made it fall.
-
-    Not by what would not stand out of the floor alone: no name is claimed for that in the end.
+    """Whether an effect reduces the error of at least one signal enough to be accepted.
 
     Args:
-        floor: (signals,) deviations that need no explanation.
-        before, after: (signals,) mean squares without the name and with it.
-        whole: the same of the model as it came.
+        floor: (signals,) noise floor.
+        before, after: (signals,) mean squared residuals without and with the effect.
+        whole: (signals,) mean squared residuals of the nominal model.
     """
     square = floor**2
     gone = before - after
@@ -56,17 +54,16 @@ def worth_a_name(
 def own_mismatch(
     floor: FloatArray, whole: FloatArray, left: FloatArray, acting: NDArray[np.bool_]
 ) -> FloatArray:
-    """(signals,) mean square of the model as it came that laws which are a little off may have left
-    a part of.
+    """(signals,) part of the nominal squared error of which an inexact effect may leave a residual.
 
-    A law that is off shows where it acts. Where none acts, what comes from there through the bodies
-    is no greater share of the mismatch than what is left there.
+    An inexact effect leaves a residual where it acts. At other joints it leaves at most the same
+    share of the error, because it reaches them only through the mechanism.
 
     Args:
-        floor: (signals,) deviations that need no explanation.
-        whole: (signals,) mean squares of the model as it came.
-        left: the same with all that is named.
-        acting: (signals,) where something that is named acts.
+        floor: (signals,) noise floor.
+        whole: (signals,) mean squared residuals of the nominal model.
+        left: (signals,) mean squared residuals with all accepted effects.
+        acting: (signals,) whether an accepted effect acts there.
     """
     if not acting.any():
         return whole
@@ -78,12 +75,12 @@ def own_mismatch(
 
 @dataclass(frozen=True, slots=True)
 class JointError:
-    """Prediction error of one joint, root mean squares in ``unit``.
+    """RMS prediction error of one joint in ``unit``.
 
     Attributes:
-        before: of the model as it came.
-        after: with the findings.
-        floor: what noise, timing and discretization leave.
+        before: of the nominal model.
+        after: of the model with the findings.
+        floor: noise floor (sensor noise, sample timing, discretization).
         unit: rad or m.
     """
 
@@ -94,7 +91,7 @@ class JointError:
 
     @property
     def fraction(self) -> float:
-        """Share of the squared mismatch above the floor that is left."""
+        """Remaining share of the squared error above the floor."""
         mismatch = self.before**2 - self.floor**2
         left = self.after**2 - self.floor**2
         if left <= 0.0:
@@ -103,18 +100,18 @@ class JointError:
 
     @property
     def mismatched(self) -> bool:
-        """Whether the model as it came is above the floor here."""
+        """Whether the nominal model's error is above the floor."""
         return self.before > AT_FLOOR * self.floor
 
     @property
     def explained(self) -> bool:
-        """Whether nothing that matters is left."""
+        """Whether the residual is at the floor, or small enough in both measures."""
         near = self.after <= LEFT_FLOORS * self.floor and self.fraction <= LEFT
         return self.after <= AT_FLOOR * self.floor or near
 
 
 def verdict(errors: Mapping[str, JointError], findings: Sequence[object]) -> Verdict:
-    """One word for errors on recordings that no fit has seen and the findings behind them."""
+    """The verdict from held-out errors and findings."""
     if not findings:
         return "unexplained" if any(e.mismatched for e in errors.values()) else "no_mismatch"
     if all(e.explained for e in errors.values()):

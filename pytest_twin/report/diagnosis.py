@@ -1,4 +1,4 @@
-"""The report of a diagnosis: the verdict, one sentence per finding, and pictures to check it by."""
+"""The report of a diagnosis for a terminal and as a page."""
 
 from __future__ import annotations
 
@@ -14,70 +14,74 @@ import jinja2
 from pytest_twin.realization.forks import in_forks, usable_cores
 from pytest_twin.report.diagnosis_plots import joint_figure
 from pytest_twin.report.diagnosis_view import DiagnosisView
+from pytest_twin.report.finding_words import (
+    SURE,
+    ambiguous,
+    finding_sentence,
+    gain,
+    percent,
+    place,
+    readable,
+    table_row,
+    to_confirm,
+)
 from pytest_twin.report.text import number, printable, quantity
 
 MAX_FIGURES = 12
-"""Joints that are drawn; the worst mismatch first."""
+"""Joints with a figure, those with the largest error first."""
 _MOST_SPANS = 8
+"""Time intervals that are listed for one recording."""
 
 _VERDICT = {
-    "no_mismatch": "No mismatch: nothing stands above the floor",
-    "explained": "Explained: what is left is at the floor",
-    "improved": "Improved: something is still unexplained",
-    "unexplained": "Unexplained: a mismatch stands, and no known effect earns its place",
+    "no_mismatch": "No mismatch: the model agrees with the recordings to the noise floor",
+    "explained": "Explained: with these findings the residual is at the noise floor",
+    "improved": "Improved: these findings explain a part, and a residual remains",
+    "unexplained": "Unexplained: the model is wrong, and no known effect explains it",
 }
 _MOOD = {"no_mismatch": "good", "explained": "good", "improved": "part", "unexplained": "bad"}
 
 
 def words(said: Mapping[str, Any]) -> list[str]:
-    """What a terminal shows of a ``diagnosis.json``."""
+    """Lines for a terminal: the verdict, each finding, errors, what is unexplained, notes.
+
+    Args:
+        said: ``diagnosis.json``.
+    """
+    held_out = bool(said["trials"]["held_out"])
     lines = [_VERDICT[said["verdict"]]]
-    lines += [f"  {finding_sentence(f)}" for f in said["findings"]]
+    for i, finding in enumerate(said["findings"], 1):
+        lines.append(f"  {i}. {finding_sentence(finding)}")
+        buys = f"Correcting it {gain(finding, held_out=held_out)}."
+        lines.append(f"     {buys} Confidence: {percent(finding['confidence'])}.")
+        if rivals := ambiguous(finding):
+            lines.append(f"     {rivals}")
+        if finding["confidence"] < SURE:
+            lines.append(f"     {to_confirm(finding)}")
     if said["held_out"]:
-        what = "held-out" if said["trials"]["held_out"] else "fitted (nothing held out)"
-        lines.append(f"  {what} error, root mean square:")
+        which = "held-out recordings" if held_out else "fitted recordings, none is held out"
+        lines.append(f"  RMS error on the {which}:")
         width = max(len(joint) for joint in said["held_out"])
-        for joint, e in said["held_out"].items():
+        for joint, error in said["held_out"].items():
+            before, after, floor = errors_shown(error)
             lines.append(
-                f"    {joint:<{width}}  {number(e['rms_before'])} -> {number(e['rms_after'])} "
-                f"{e['unit']} (floor {number(e['floor'])})"
+                f"    {joint:<{width}}  model {before}, patched model {after}, noise floor {floor}"
             )
     lines += [f"  {line}" for line in _left(said)]
-    lines += [f"  next: {f['next_test']}" for f in said["findings"] if f["confidence"] < _SURE]
-    lines += [f"  note: {note}" for note in said["notes"]]
+    lines += [f"  Note: {note}" for note in said["notes"]]
     return lines
 
 
-_SURE = 0.9
-
-
-def finding_sentence(finding: Mapping[str, Any]) -> str:
-    """One sentence: what, where, how much, how surely, what it buys."""
-    values = ", ".join(
-        f"{key.replace('_', ' ')} {quantity(p['value'], p['unit'])}"
-        + (f" ({interval})" if (interval := _interval(p["ci95"])) else "")
-        for key, p in finding["parameters"].items()
+def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
+    """RMS errors of a joint before and after, and its noise floor, in one readable unit."""
+    factor, unit = readable(max(error["rms_before"], error["floor"]), error["unit"])
+    before, after, floor = (
+        f"{number(factor * error[key])} {unit}" for key in ("rms_before", "rms_after", "floor")
     )
-    name = _name(finding)
-    text = (
-        f"{name[:1].upper()}{name[1:]}: {values}; confidence {_percent(finding['confidence'])}, "
-        f"{_bought(finding['held_out_gain'])}."
-    )
-    rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - _SURE]
-    if rivals:
-        text += f" The data cannot tell it from {' or '.join(_name(a) for a in rivals)}."
-    return text
-
-
-def _bought(gain: float) -> str:
-    """What a finding does to the squared error; one slide that ends elsewhere may be most of it."""
-    if gain < 0.0:
-        return f"adds {_percent(-gain)} to the error that stands without it"
-    return f"takes {_percent(gain)} off the error that stands without it"
+    return before, after, floor
 
 
 def render(view: DiagnosisView) -> str:
-    """The report as one HTML document that needs nothing but itself."""
+    """The report as one HTML document without external files."""
     folder = resources.files(__package__)
     style = "".join(
         folder.joinpath(name).read_text("utf-8") for name in ("report.css", "diagnosis.css")
@@ -105,10 +109,13 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
     law, source = view.laws[finding["effect"]]
     return {
         **finding,
-        "name": _name(finding),
+        "name": place(finding),
         "sentence": finding_sentence(finding),
-        "bought": _bought(finding["held_out_gain"]),
-        "alternatives": [{**a, "name": _name(a)} for a in finding["alternatives"]],
+        "gain": gain(finding, held_out=bool(view.said["trials"]["held_out"])),
+        "ambiguous": ambiguous(finding),
+        "to_confirm": to_confirm(finding),
+        "rows": [table_row(finding, key) for key in finding["parameters"]],
+        "alternatives": [{**a, "name": place(a)} for a in finding["alternatives"]],
         "correlated": finding.get("correlated", []),
         "windows": [(n, spans_said(w)) for n, w in finding["where"]["windows"].items()],
         "law": law,
@@ -118,34 +125,20 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
 
 def _left(said: Mapping[str, Any]) -> list[str]:
     return [
-        f"Unexplained at {joint}: {_percent(u['fraction'])} of the squared mismatch, {u['where']}."
+        f"Unexplained: {percent(u['fraction'])} of the squared error of joint {joint}; "
+        f"mainly {u['where']}."
         for joint, u in said["unexplained"].items()
     ]
 
 
-def _name(item: Mapping[str, Any]) -> str:
-    place = "" if item["joint"] is None else f" at {item['joint']}"
-    return str(item["effect"]).replace("_", " ") + place
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
-
-
 def spans_said(windows: Sequence[Sequence[float]]) -> str:
-    """Stretches of a recording; of many the longest, in their order."""
+    """Time intervals of a recording in order; of many only the longest."""
     longest = sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_SPANS]
     said = ", ".join(
         f"{number(start)} to {number(end)}" for start, end in sorted((w[0], w[1]) for w in longest)
     )
     more = len(windows) - len(longest)
     return f"{said} s, and {more} shorter" if more else f"{said} s"
-
-
-def _interval(ci95: Sequence[float]) -> str:
-    """From where to where; nothing of a choice, which is one of a few values and never between."""
-    low, high = ci95
-    return "" if low == high else f"{number(low)} to {number(high)}"
 
 
 def _data_uri(svg: bytes) -> str:
@@ -167,6 +160,6 @@ def _template() -> jinja2.Template:
         loader=jinja2.PackageLoader("pytest_twin.report", "."),
     )
     environment.filters.update(
-        number=number, quantity=quantity, interval=_interval, percent=_percent, spans=spans_said
+        number=number, quantity=quantity, percent=percent, spans=spans_said, errors=errors_shown
     )
     return environment.get_template("diagnosis.html.j2")

@@ -1,4 +1,4 @@
-"""Pictures of one joint: the overlay, what is left and what drives it, and where it is."""
+"""Figure of one joint: measured and predicted motion, residuals over time, speed and frequency."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _panel(
     sharex: Axes | None = None,
     sharey: Axes | None = None,
 ) -> Axes:
-    """Axes from edge to edge, all in parts of the figure."""
+    """Full-width axes; positions as fractions of the figure."""
     return figure.add_axes((left, bottom, right - left, top - bottom), sharex=sharex, sharey=sharey)
 
 
@@ -108,8 +108,8 @@ def _overlay(axes: Axes, view: JointView) -> None:
         alpha=0.35,
         label="measured",
     )
-    axes.plot(*_thinned(view.time, view.before), color=FAIL, linewidth=1.0, label="model before")
-    axes.plot(*_thinned(view.time, view.after), color=NOW, linewidth=1.1, label="model after")
+    axes.plot(*_thinned(view.time, view.before), color=FAIL, linewidth=1.0, label="model")
+    axes.plot(*_thinned(view.time, view.after), color=NOW, linewidth=1.1, label="patched model")
     low, high = float(view.measured.min()), float(view.measured.max())
     room = 0.35 * max(high - low, 1e-6)
     axes.set_ylim(low - room, high + room)
@@ -128,9 +128,9 @@ def _left_over_time(axes: Axes, view: JointView) -> None:
     reach = 1.15 * float(np.nanmax(np.abs(view.measured - view.before)))
     reach = max(reach, 3.0 * view.floor)
     axes.set_ylim(-reach, reach)
-    said = "shaded: where the findings show" if view.windows else ""
+    said = "shaded: time intervals of the findings" if view.windows else ""
     axes.set_title(said, loc="right", color=DIM, fontsize=8)
-    axes.set_title("what is left over time; grey band: the floor", color=DIM, fontsize=8)
+    axes.set_title("residual over time; grey band: noise floor", color=DIM, fontsize=8)
 
 
 def _floor_band(axes: Axes, view: JointView) -> None:
@@ -139,7 +139,7 @@ def _floor_band(axes: Axes, view: JointView) -> None:
 
 
 def _against(axes: Axes, view: JointView, values: FloatArray, label: str, *, first: bool) -> None:
-    """Median and the middle 80 % of what is left, by bins with equally many samples."""
+    """Median and middle 80 % of the residual, in bins with equal numbers of samples."""
     good = np.isfinite(values) & np.isfinite(view.left_before) & np.isfinite(view.left_after)
     edges = np.unique(np.quantile(values[good], np.linspace(0.0, 1.0, _BINS + 1)))
     _floor_band(axes, view)
@@ -157,8 +157,12 @@ def _against(axes: Axes, view: JointView, values: FloatArray, label: str, *, fir
             axes.plot(x, middle, color=colour, linewidth=1.3)
     axes.set_xlabel(label)
     if first:
-        axes.set_ylabel(f"what is left [{view.unit}]")
-        axes.set_title("median and middle 80 %, against what drives it", color=DIM, fontsize=8)
+        axes.set_ylabel(f"residual [{view.unit}]")
+        axes.set_title(
+            "residual against velocity, position and load: median and middle 80 %",
+            color=DIM,
+            fontsize=8,
+        )
     else:
         axes.tick_params(labelleft=False)
 
@@ -171,7 +175,7 @@ def _spectrum(axes: Axes, view: JointView) -> None:
     longest = max(view.stretches)
     window = max(min(longest, round(4.0 * rate)), 8)
     for series, colour, name in (
-        (view.left_before, FAIL, "before"), (view.left_after, NOW, "after"),
+        (view.left_before, FAIL, "model"), (view.left_after, NOW, "patched model"),
     ):  # fmt: skip
         total, weight, at = None, 0, 0
         for n in view.stretches:
@@ -188,15 +192,15 @@ def _spectrum(axes: Axes, view: JointView) -> None:
             f, power = _by_octaves(f[1:], total[1:] / weight)
             axes.plot(f, np.sqrt(power), color=colour, linewidth=1.3, label=name)
     axes.axhline(view.floor * np.sqrt(2.0 / rate), color=GOLDEN, linewidth=0.9,
-                 linestyle=(0, (4, 3)), label="floor, if white")  # fmt: skip
+                 linestyle=(0, (4, 3)), label="noise floor, if white")  # fmt: skip
     _logarithmic(axes, "x", "y")
     axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel(f"what is left [{view.unit}/\N{SQUARE ROOT}Hz]")
+    axes.set_ylabel(f"residual [{view.unit}/\N{SQUARE ROOT}Hz]")
     axes.legend(loc="upper right")
 
 
 def _regimes(axes: Axes, view: JointView, shown: Sequence[Regime]) -> None:
-    """Root mean square before and after, slice by slice."""
+    """RMS error of both models in each regime."""
     rows = np.arange(len(shown))
     scale = max(view.floor, 1e-300)
     for row, r in zip(rows, shown, strict=True):
@@ -211,7 +215,7 @@ def _regimes(axes: Axes, view: JointView, shown: Sequence[Regime]) -> None:
     axes.set_ylim(len(shown) - 0.5, -0.6)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
-    said = f"root mean square [{view.unit}]; dashed: the floor, {number(view.floor)}"
+    said = f"RMS [{view.unit}]; dashed: noise floor {number(view.floor)}"
     axes.set_xlabel(said, loc="right")
 
 
@@ -220,7 +224,7 @@ def _regime_name(regime: Regime) -> str:
 
 
 def _logarithmic(axes: Axes, *which: str) -> None:
-    """Logarithmic axes with plain numbers at the decades."""
+    """Set logarithmic axes with plain numbers at the decades."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for name in which:
@@ -232,7 +236,7 @@ def _logarithmic(axes: Axes, *which: str) -> None:
 
 
 def _by_octaves(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means over eight bands an octave, so that a high end does not turn to grass."""
+    """Means over eight bands per octave, which smooths the high end."""
     band = np.floor(8.0 * np.log2(frequency / frequency[0]))
     _, first = np.unique(band, return_index=True)
     count = np.diff(np.append(first, len(power)))

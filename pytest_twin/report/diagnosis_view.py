@@ -1,4 +1,4 @@
-"""What the report of a diagnosis shows, taken out of the diagnosis."""
+"""The data that the report of a diagnosis shows."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Regime:
-    """Root mean squares in one slice of the motion.
+    """RMS errors in one regime of the motion.
 
     Attributes:
-        name: in words.
-        before, after: rad or m.
-        share: of the time.
+        name: description with units.
+        before, after: RMS error of the model and of the patched model, rad or m.
+        share: share of the time.
     """
 
     name: str
@@ -34,20 +34,20 @@ class Regime:
 
 @dataclass(frozen=True, slots=True)
 class JointView:
-    """One joint's pictures.
+    """Data of one joint's figure.
 
     Attributes:
-        joint, unit: which; ``rad`` or ``m``.
-        recording: the one that is drawn over time.
-        time, measured, before, after: (n,) of that recording.
+        joint, unit: name; ``rad`` or ``m``.
+        recording: file that is drawn over time.
+        time, measured, before, after: (n,) in that recording.
         command_time, command: (m,) where positions are commanded, else None.
-        floor: root mean square that no model explains.
-        left_before, left_after: (s,) measured minus predicted, over all tested recordings.
-        velocity, position, load: (s,) of the motion then; per s, and N*m or N.
-        stretches: lengths of the tested recordings within s.
-        interval: usual time between samples, s.
-        regimes: root mean squares by slice.
-        windows: where findings show in the drawn recording, (effect, start, end).
+        floor: noise floor.
+        left_before, left_after: (s,) residuals, measured minus predicted, in the test recordings.
+        velocity, position, load: (s,) motion at these samples; rad/s or m/s, and N*m or N.
+        stretches: number of samples of each test recording; they add up to s.
+        interval: median sampling interval, s.
+        regimes: RMS errors by regime.
+        windows: (effect, start, end) of the findings in the drawn recording, s.
     """
 
     joint: str
@@ -73,20 +73,21 @@ class JointView:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisView:
-    """One report.
+    """Content of one report.
 
     Attributes:
-        model: what was diagnosed.
+        model: name of the diagnosed model.
         created: RFC 3339.
         said: ``diagnosis.json``.
-        joints: pictures, the worst mismatch first.
-        floor_parts: source -> joint -> deviation in the joint's unit.
-        simulated: whether the error of the step is left in predictions.
+        joints: figures, the largest error in floors first.
+        floor_parts: source -> joint -> RMS in the joint's unit.
+        simulated: whether predictions contain the integration error of the time step.
         step_left: share of that error that is in the floor.
-        native: what the patched MJCF holds, one line each; ``beside``: what is stepped beside it.
-        tried: how many effects at places competed.
-        laws: effect -> its law and the law's source.
-        at_floor, share_left, left_floors: what counts as explained:
+        native: changes in the patched MJCF, one line each.
+        beside: effects that MJCF cannot express, applied by ``pytest-twin replay``.
+        tried: number of candidate effects.
+        laws: effect -> (equation, source).
+        at_floor, share_left, left_floors: limits of an explained joint, see
             :mod:`pytest_twin.diagnosis.verdict`.
     """
 
@@ -109,13 +110,13 @@ class DiagnosisView:
 def view_of(
     found: Diagnosis, said: Mapping[str, Any], patched: Patched, model: str
 ) -> DiagnosisView:
-    """Everything that the report shows.
+    """The content of the report.
 
     Args:
         found: the diagnosis.
         said: its ``diagnosis.json``.
-        patched: what was written as its realization.
-        model: what was diagnosed, as people call it.
+        patched: the patched model that was written.
+        model: name of the diagnosed model.
     """
     from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT, LEFT_FLOORS
     from pytest_twin.effects import catalogue
@@ -144,11 +145,11 @@ def view_of(
 
 def _at(effect: AppliedEffect) -> str:
     name = effect.effect.replace("_", " ")
-    return name if effect.joint is None else f"{name} at {effect.joint}"
+    return name if effect.joint is None else f"{name} at joint {effect.joint}"
 
 
 def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
-    """Pictures of every joint, the worst mismatch first."""
+    """Figure data of every joint, the largest error in floors first."""
     from pytest_twin.diagnosis.locate import motions, regimes
 
     problem, prepared = found.prepared.problem, found.prepared

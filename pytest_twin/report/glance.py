@@ -1,10 +1,11 @@
-"""A first look at a mismatch in one line."""
+"""The one-line text of a quick diagnosis."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
+from pytest_twin.report.finding_words import meaning_of, place, readable
 from pytest_twin.report.text import printable, quantity
 
 if TYPE_CHECKING:
@@ -12,46 +13,44 @@ if TYPE_CHECKING:
 
 _MOST_PARAMETERS = 2
 _MOST_WINDOWS = 2
-# Times below this read better in ms.
-_MILLISECONDS = 0.1
 
 
 def glance_words(seen: Glance) -> str:
-    """What it looks like and how surely; without a name, where and when the force is missing."""
+    """The most likely effect with its confidence, or where and when a force is missing."""
     if seen.suspect is not None:
         return printable(_suspect(seen.suspect))
     when = f"{seen.where.summary}{_spans(seen)}"
     if seen.joint is None:
         return printable(
-            f"no known effect stands out and no joint's force stands out of the noise; the error "
-            f"is {seen.floors:.2g} times the floor, {when}"
+            "no known effect explains the error, and no joint shows a missing force above the "
+            f"noise; the error is {seen.floors:.2g} times the noise floor; mainly {when}"
         )
-    return printable(f"no known effect stands out; force is missing at {seen.joint}, {when}")
-
-
-def _suspect(found: Suspect) -> str:
-    values = [
-        f"{name.replace('_', ' ')} about {_about(value, unit)}"
-        for name, (value, unit) in list(found.values.items())[:_MOST_PARAMETERS]
-    ]
-    of = f" of {' and '.join(found.of)}" if found.of else ""
-    rivals = "".join(f" or {_place(effect, joint)}" for effect, joint in found.rivals)
-    return (
-        f"looks like {_place(found.term.effect, found.joint)}, {', '.join(values)} "
-        f"({math.floor(100 * found.share)} % sure{', could be' + rivals[3:] if rivals else ''}); "
-        f"would remove {math.floor(100 * found.removed)} % of the squared error{of}"
+    return printable(
+        f"no known effect explains the error; a force is missing at joint {seen.joint}, "
+        f"mainly {when}"
     )
 
 
-def _place(effect: str, joint: str | None) -> str:
-    return effect if joint is None else f"{effect} at {joint}"
+def _suspect(found: Suspect) -> str:
+    effect = found.term.effect
+    values = [
+        f"{meaning_of(effect, name)} about {_about(value, unit)}"
+        for name, (value, unit) in list(found.values.items())[:_MOST_PARAMETERS]
+    ]
+    of = f" of {' and '.join(found.of)}" if found.of else ""
+    rivals = " or ".join(place({"effect": e, "joint": j}) for e, j in found.rivals)
+    return (
+        f"probably {place({'effect': effect, 'joint': found.joint})}: {', '.join(values)}; "
+        f"confidence {math.floor(100 * found.share)} %"
+        f"{f', it could also be {rivals}' if rivals else ''}; correcting it would remove "
+        f"{math.floor(100 * found.removed)} % of the squared error{of}"
+    )
 
 
 def _about(value: float, unit: str) -> str:
     rounded = float(f"{value:.2g}")
-    if unit == "s" and abs(rounded) < _MILLISECONDS:
-        return quantity(1e3 * rounded, "ms")
-    return quantity(rounded, unit)
+    factor, unit = readable(rounded, unit)
+    return quantity(factor * rounded, unit)
 
 
 def _spans(seen: Glance) -> str:

@@ -38,7 +38,7 @@ _MARKERS = {
 
 TRAVELS = "twin_outcome"
 """Attribute of a report: pytest-xdist carries it from worker to controller."""
-_FULL_DIAGNOSIS = "; for the full one: pytest --twin-diagnose"
+_FULL_DIAGNOSIS = "; full diagnosis: pytest --twin-diagnose"
 
 
 class TwinSession:

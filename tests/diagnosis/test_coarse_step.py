@@ -49,8 +49,8 @@ def test_what_is_left_above_the_floor_may_be_the_steps(
     floor = 0.02 * float(abs(problem.defect[0].position[:, ELBOW]).max())
     errors = {"elbow": JointError(1.0, floors * floor, floor, "rad")}
     said = [
-        "joint 'elbow'", "step of 2 ms is itself", "rad off",
-        "a smaller timestep of the model says more",
+        "joint 'elbow'", "time step (2 ms) is", "times the residual",
+        "Reduce the model's timestep",
     ]  # fmt: skip
     assert_doubts(coarse_step(problem, hypothesis, errors), doubted, said)
 
@@ -65,8 +65,8 @@ def test_what_was_explained_may_be_the_steps(
     own = float(np.sqrt(np.mean(problem.defect[0].position[:, ELBOW] ** 2)))
     errors = {"elbow": JointError(mismatch * own, 0.1 * own, 0.1 * own, "rad")}
     said = [
-        "step of 2 ms is itself",
-        "were to be explained: what was found at it may be the step's",
+        "time step (2 ms) is",
+        "of the model's error; the findings at this joint may come from it",
     ]
     assert_doubts(coarse_step(problem, hypothesis, errors), doubted, said)
 

@@ -223,7 +223,7 @@ def test_a_regime_says_when_the_arm_is_at_the_table(bench: tuple[Path, Trial, Pr
     clear = np.abs(height - 0.01) > 1e-3
     assert 0.1 < np.mean(height < 0.01) < 0.9
     assert (path.touching == (height < 0.01))[clear].all()
-    words = {True: "in contact, or within 10 mm of it", False: "without contact"}
+    words = {True: "in contact or within 10 mm of a surface", False: "without contact"}
     rare = bool(path.touching.mean() < 0.5)
     found = place_of([path], np.where(path.touching == rare, 1.0, 0.01), 1, "rad").summary
     assert found.startswith(words[rare])

@@ -69,10 +69,9 @@ def test_a_failure_says_in_one_line_what_it_looks_like(late: Path) -> None:
     assert len(lines) == 2
     for line in lines:
         found = re.fullmatch(
-            r"looks like command_delay at elbow, delay about (\d+) ms \((\d+) % sure"
-            r"(?:, could be sensor_delay)?\); "
-            r"would remove (\d+) % of the squared error; for the full one: "
-            r"pytest --twin-diagnose",
+            r"probably command delay at joint elbow: command delay about (\d+) ms; "
+            r"confidence (\d+) %(?:, it could also be sensor delay)?; correcting it would remove "
+            r"(\d+) % of the squared error; full diagnosis: pytest --twin-diagnose",
             line,
         )
         assert found, line
@@ -81,7 +80,7 @@ def test_a_failure_says_in_one_line_what_it_looks_like(late: Path) -> None:
         assert 50 <= sure <= 90
         assert removed >= 95
     page = (late / ".twin" / "report.html").read_text()
-    assert page.count("Diagnosis (quick): looks like command_delay at elbow") == 2
+    assert page.count("Diagnosis (quick): probably command delay at joint elbow") == 2
     assert not (late / ".twin" / "diagnosis").exists()
 
 
@@ -92,8 +91,8 @@ def test_friction_is_named_and_what_passes_says_nothing(tmp_path: Path) -> None:
     result = run(root)
     assert "1 failed, 1 passed" in result.stdout
     (line,) = quick(result.stdout)
-    assert line.startswith("looks like viscous_friction at elbow, coefficient about 0.0")
-    assert "% sure, could be controller_gain at elbow)" in line
+    assert line.startswith("probably viscous friction at joint elbow: viscous friction about 0.0")
+    assert "%, it could also be controller gain at joint elbow;" in line
 
 
 def test_a_look_that_fails_stays_one_line(late: Path, tmp_path: Path) -> None:
@@ -138,7 +137,7 @@ def assert_attached(root: Path, text: str) -> None:
     assert "see golden/replay/fit1@mujoco" in text
     assert "diagnosis of mujoco: Explained" in text
     assert str(folder / "report.html") in text
-    assert "for the full one" not in text
+    assert "full diagnosis:" not in text
     page = (root / ".twin" / "report.html").read_text()
     assert page.count('<a href="diagnosis/mujoco/report.html">Full diagnosis</a>') == 2
 

@@ -92,10 +92,10 @@ def test_a_role_is_what_the_command_line_says_then_the_metadata_then_a_split(ben
     assert (names(said.fit), names(said.held_out)) == (["a.mcap", "b.mcap"], ["c.mcap"])
     own = bench.read(a, b, c)
     assert (names(own.fit), names(own.held_out)) == (["a.mcap", "c.mcap"], ["b.mcap"])
-    assert own.notes[0] == "held out by their own metadata: b.mcap"
+    assert own.notes[0] == "held out (role in the metadata): b.mcap"
     split = bench.read(a, c)
     assert len(split.fit) == len(split.held_out) == 1
-    assert "whole recordings were split, held out: c.mcap" in split.notes[0]
+    assert "held out (chosen automatically): c.mcap" in split.notes[0]
     # A recording given twice plays one role.
     assert names(bench.read(a, c, held_out=(c,)).fit) == ["a.mcap"]
 
@@ -141,7 +141,7 @@ def test_a_recording_too_short_to_show_its_noise_is_left_out(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("factor", "words"),
-    [(np.degrees(1.0), "as if in degrees"), (4096 / (2 * np.pi), "as if in encoder counts")],
+    [(np.degrees(1.0), "seem to be in degrees"), (4096 / (2 * np.pi), "to be in encoder counts")],
 )
 def test_another_unit_is_not_taken_for_physics(bench: Bench, factor: float, words: str) -> None:
     odd = bench.put("odd.mcap", seen=bench.seen * factor)
@@ -159,7 +159,7 @@ def test_a_joint_at_its_stop_is_in_no_other_unit(bench: Bench, end: float | None
     structure = bench.loaded.realization.structure
     bounded = replace(structure, joint_range={**structure.joint_range, "left": (-2.0, 0.3)})
     if end is None:
-        with pytest.raises(RecordingError, match="as if in encoder counts"):
+        with pytest.raises(RecordingError, match="seem to be in encoder counts"):
             read_trials([path], (), bench.loaded.topics, bounded)
     else:
         assert names(read_trials([path], (), bench.loaded.topics, bounded).fit) == ["a.mcap"]
@@ -177,7 +177,7 @@ def test_a_held_out_recording_of_another_mode_is_left_out(bench: Bench) -> None:
     found = bench.read(a, held_out=(b, effort))
     assert [t.path for t in found.held_out] == [b]
     assert any(
-        str(effort) in n and "effort commands, the others give position" in n for n in found.notes
+        str(effort) in n and "it has effort commands, most others have position" in n for n in found.notes
     )
     alone = bench.read(a, held_out=(effort,))
     assert not alone.held_out
@@ -212,7 +212,7 @@ def test_a_servo_that_nobody_commands_is_no_mismatch(bench: Bench) -> None:
     found = diagnose(bench.loaded.realization, trials, threads=1)
     assert found.verdict == "no_mismatch"
     assert list(found.errors) == ["left"]
-    assert any("'right' has a servo that no recording commands" in note for note in found.notes)
+    assert any("'right': no recording contains commands of its servo" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.4], ids=["commanded", "commanded later"])
@@ -232,9 +232,9 @@ def test_a_recording_may_begin_amid_a_motion(bench: Bench, late: float) -> None:
     trials = bench.read(*files)
     found = diagnose(bench.loaded.realization, trials, threads=1)
     assert found.verdict == "no_mismatch"
-    said = [n for n in found.notes if "begins amid a motion and has no velocities" in n]
+    said = [n for n in found.notes if "moves at the start and no velocity is recorded" in n]
     assert len(said) == 3
-    unsaid = [n for n in found.notes if "its first 0.4 s are left out" in n]
+    unsaid = [n for n in found.notes if "its first 0.4 s are not used" in n]
     assert len(unsaid) == (3 if late else 0)
 
 
@@ -308,7 +308,7 @@ def test_a_recording_that_begins_at_rest_stays_there(
 def test_a_clipped_velocity_is_said_and_does_not_matter(bench: Bench) -> None:
     speed = np.clip(np.gradient(bench.seen, bench.seen_at, axis=0), -1.0, 1.0)
     found = bench.read(bench.put("a.mcap", velocity=speed))
-    assert any("velocity of left stands at 1" in note for note in found.notes)
+    assert any("velocity of left is at its maximum of 1" in note for note in found.notes)
 
 
 def stuck(bench: Bench) -> np.ndarray:
@@ -338,7 +338,7 @@ def test_a_joint_that_friction_holds_for_a_while_is_not_a_stuck_encoder(bench: B
 def test_degrees_in_states_and_commands_alike_are_asked_about(bench: Bench) -> None:
     bench.sent = np.degrees(bench.sent)
     found = bench.read(bench.put("a.mcap", seen=np.degrees(bench.seen)))
-    assert any("turns; where states and commands are in degrees" in n for n in found.notes)
+    assert any("turns); if states and commands are in degrees" in n for n in found.notes)
 
 
 def test_a_joint_that_rests_to_the_end_where_friction_can_hold_it_is_not_stuck(
@@ -362,7 +362,7 @@ def test_a_stuck_encoder_everywhere_costs_its_joint_alone(bench: Bench) -> None:
     assert set(found.errors) == {"right"}
     assert found.explained.findings == ()
     assert found.verdict == "no_mismatch"
-    assert any("nothing is held against it" in note for note in found.notes)
+    assert any("is not evaluated" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("away", [0.0, 0.05], ids=["where it is told", "beside that"])
@@ -372,7 +372,7 @@ def test_a_joint_that_reads_one_number_is_as_noisy_as_the_others(bench: Bench, a
     bench.sent[:, 1], held[:, 1] = 0.0, away
     trials = bench.read(bench.put("a.mcap", seen=held), bench.put("b.mcap", seen=held))
     assert trials.unseen == frozenset()
-    assert any("'right': its encoder reads" in note and "as the others" in note
+    assert any("'right': its encoder reads" in note and "noise of the others" in note
                for note in trials.notes)  # fmt: skip
     prepared = prepare(bench.loaded.realization, trials.fit, trials.held_out, threads=1)
     noise = prepared.floor_parts[NOISE]
@@ -404,12 +404,12 @@ def test_under_effort_commands_one_number_is_held_against_nothing(tmp_path: Path
 
     trials = read()
     assert trials.unseen == {"left"}
-    assert any("something holds the joint" in note for note in trials.notes)
+    assert any("the joint is blocked" in note for note in trials.notes)
     found = diagnose(loaded.realization, trials)
     assert set(found.errors) == {"right"}
     assert found.verdict == "no_mismatch"
     seen[:, 1] = -0.2
-    with pytest.raises(RecordingError, match=r"every joint reads one .*right -0\.2"):
+    with pytest.raises(RecordingError, match=r"every joint has the same position .*right -0\.2"):
         read()
 
 
@@ -421,7 +421,7 @@ def test_a_joint_that_one_recording_lacks_is_left_out(bench: Bench) -> None:
     assert "joint 'right' is left out: one.mcap lacks it" in found.notes
     alone = diagnose(bench.loaded.realization, bench.read(one))
     assert set(alone.errors) == {"left"}
-    said = "joint 'right' is in no recording: it starts where the model has it, and what the others"
+    said = "joint 'right' is in no recording: it is simulated from the model's initial position"
     assert any(note.startswith(said) for note in alone.notes)
 
 
@@ -430,7 +430,7 @@ def test_a_recording_that_lacks_a_joint_is_left_out_where_most_have_it(bench: Be
     one = bench.put("one.mcap", joints=("left",))
     trials = bench.read(*whole, one)
     assert names((*trials.fit, *trials.held_out)) == ["whole0.mcap", "whole1.mcap"]
-    assert any("one.mcap: it lacks right, which others have" in note for note in trials.notes)
+    assert any("one.mcap: it lacks right, which most others have" in note for note in trials.notes)
     alone = bench.read(*whole, held_out=(one,))
     assert names(alone.held_out) == ["one.mcap"]
 
@@ -455,10 +455,10 @@ def test_a_recording_on_which_the_model_diverges_is_left_out(tmp_path: Path) -> 
     found = diagnose(loaded.realization, trials(usual[0], odd))
     assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
     (note,) = [n for n in found.notes if n.startswith("left out: ")]
-    assert note == f"left out: {odd}: the model as it came diverges there"
+    assert note == f"left out: {odd}: the simulation of the model diverges"
     with pytest.raises(SimulationError) as refused:
         diagnose(loaded.realization, trials(odd))
-    assert "odd.mcap: the model as it came diverges under the recorded commands" in str(
+    assert "odd.mcap: the simulation of the model diverges under the recorded commands" in str(
         refused.value
     )
 

@@ -86,7 +86,7 @@ def test_the_regime_is_the_slice_that_holds_more_blame_than_time() -> None:
     assert "rad/s" in fast.summary
     patch = np.abs(swing.position[:, 0] - 0.3) < 0.05
     spot = place_of([swing], patch.astype(float), 0, "m").summary
-    low, high = (float(x) for x in spot.split(" m:")[0].split()[1::2])
+    low, high = (float(x) for x in spot.split(" m (")[0].split()[1::2])
     assert 0.2 < low < 0.3 < high < 0.4
     assert place_of([swing], np.ones_like(time), 0, "rad").summary == "throughout the motion"
     assert set(fast.windows) == {"a.mcap"}
@@ -170,7 +170,7 @@ def test_recordings_are_sliced_by_what_they_say_of_themselves() -> None:
     warm = np.concatenate([np.full(len(time), k % 2 == 0) for k in range(8)])
     assert (slices["temperature warm"] == warm).all()
     assert place_of(paths, 0.01 + warm, 0, "rad").summary == (
-        "temperature warm: 99 % of it in 50 % of the time"
+        "temperature warm (99 % of the error in 50 % of the time)"
     )
 
 
@@ -202,7 +202,7 @@ def test_of_many_measured_temperatures_the_colder_half_is_a_slice() -> None:
     cold = np.concatenate([np.full(len(time), float(m[:5]) < 24.0) for m in measured])
     assert (slices["temperature up to 23.75 C"] == cold).all()
     assert place_of(paths, 0.01 + cold, 0, "rad").summary == (
-        "temperature up to 23.75 C: 99 % of it in 50 % of the time"
+        "temperature up to 23.75 C (99 % of the error in 50 % of the time)"
     )
 
 
@@ -218,7 +218,7 @@ def test_what_is_left_at_one_frequency_is_said_to_be_there(irregular: bool) -> N
         left.append(1e-3 * ring + 2e-4 * rng.standard_normal(len(time)))
     text = frequencies(paths, np.concatenate(left), 0)
     assert text is not None
-    found = re.match(r"([\d.]+) to ([\d.]+) Hz: (\d+) % of what is left, 0 % of the motion", text)
+    found = re.match(r"([\d.]+) to ([\d.]+) Hz \((\d+) % of the residual, 0 % of the motion\)", text)
     assert found, text
     low, high, share = map(float, found.groups())
     assert 8.3 < low < 9.0 < high < 9.7

@@ -90,8 +90,9 @@ def test_states_and_commands_in_one_wrong_unit_are_refused_at_once(
     assert cli.main([*words, str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert re.fullmatch(
-        rf"pytest-twin diagnose: \S+0\.mcap: states and commands as if in {unit}: read so, the "
-        r"model follows them \(expected rad \(m where a joint slides\)\)\n",
+        rf"pytest-twin diagnose: \S+0\.mcap: states and commands seem to be in {unit}: in this "
+        r"unit the model follows them \(expected rad \(m for a sliding joint\); convert the "
+        r"recording\)\n",
         said,
     ), said
 
@@ -105,7 +106,7 @@ def test_of_several_the_ones_in_degrees_are_left_out(
     found = without_other_units(pendulums.realization, read(pendulums, odd, *good), notes)
     assert {t.path for t in (*found.fit, *found.held_out)} == set(good)
     (note,) = notes
-    assert note.startswith(f"left out: {odd}: states and commands as if in degrees")
+    assert note.startswith(f"left out: {odd}: states and commands seem to be in degrees")
 
 
 def test_degrees_are_told_where_most_recordings_are_slow(
@@ -114,14 +115,16 @@ def test_degrees_are_told_where_most_recordings_are_slow(
     """A slow motion a servo follows in any unit, if less well in a wrong one."""
     slow = [servos(tmp_path / f"slow{k}.mcap", k, np.degrees(1.0), slower=2) for k in range(2)]
     odd = read(pendulums, *slow, servos(tmp_path / "fast.mcap", 2, np.degrees(1.0)))
-    with pytest.raises(RecordingError, match="states and commands as if in degrees"):
+    with pytest.raises(RecordingError, match="states and commands seem to be in degrees"):
         without_other_units(pendulums.realization, odd, [])
 
 
 def test_states_in_degrees_under_effort_commands_are_refused(tmp_path: Path) -> None:
     loaded = wheel_model(tmp_path, "motor")
     odd = read(loaded, wheel(tmp_path / "a.mcap", "effort", scale=np.degrees(1.0)))
-    with pytest.raises(RecordingError, match="states as if in degrees: read so, the model"):
+    with pytest.raises(
+        RecordingError, match="states seem to be in degrees: in this unit the model"
+    ):
         without_other_units(loaded.realization, odd, [])
 
 

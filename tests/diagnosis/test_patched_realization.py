@@ -192,7 +192,9 @@ def test_an_effect_of_a_joint_that_no_recording_has_is_left_out_and_said(
     given = Given.of(loaded.realization, loaded.patched, threads=1)
     again, _ = pose(given, TrialSet((alone,), (), ()), notes)
     assert again.problem.joints == JOINTS[:1]
-    assert notes == [f"rate_limit of joint {JOINTS[1]!r} is left out: no motion of it"]
+    assert notes == [
+        f"rate_limit of joint {JOINTS[1]!r} is not applied: no recording contains this joint"
+    ]
 
 
 def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> None:

@@ -154,8 +154,8 @@ def test_bristles_of_the_least_length_have_to_take_off_more(
     assert list(gone) == ([] if named else [0])
     for note in gone.values():
         assert note == (
-            "presliding_hysteresis at left takes nothing off that stands more than 3 floors high; "
-            "it is not claimed"
+            "rejected: presliding_hysteresis at left: it reduces the residual by less than 3 times "
+            "the noise floor"
         )
 
 
@@ -203,7 +203,7 @@ def test_a_gear_as_good_as_rigid_is_no_name_whatever_it_takes_off(
     assert list(gone) == ([0] if rigid else [])
     for note in gone.values():
         assert note == (
-            "joint_elasticity at left is as good as rigid, by its own interval; it is not claimed"
+            "rejected: joint_elasticity at left: its 95 % interval includes a rigid transmission"
         )
 
 
@@ -227,8 +227,8 @@ def test_a_law_of_position_that_leaves_more_of_position_is_no_name(
     gone = _misshapen(of_one_term(problem, fitted, left, without=left))
     assert list(gone) == ([] if named else [0])
     for note in gone.values():
-        assert note.startswith("near in the catalogue is joint_spring at left, but ")
-        assert "goes with the joint's position, too: what acts has another shape" in note
+        assert note.startswith("rejected: joint_spring at left, the closest known effect: ")
+        assert "is still missing depends on the joint's position, so the true dependence" in note
 
 
 def waving(problem: Problem, mean: float, *beside: tuple[Term, float]) -> Hypothesis:
@@ -251,8 +251,10 @@ def test_less_than_no_friction_over_the_turn_is_no_name(tmp_path: Path) -> None:
         return dict(_less_than_none(tested))
 
     (note,) = taken_back(waving(problem, -0.1)).values()
-    assert note.startswith("near in the catalogue is position_dependent_friction at left, but ")
-    assert "less than no dry friction on average over the turn" in note
+    assert note.startswith(
+        "rejected: position_dependent_friction at left, the closest known effect: "
+    )
+    assert "the mean dry friction of the joint would be negative" in note
     # A bent shaft may run free for a part of the turn, and what is dry beside it counts.
     assert not taken_back(waving(problem, 0.1))
     assert not taken_back(waving(problem, -0.1, (Term("coulomb_friction", 0), 0.2)))
@@ -315,7 +317,7 @@ def test_a_name_that_takes_nothing_off_over_whole_motions_goes(tmp_path: Path) -
     assert [h.terms for h in pruned.rests] == [()]
     assert pruned.fitted.jacobian.shape[-1] == 1
     assert pruned.notes == [
-        "quadratic_drag at right takes too little off over whole recordings; it is not claimed"
+        "rejected: quadratic_drag at right: it reduces the error over whole recordings too little"
     ]
 
 
@@ -348,7 +350,7 @@ def test_a_shift_of_a_small_part_of_a_step_is_no_name(
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [hypothesis], weights, problem.fit, iterations=0, slopes=True)[0]
     gone = _within_a_step(of_one_term(problem, fitted, 1.0, without=50.0))
-    assert not gone if named else "small part of the simulator's step" in gone[0]
+    assert not gone if named else "small part of the time step" in gone[0]
 
 
 def test_what_predicted_nothing_unseen_has_to_take_off_more(tmp_path: Path) -> None:
@@ -360,8 +362,8 @@ def test_what_predicted_nothing_unseen_has_to_take_off_more(tmp_path: Path) -> N
     pruned = prune(problem, selected)
     assert not pruned.fitted.hypothesis.terms
     assert pruned.notes == [
-        "viscous_friction at left takes nothing off that stands more than 3 floors high; it is not "
-        "claimed"
+        "rejected: viscous_friction at left: it reduces the residual by less than 3 times the "
+        "noise floor"
     ]
 
 
@@ -514,7 +516,7 @@ def test_a_slight_name_beside_a_strong_one_is_none(tmp_path: Path, lag: float, s
     selected = Selected(best, bare, confidence=dict.fromkeys(terms, 1.0))
     pruned = prune(problem, selected)
     assert pruned.fitted.hypothesis.terms == (terms if stays else terms[:1])
-    idle = "actuator_lag at left takes too little of what is left without it; it is not claimed"
+    idle = "rejected: actuator_lag at left: it removes too little of the remaining error"
     assert pruned.notes == ([] if stays else [idle])
 
 

@@ -84,7 +84,7 @@ def posed(folder: Path, substeps: int, more: float) -> tuple:
 
 
 def said_so(found: Diagnosis) -> bool:
-    return any("the recordings are a simulation's" in note for note in found.notes)
+    return any("the recordings come from a simulation" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 4, 5, 40])

@@ -16,8 +16,8 @@ from pytest_twin.diagnosis.problem import Problem
 VISCOUS, COULOMB = Term("viscous_friction", 0), Term("coulomb_friction", 0)
 CRESTS = Term("position_dependent_friction", 0)
 KNOWN = re.compile(
-    r"(\w+) trades off against (.+) \(correlation ([+-][\d.]+)\); known well is "
-    r"\1 ([+-]) ([\d.e+-]+) x \2 = ([\d.e+-]+) \+- ([\d.e+-]+) \(SI\)"
+    r"(\w+) and (.+) are not identifiable separately \(correlation ([+-][\d.]+)\); well known is "
+    r"\1 ([+-]) ([\d.e+-]+) x \2 = ([\d.e+-]+) \+- ([\d.e+-]+) \(SI units, 95 %\)"
 )
 PROBLEM: Problem = SimpleNamespace(  # type: ignore[assignment]
     scales=Scales(

@@ -48,6 +48,6 @@ def test_what_other_joints_feel_alone_is_no_sure_name(tmp_path: Path) -> None:
     there = [f for f in found.explained.findings if f.joint == "elbow"]
     assert there
     assert all(f.confidence <= 0.5 for f in there)
-    said = [n for n in found.notes if "its own encoder says nothing" in n]
+    said = [n for n in found.notes if "the encoder of this joint gives no information" in n]
     assert len(said) == len(there)
     assert not any("shoulder" in n for n in said)

@@ -1,29 +1,93 @@
-"""What a finding says of itself in one sentence."""
+"""A finding in one sentence, with its gain, its alternatives and the next test."""
 
 from __future__ import annotations
 
-from pytest_twin.report.diagnosis import finding_sentence
+from typing import Any
 
-LAGS = {
-    "effect": "actuator_lag",
-    "joint": "Elbow_J2",
-    "confidence": 1.0,
-    "parameters": {
-        "time_constant": {"value": 0.025, "unit": "s", "ci95": [0.024, 0.026]},
-        "of_setpoint": {"value": 1.0, "unit": "1", "ci95": [1.0, 1.0]},
-    },
-    "held_out_gain": 0.995,
-    "alternatives": [],
-}
+import pytest
+
+from pytest_twin.report.finding_words import ambiguous, finding_sentence, gain, to_confirm
 
 
-def test_joints_are_named_as_they_are_numbers_have_intervals_and_choices_none() -> None:
-    assert finding_sentence(LAGS) == (
-        "Actuator lag at Elbow_J2: time constant 0.025 s (0.024 to 0.026), of setpoint 1; "
-        "confidence 100 %, takes 99.5 % off the error that stands without it."
+def finding(effect: str, joint: str | None = "elbow", **parameters: Any) -> dict[str, Any]:
+    """A finding as ``diagnosis.json`` has it, of (value, unit, low, high)."""
+    return {
+        "effect": effect,
+        "joint": joint,
+        "confidence": 1.0,
+        "parameters": {
+            name: {"value": value, "unit": unit, "ci95": [low, high]}
+            for name, (value, unit, low, high) in parameters.items()
+        },
+        "held_out_gain": 0.995,
+        "alternatives": [],
+        "next_test": "record slow reversals",
+    }
+
+
+@pytest.mark.parametrize(
+    ("said", "sentence"),
+    [
+        (
+            finding("command_delay", delay=(0.0148, "s", 0.0145, 0.0151)),
+            "The command delay of joint elbow is 14.8 ms (95 % interval 14.5 to 15.1).",
+        ),
+        (
+            finding("viscous_friction", coefficient=(-0.5, "N*m*s/rad", -0.6, -0.4)),
+            "The viscous friction of joint elbow is 0.5 N*m*s/rad below the model's (95 % interval "
+            "-0.6 to -0.4).",
+        ),
+        (
+            finding("torque_constant", relative_error=(0.12, "1", 0.1, 0.14)),
+            "The torque constant of joint elbow is 12 % above the model's (95 % interval 10 to 14)"
+            ".",
+        ),
+        (
+            finding(
+                "actuator_lag", time_constant=(0.025, "s", 0.024, 0.026), of_setpoint=(1, "1", 1, 1)
+            ),
+            "The lag time constant (lag of the setpoint) of joint elbow is 25 ms (95 % interval 24 "
+            "to 26).",
+        ),
+        (
+            finding("base_tilt", None, roll=(0.01, "rad", 0.0, 0.02), pitch=(0.3, "rad", 0.2, 0.4)),
+            "Base tilt: roll about x 10 mrad (95 % interval 0 to 20), pitch about y 0.3 rad (95 % "
+            "interval 0.2 to 0.4).",
+        ),
+        (
+            finding("coulomb_friction", coulomb=(0.5, "N*m", 0.4, 0.6)),
+            "The Coulomb friction of joint elbow is 0.5 N*m above the model's (95 % interval 0.4 "
+            "to 0.6).",
+        ),
+        (
+            finding("of_another_package", pull=(2.0, "N*m", 1.0, 3.0)),
+            "The pull of joint elbow is 2 N*m (95 % interval 1 to 3).",
+        ),
+    ],
+)
+def test_a_sentence_has_quantity_joint_value_unit_and_interval(
+    said: dict[str, Any], sentence: str
+) -> None:
+    assert finding_sentence(said) == sentence
+
+
+def test_the_gain_says_of_which_error_and_whether_it_grows() -> None:
+    said = finding("command_delay")
+    assert gain(said, held_out=True) == "removes 99.5 % of the remaining squared held-out error"
+    assert gain(said | {"held_out_gain": -0.12}, held_out=False) == (
+        "adds 12 % to the remaining squared fitted error"
     )
 
 
-def test_what_adds_to_an_error_that_one_slide_is_most_of_says_so() -> None:
-    said = finding_sentence(LAGS | {"held_out_gain": -0.12})
-    assert said.endswith("confidence 100 %, adds 12 % to the error that stands without it.")
+def test_alternatives_above_a_tenth_are_named_with_their_share() -> None:
+    rivals = [
+        {"effect": "stribeck_friction", "joint": "elbow", "confidence": 0.3},
+        {"effect": "sensor_delay", "joint": None, "confidence": 0.05},
+    ]
+    said = finding("coulomb_friction") | {"alternatives": rivals}
+    assert ambiguous(said) == "Ambiguous: it may also be Stribeck friction at joint elbow (30 %)."
+    assert ambiguous(finding("coulomb_friction")) == ""
+
+
+def test_the_next_test_is_an_instruction() -> None:
+    assert to_confirm(finding("command_delay")) == "To confirm: record slow reversals."

@@ -15,9 +15,9 @@ def test_a_name_comes_with_size_doubt_and_what_it_buys() -> None:
     rivals = (("presliding_hysteresis", "elbow"), ("sensor_delay", None))
     suspect = Suspect(Term("stribeck_friction", 1), "elbow", values, 0.655, 0.9996, rivals)
     assert glance_words(Glance(suspect, "elbow", WHERE, 40.0)) == (
-        "looks like stribeck_friction at elbow, coulomb about 0.33 N*m, stribeck velocity about "
-        "0.051 rad/s (65 % sure, could be presliding_hysteresis at elbow or sensor_delay); "
-        "would remove 99 % of the squared error"
+        "probably Stribeck friction at joint elbow: Coulomb friction about 0.33 N*m, Stribeck "
+        "velocity about 0.051 rad/s; confidence 65 %, it could also be presliding hysteresis at "
+        "joint elbow or sensor delay; correcting it would remove 99 % of the squared error"
     )
 
 
@@ -25,19 +25,20 @@ def test_of_some_joints_alone_it_says_of_which() -> None:
     values = {"delay": (0.02, "s")}
     suspect = Suspect(Term("command_delay", 1), "elbow", values, 0.9, 0.95, of=("elbow", "wrist"))
     assert glance_words(Glance(suspect, "elbow", WHERE, 40.0)) == (
-        "looks like command_delay at elbow, delay about 20 ms (90 % sure); "
-        "would remove 95 % of the squared error of elbow and wrist"
+        "probably command delay at joint elbow: command delay about 20 ms; confidence 90 %; "
+        "correcting it would remove 95 % of the squared error of elbow and wrist"
     )
 
 
 def test_without_a_name_it_says_where_and_when() -> None:
     assert glance_words(Glance(None, "elbow", WHERE, 40.0)) == (
-        "no known effect stands out; force is missing at elbow, fast, |velocity| > 3 rad/s, "
-        "2 to 3.25 s, 4 to 4.5 s"
+        "no known effect explains the error; a force is missing at joint elbow, mainly fast, "
+        "|velocity| > 3 rad/s, 2 to 3.25 s, 4 to 4.5 s"
     )
     assert glance_words(Glance(None, None, WHERE, 2.04)) == (
-        "no known effect stands out and no joint's force stands out of the noise; the error is "
-        "2 times the floor, fast, |velocity| > 3 rad/s, 2 to 3.25 s, 4 to 4.5 s"
+        "no known effect explains the error, and no joint shows a missing force above the noise; "
+        "the error is 2 times the noise floor; mainly fast, |velocity| > 3 rad/s, 2 to 3.25 s, "
+        "4 to 4.5 s"
     )
 
 

@@ -125,10 +125,10 @@ def _with_columns(table: FloatArray, columns: list[int], values: FloatArray) -> 
 
 
 def beside_in_words(patched: Patched) -> tuple[str, ...]:
-    """One line that names what is stepped beside the model, none where nothing is."""
+    """A line that names the effects that MJCF cannot hold; empty without any."""
     named = (e.effect + ("" if e.joint is None else f" of {e.joint}") for e in patched.beside)
     text = ", ".join(named)
-    return (f"stepped beside the model: {text}",) if text else ()
+    return (f"effects applied beside the MJCF: {text}",) if text else ()
 
 
 def _predict(segment: Segment, patched: Patched, values: EffectValues, threads: int) -> Predicted:

@@ -174,7 +174,7 @@ def _diverging(tested: _Tested) -> _Gone:
     if np.isfinite([tested.base, left]).all():
         return {}
     k = int(np.argmin([np.linalg.norm(v) for v in tested.levels]))
-    return {k: f"with {tested.label(k)} the prediction diverges; it is not claimed"}
+    return {k: f"rejected: {tested.label(k)}: the simulation diverges with it"}
 
 
 def _less_than_none(tested: _Tested) -> _Gone:
@@ -185,8 +185,8 @@ def _less_than_none(tested: _Tested) -> _Gone:
     problem, hypothesis = tested.problem, tested.fitted.hypothesis
     joints = {t.joint for t in tested.terms if problem.less_than_none(hypothesis, t)}
     return {
-        k: f"near in the catalogue is {tested.label(k)}, but the joint would have less than no dry "
-        "friction on average over the turn: what acts there acts in one place; it is not claimed"
+        k: f"rejected: {tested.label(k)}, the closest known effect: the mean dry friction of the "
+        "joint would be negative. The friction probably acts at one position only"
         for k, t in enumerate(tested.terms)
         if t.joint in joints and t.dry_level is not None
     }
@@ -214,8 +214,8 @@ def _under_the_floor(tested: _Tested) -> _Gone:
     if height[k] > 1.0:
         return {}
     return {
-        k: f"{tested.label(k)} takes nothing off that stands more than {bars[k]:g} floors high; "
-        "it is not claimed"
+        k: f"rejected: {tested.label(k)}: it reduces the residual by less than {bars[k]:g} times "
+        "the noise floor"
     }
 
 
@@ -227,7 +227,7 @@ def _as_good_as_rigid(tested: _Tested) -> _Gone:
         apart = t.law.overrides("separates")
         if apart and _perhaps_absent(tested.fitted, t, tested.known):
             return {
-                k: f"{tested.label(k)} is as good as rigid, by its own interval; it is not claimed"
+                k: f"rejected: {tested.label(k)}: its 95 % interval includes a rigid transmission"
             }
     return {}
 
@@ -241,9 +241,8 @@ def _within_a_step(tested: _Tested) -> _Gone:
         shift = _longest_shift(problem, tested.fitted.hypothesis, t)
         if 0.0 < shift < _PART_OF_A_STEP * problem.simulator.timestep:
             return {
-                k: f"{tested.label(k)} shifts nothing by more than {1e3 * shift:.2g} ms, a small "
-                f"part of the simulator's step of {1e3 * problem.simulator.timestep:.2g} ms; "
-                "it is not claimed"
+                k: f"rejected: {tested.label(k)}: it shifts signals by at most {1e3 * shift:.2g} "
+                f"ms, a small part of the time step ({1e3 * problem.simulator.timestep:.2g} ms)"
             }
     return {}
 
@@ -276,7 +275,7 @@ def _idle(tested: _Tested) -> _Gone:
     if not idle:
         return {}
     k = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
-    return {k: f"{tested.label(k)} takes too little of what is left without it; it is not claimed"}
+    return {k: f"rejected: {tested.label(k)}: it removes too little of the remaining error"}
 
 
 def _slight(tested: _Tested) -> _Gone:
@@ -290,8 +289,8 @@ def _slight(tested: _Tested) -> _Gone:
         slight = taken < _SLIGHT * whole and not (_needed(tested, k) and left > AT_FLOOR)
         if slight and tested.chance(t) < _UNSURE:
             return {
-                k: f"{tested.label(k)} would take less than {100 * _SLIGHT:g} % of the squared "
-                "mismatch, and others could in its place; it is not claimed"
+                k: f"rejected: {tested.label(k)}: it removes less than {100 * _SLIGHT:g} % of the "
+                "squared error, and other effects can explain that part"
             }
     return {}
 
@@ -303,8 +302,8 @@ def _unlikely(tested: _Tested) -> _Gone:
     if len(chances) == 1 or chances[k] >= _UNLIKELY:
         return {}
     return {
-        k: f"{tested.label(k)} stands where others are more likely, and they were not told apart; "
-        "it is not claimed"
+        k: f"rejected: {tested.label(k)}: other effects are more likely, and the recordings do not "
+        "separate them"
     }
 
 
@@ -322,10 +321,13 @@ def _stretched(tested: _Tested) -> _Gone:
         at_an_end = hypothesis.at_bound(t) or problem.out_of_shape(hypothesis, t)
         if likely and not at_an_end and not _in_doubt(tested, k):
             continue
-        why = "stand at a physical bound, or could be absent" if likely else "be likelier"
+        why = (
+            "a parameter is at its physical bound, or its 95 % interval includes zero"
+            if likely
+            else "other effects are more likely"
+        )
         gone[k] = (
-            f"near in the catalogue is {tested.label(k)}, but it would have to {why}, and does "
-            "not explain all; it is not claimed"
+            f"rejected: {tested.label(k)}, the closest known effect: {why}, and a residual remains"
         )
     return gone
 
@@ -343,9 +345,9 @@ def _misshapen(tested: _Tested) -> _Gone:
         share, of_velocity = _shares(tested.problem, tested.fitted.hypothesis, t.joint)
         if share > max(_SAME, of_velocity):
             return {
-                k: f"near in the catalogue is {tested.label(k)}, but {100 * share:.0f} % of the "
-                "force that is missing with it goes with the joint's position, too: what acts has "
-                "another shape; it is not claimed"
+                k: f"rejected: {tested.label(k)}, the closest known effect: {100 * share:.0f} % of "
+                "the force that is still missing depends on the joint's position, so the true "
+                "dependence on position is another"
             }
     return {}
 
@@ -385,8 +387,8 @@ def _far_from_explained(tested: _Tested) -> _Gone:
         )  # fmt: skip
         if share > 0.0:
             gone[k] = (
-                f"near in the catalogue is {tested.label(k)}, but with all of them "
-                f"{100 * share:.0f} % of the squared mismatch is left there; it is not claimed"
+                f"rejected: {tested.label(k)}, the closest known effect: {100 * share:.0f} % of "
+                "the squared error remains there with all effects fitted"
             )
     return gone
 
@@ -423,8 +425,8 @@ def as_named(contest: Contest, best: Rival) -> Pruned:
             absent = {t: r.evidence for t, r in zip(terms, rests, strict=True)}
             return Pruned(best.fitted, [r.hypothesis for r in rests], notes, absent)
         notes.append(
-            f"{label(contest.problem, terms[least])} takes too little off over whole recordings; "
-            "it is not claimed"
+            f"rejected: {label(contest.problem, terms[least])}: it reduces the error over whole "
+            "recordings too little"
         )
         (best,) = contest.rivals([rests[least].hypothesis], contest.weights(best), 0, slopes=True)
     return Pruned(best.fitted, [], notes)
