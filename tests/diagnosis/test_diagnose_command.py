@@ -160,7 +160,7 @@ def test_one_recording_alone_is_said_to_be_untested(tmp_path: Path) -> None:
     found = diagnose(loaded.realization, trials)
     assert found.explained.findings[0].effect == "viscous_friction"
     assert found.explained.findings[0].confidence <= 0.8
-    assert any("of the recordings that were fitted" in note for note in found.notes)
+    assert any("those of the fitted recordings" in note for note in found.notes)
 
 
 def test_the_result_for_programs_is_the_file_that_is_written(

@@ -177,7 +177,7 @@ def test_a_held_out_recording_of_another_mode_is_left_out(bench: Bench) -> None:
     found = bench.read(a, held_out=(b, effort))
     assert [t.path for t in found.held_out] == [b]
     assert any(
-        str(effort) in n and "it has effort commands, most others have position" in n for n in found.notes
+        str(effort) in n and "effort commands, most others have position" in n for n in found.notes
     )
     alone = bench.read(a, held_out=(effort,))
     assert not alone.held_out
@@ -212,7 +212,7 @@ def test_a_servo_that_nobody_commands_is_no_mismatch(bench: Bench) -> None:
     found = diagnose(bench.loaded.realization, trials, threads=1)
     assert found.verdict == "no_mismatch"
     assert list(found.errors) == ["left"]
-    assert any("'right': no recording contains commands of its servo" in note for note in found.notes)
+    assert any("'right': no recording contains commands of its" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.4], ids=["commanded", "commanded later"])

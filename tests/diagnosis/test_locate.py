@@ -218,7 +218,8 @@ def test_what_is_left_at_one_frequency_is_said_to_be_there(irregular: bool) -> N
         left.append(1e-3 * ring + 2e-4 * rng.standard_normal(len(time)))
     text = frequencies(paths, np.concatenate(left), 0)
     assert text is not None
-    found = re.match(r"([\d.]+) to ([\d.]+) Hz \((\d+) % of the residual, 0 % of the motion\)", text)
+    band = r"([\d.]+) to ([\d.]+) Hz \((\d+) % of the residual, 0 % of the motion\)"
+    found = re.match(band, text)
     assert found, text
     low, high, share = map(float, found.groups())
     assert 8.3 < low < 9.0 < high < 9.7

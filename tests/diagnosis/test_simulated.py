@@ -108,7 +108,7 @@ def test_what_is_hidden_is_found_to_the_noise_of_the_simulation(tmp_path: Path) 
     )
     said = json.loads((folder / "diagnosis.json").read_text())
     assert said["verdict"] == "explained"
-    assert any("with a step of 2 ms" in note for note in said["notes"])
+    assert any("with a time step of 2 ms" in note for note in said["notes"])
     (finding,) = said["findings"]
     assert (finding["effect"], finding["joint"]) == ("viscous_friction", "elbow")
     assert finding["parameters"]["coefficient"]["value"] == pytest.approx(HIDDEN, rel=1e-3)
