@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.asset import manifest, obj
 from pytest_twin.asset.changes import Change, Flag
+from pytest_twin.asset.collada import stated_up_axis
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats import atomic, xml
 from pytest_twin.formats.digest import bytes_sha256
@@ -329,8 +330,9 @@ class _Normalizer:
             said.append(f"{path.suffix.lower()} became .obj, which every simulator loads")
         if path.suffix.lower() == ".dae":
             said.append("its unit is taken in; its materials are left out")
-            if triangles.up_axis != "Z_UP":
-                said.append(f"it states {triangles.up_axis}, and its vertices stand as read")
+            axis = stated_up_axis(path)
+            if axis != "Z_UP":
+                said.append(f"its up axis is {axis or 'not stated'}; its vertices are not turned")
         if element.get("scale") is not None:
             said.append(f"scale {element.get('scale')} is taken into its vertices, in metres")
             del element.attrib["scale"]

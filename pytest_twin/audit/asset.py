@@ -75,7 +75,11 @@ class Joint:
         velocity: rad/s or m/s; effort: N*m or N; None where not stated.
         damping: N*m*s/rad or N*s/m; friction: N*m or N; None where not stated.
         reference: position at which the robot stands as drawn, rad or m.
-        soft: (lower, upper) of a safety controller, rad or m.
+        limit_stated: whether there is a ``limit`` element.
+        idle_range: (lower, upper) that stand at a continuous joint, where they bind nothing, rad.
+        soft: (lower, upper) of a safety controller, rad or m; 0 where it states none.
+        soft_stated: whether the safety controller states soft limits.
+        soft_gain: k_velocity of the safety controller, N*m*s/rad or N*s/m.
     """
 
     name: str
@@ -94,7 +98,11 @@ class Joint:
     damping: float | None = None
     friction: float | None = None
     reference: float = 0.0
+    limit_stated: bool = True
+    idle_range: tuple[float, float] | None = None
     soft: tuple[float, float] | None = None
+    soft_stated: bool = False
+    soft_gain: float | None = None
     soft_place: Place | None = None
 
     @property
@@ -234,7 +242,7 @@ class Asset:
         named: (kind, name, place) of everything whose names have to differ.
         sites: named frames beside the bodies: name -> (body, position (3,), place).
         poses: name -> joint -> rad or m, as the file declares them (keyframes).
-        custom: tags that no format defines: tag -> places.
+        custom: elements and attributes that no format defines: path -> places.
         faults: what could not be read as it should.
         files: every file that was read; roots_of_files: where they may lie, None for the default.
         unseen: layers that could not be looked at, and why.

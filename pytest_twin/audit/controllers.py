@@ -13,19 +13,6 @@ def check(asset: Asset) -> Iterator[Finding]:
     yield from _safety(asset)
     yield from _interfaces(asset)
     yield from _sensors(asset)
-    for tag, places in sorted(asset.custom.items()):
-        yield Finding(
-            "controllers.custom_tag",
-            "info",
-            places[0],
-            tag,
-            f"{len(places)} elements <{tag.rpartition('/')[2]}> that the format does not define",
-            float(len(places)),
-            "elements",
-            None,
-            "what they say is lost in every conversion that does not know them",
-            "the documentation of the tool that they are for",
-        )
 
 
 def _safety(asset: Asset) -> Iterator[Finding]:
@@ -42,31 +29,57 @@ def _safety(asset: Asset) -> Iterator[Finding]:
                 "critical",
                 place,
                 element,
-                "its soft limits stand the wrong way round",
+                "the lower soft limit is above the upper one",
                 text,
                 joint.unit,
-                "lower below upper",
-                "the safety controller holds the joint nowhere",
-                "the controller's configuration",
+                "soft_lower_limit below soft_upper_limit",
+                "the safety controller allows no position",
+                "take both limits from the controller's configuration",
+            )
+        elif low == high and (joint.soft_stated or not joint.continuous):
+            said = "are equal" if joint.soft_stated else "are not stated, and 0 by default"
+            yield Finding(
+                "controllers.soft_limits_empty",
+                "warning",
+                place,
+                element,
+                f"its soft limits {said}: they allow no motion",
+                text,
+                joint.unit,
+                "soft limits within the range of the joint, or no <safety_controller>",
+                "MoveIt and joint sliders lock the joint at this position",
+                "take both limits from the controller's configuration, or remove the element",
             )
         elif (
             joint.limited
             and joint.lower is not None
             and joint.upper is not None
             and (low < joint.lower - 1e-9 or high > joint.upper + 1e-9)
-            and not (low == high == 0.0)
         ):
             yield Finding(
                 "controllers.soft_limits",
                 "warning",
                 place,
                 element,
-                "its soft limits lie outside the hard ones and never act",
+                "its soft limits lie outside the hard limits and never act",
                 text,
                 joint.unit,
                 f"within {joint.lower:.5g} .. {joint.upper:.5g}",
-                "nothing slows the joint before the stop",
-                "the controller's configuration",
+                "nothing slows the joint before its stop",
+                "take both limits from the controller's configuration",
+            )
+        if joint.soft_gain == 0.0:
+            yield Finding(
+                "controllers.soft_gain",
+                "warning",
+                place,
+                element,
+                "k_velocity of its safety controller is 0",
+                0.0,
+                "N*m*s/rad" if joint.kind != "slide" else "N*s/m",
+                "k_velocity above 0",
+                "the effort that the controller allows is k_velocity times a speed: 0 at any speed",
+                "take the gain from the controller's configuration, or remove the element",
             )
 
 

@@ -94,9 +94,15 @@ def _plain(value: float | str | None) -> float | str | None:
 
 
 def from_error(
-    error: TwinError, code: str, element: str, *, severity: Severity = "critical", why: str = ""
+    error: TwinError,
+    code: str,
+    element: str,
+    *,
+    severity: Severity = "critical",
+    why: str = "",
+    settle: str = "",
 ) -> Finding:
-    """The finding that an error of a reader amounts to."""
+    """The finding that reports an error of a reader."""
     value = error.value
     return Finding(
         code,
@@ -107,8 +113,8 @@ def from_error(
         value if isinstance(value, int | float | str | None) else str(value),
         error.unit,
         error.expected,
-        why or "it cannot be read as what it claims to be, so nothing can be built from it",
-        "the supplier's own file, or the drawing that it was made from",
+        why or "the element cannot be read, so no model can be built from it",
+        settle or "correct the value, or ask the supplier for the original file",
     )
 
 

@@ -153,6 +153,34 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
 
 def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
     element, unit = _element(joint), joint.unit
+    if joint.idle_range is not None:
+        low, high = joint.idle_range
+        yield Finding(
+            "joints.continuous_range",
+            "warning",
+            joint.place,
+            element,
+            "a continuous joint states a range: it binds in no simulator, and some planners use it",
+            f"{low:g} .. {high:g}",
+            unit,
+            "type 'revolute' with this range, or a continuous joint without one",
+            "simulated, the joint turns past its stops; planned, it stops where it could turn",
+            f"look up in {_DATASHEET} whether it has hard stops",
+        )
+    if not joint.limit_stated and not joint.continuous:
+        yield Finding(
+            "joints.no_limit",
+            "warning",
+            joint.place,
+            element,
+            f"a {'prismatic' if joint.kind == 'slide' else 'revolute'} joint without <limit>",
+            None,
+            unit,
+            '<limit lower="..." upper="..." effort="..." velocity="..."/>',
+            "URDF requires it: parsers built on urdfdom (Pinocchio, RViz, MoveIt) refuse the file",
+            f"add the element with the values of {_DATASHEET}",
+        )
+        return
     if joint.lower is None or joint.upper is None or not joint.limited:
         if not joint.continuous and asset.kind != "mjcf":
             yield Finding(
@@ -235,7 +263,7 @@ def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
         ("effort", joint.effort, joint.effort_unit),
     ):
         if value is None or value == 0.0:
-            if passive:
+            if passive or not (joint.limit_stated or joint.continuous):
                 continue
             said = "0" if value == 0.0 else "not stated"
             yield Finding(

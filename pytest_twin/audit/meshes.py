@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pytest_twin.asset.collada import DEFAULT_UP_AXIS, stated_up_axis
 from pytest_twin.audit.asset import Asset, Shape
 from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Geometry, Solid
@@ -95,8 +96,33 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
     for shape in asset.shapes:
         if shape.file is not None and shape.triangles is not None:
             first.setdefault((shape.file, tuple(shape.scale.tolist())), shape)
+    for path in dict.fromkeys(shape.file for shape in first.values() if shape.file is not None):
+        shapes = [shape for shape in asset.shapes if shape.file == path]
+        yield from _up_axis(path, shapes)
     for fact, shape in zip(facts(asset, geometry), first.values(), strict=True):
         yield from _quality(fact, shape, [s for s in asset.shapes if s.file == shape.file])
+
+
+def _up_axis(path: Path, shapes: list[Shape]) -> Iterator[Finding]:
+    """A COLLADA file whose axes tools read in two ways."""
+    if path.suffix.lower() != ".dae" or shapes[0].triangles is None:
+        return
+    stated = stated_up_axis(path)
+    if stated == "Z_UP":
+        return
+    collides = any(shape.role == "collision" for shape in shapes)
+    yield Finding(
+        "meshes.up_axis",
+        "warning" if collides else "info",
+        shapes[0].place,
+        f"mesh '{path.name}'",
+        f"it states {stated}" if stated else f"it states no up_axis: {DEFAULT_UP_AXIS} by default",
+        stated,
+        None,
+        "<up_axis>Z_UP</up_axis>",
+        "RViz and this tool take the vertices as they are, other loaders turn them by 90 degrees",
+        "export the mesh with Z up, and compare one pose of it in two viewers",
+    )
 
 
 def _element(shape: Shape) -> str:

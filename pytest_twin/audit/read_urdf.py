@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pytest_twin.asset.stated import stated
 from pytest_twin.audit.asset import (
     Asset,
     Body,
@@ -29,18 +30,6 @@ from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf_spec import mesh_file
 
-KNOWN = frozenset(
-    {
-        "link",
-        "joint",
-        "transmission",
-        "material",
-        "gazebo",
-        "sensor",
-        "ros2_control",
-        "transmission_interface",
-    }
-)
 _KINDS: Mapping[str, JointKind] = {
     "revolute": "hinge",
     "continuous": "hinge",
@@ -101,9 +90,9 @@ class _Reader:
             self._transmission(node)
         for node in self.root.all("ros2_control"):
             self._ros2_control(node)
-        for node in self.root.children:
-            if node.tag not in KNOWN:
-                self.out.custom.setdefault(node.tag, []).append(_place(node))
+        for one in stated(self.root):
+            if one.entry is None:
+                self.out.custom.setdefault(one.label, []).append(_place(one.node))
         self._sensors()
         self.out.files += sorted({s.file for s in self.out.shapes if s.file is not None})
         return self.out
@@ -141,9 +130,6 @@ class _Reader:
         for tag in ("visual", "collision"):
             for child in node.all(tag):
                 self._shape(name, tag, child)
-        for child in node.children:
-            if child.tag not in ("inertial", "visual", "collision", "sensor", "self_collision"):
-                self.out.custom.setdefault(f"link/{child.tag}", []).append(_place(child))
 
     def _shape(self, link: str, role: str, node: Node) -> None:
         element = f"{role} of link '{link}'"
@@ -203,12 +189,12 @@ class _Reader:
                     error,
                     "meshes.escapes" if escapes else "meshes.missing",
                     element,
-                    # What is only looked at misleads no simulator; a path out of the roots is
-                    # hostile wherever it stands.
-                    severity="critical" if escapes or shape.role == "collision" else "warning",
-                    why="a body without its shape collides with nothing"
+                    # A visual mesh moves nothing: it is left out, wherever it lies.
+                    severity="critical" if shape.role == "collision" else "warning",
+                    why="without this shape the link collides with nothing"
                     if shape.role == "collision"
                     else "viewers refuse the robot or show it without this part",
+                    settle="put the file into the model's folder and name it by a relative path",
                 )
             )
             return
@@ -272,6 +258,8 @@ class _Reader:
             effort=joint.effort,
             damping=joint.damping if "damping" in stated_dynamics else None,
             friction=joint.friction if "friction" in stated_dynamics else None,
+            limit_stated=node.find("limit") is not None,
+            idle_range=self._idle_range(node, joint),
         )
         if safety is not None:
             self._safety(safety, made)
@@ -298,17 +286,34 @@ class _Reader:
                 position, rotation = np.zeros(3), np.eye(3)
             self.out.edges.append(Edge(name, place, links[0], links[1], position, rotation))
 
+    def _idle_range(self, node: Node, joint: urdf.Joint) -> tuple[float, float] | None:
+        """Lower and upper of a continuous joint, which no parser applies, rad."""
+        limit = node.find("limit")
+        if joint.type != "continuous" or limit is None:
+            return None
+        if not {"lower", "upper"} & set(limit.attributes):
+            return None
+        try:
+            return (
+                limit.number("lower", 0.0, unit="rad", most=math.inf),
+                limit.number("upper", 0.0, unit="rad", most=math.inf),
+            )
+        except ModelError as error:
+            self.fault(error, "joints.unreadable", node.label)
+            return None
+
     def _safety(self, node: Node, joint: Joint) -> None:
         joint.soft_place = _place(node)
         keys = ("soft_lower_limit", "soft_upper_limit")
-        if not set(keys) <= set(node.attributes):
-            return
         try:
-            low, high = (node.number(key, None, unit=joint.unit, most=math.inf) for key in keys)
+            low, high = (node.number(key, 0.0, unit=joint.unit, most=math.inf) for key in keys)
+            if "k_velocity" in node.attributes:
+                joint.soft_gain = node.number("k_velocity", None, most=math.inf)
         except ModelError as error:
             self.fault(error, "controllers.unreadable", f"joint '{joint.name}'", node)
             return
         joint.soft = (low, high)
+        joint.soft_stated = set(keys) <= set(node.attributes)
 
     # -- what drives and senses
 

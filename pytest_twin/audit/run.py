@@ -13,6 +13,7 @@ from pytest_twin.audit import (
     commands,
     controllers,
     coupling,
+    elements,
     evidence,
     finding,
     frames,
@@ -51,6 +52,7 @@ def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
         *frames.check(asset, known),
         *commands.check(asset, known),
         *controllers.check(asset),
+        *elements.check(asset),
     ]
 
 

@@ -52,6 +52,17 @@ def compare(
         joints.transmissions(source, target),
         present("safety controllers", source.safety, target.safety, "soft limits of joints"),
     ]
+    known = {row.feature for row in rows}
+    rows += [
+        present(
+            feature,
+            values,
+            target.stated.get(feature, {}),
+            "elements and attributes that the target's model holds",
+        )
+        for feature, values in source.stated.items()
+        if feature not in known
+    ]
     return Conversion(source.name, target.name, target.engine, tuple(rows))
 
 

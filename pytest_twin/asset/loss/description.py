@@ -97,6 +97,7 @@ class Description:
         disabled_pairs: pairs of links that are kept from colliding.
         contact: contact parameters that shapes have, in words -> how many have them.
         sensors, transmissions, safety, custom: name -> what there is of it, in words.
+        stated: row of the matrix -> element -> its value, of what has a row for no other reason.
     """
 
     name: str
@@ -116,6 +117,7 @@ class Description:
     transmissions: Mapping[str, str] = field(default_factory=dict)
     safety: Mapping[str, str] = field(default_factory=dict)
     custom: Mapping[str, int] = field(default_factory=dict)
+    stated: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def driven(self) -> frozenset[str]:

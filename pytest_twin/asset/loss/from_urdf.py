@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.asset import stated
 from pytest_twin.asset.loss import shapes
 from pytest_twin.asset.loss.description import Description, JointFacts, LinkFacts
 from pytest_twin.asset.loss.shapes import Shape
@@ -86,7 +87,22 @@ def describe(robot: Robot, extras: Extras, meshes: Mapping[str, Vector]) -> Desc
             if (node := joint.node.find("safety_controller")) is not None
         },
         custom=extras.custom,
+        stated=stated.rows(robot.node) | _idle_ranges(robot),
     )
+
+
+def _idle_ranges(robot: Robot) -> dict[str, dict[str, str]]:
+    """Ranges of continuous joints: they bind in no engine, and no realization holds them."""
+    found = {}
+    for joint in robot.joints.values():
+        limit = joint.node.find("limit")
+        if joint.type == "continuous" and limit is not None:
+            ends = {
+                key: limit.attributes[key] for key in ("lower", "upper") if key in limit.attributes
+            }
+            if ends:
+                found[joint.name] = " ".join(f"{key}={value} rad" for key, value in ends.items())
+    return {"ranges of continuous joints": found} if found else {}
 
 
 def _shapes(link: Node, meshes: Mapping[str, Vector]) -> tuple[Shape, ...]:

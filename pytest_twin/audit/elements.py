@@ -1,0 +1,67 @@
+"""Elements and attributes of a URDF that no realization carries, or that no format defines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pytest_twin.asset.stated import Stated, neutral, stated
+from pytest_twin.audit.asset import Asset
+from pytest_twin.audit.finding import Finding, Place
+
+_SHOWN = 4
+"""Values that a finding lists; the rest are in the file."""
+
+
+def check(asset: Asset) -> Iterator[Finding]:
+    """One finding for each kind of element, with the first place and the values."""
+    yield from _custom(asset)
+    if asset.kind != "urdf" or asset.root is None:
+        return
+    kinds: dict[str, list[Stated]] = {}
+    for one in stated(asset.root):
+        if one.entry is not None and one.entry.goes.code is not None and not neutral(one):
+            kinds.setdefault(one.label, []).append(one)
+    for label, found in kinds.items():
+        yield _left_out(label, found)
+
+
+def _left_out(label: str, found: list[Stated]) -> Finding:
+    first = found[0]
+    assert first.entry is not None
+    goes = first.entry.goes
+    assert goes.code is not None
+    values = list(dict.fromkeys(f"{one.owner} {one.value}".strip() for one in found))
+    shown = ", ".join(values[:_SHOWN])
+    more = f" and {len(values) - _SHOWN} more" if len(values) > _SHOWN else ""
+    count = "once" if len(found) == 1 else f"{len(found)} times"
+    return Finding(
+        goes.code,
+        "warning" if first.entry.physics else "info",
+        Place(first.node.path, first.node.line),
+        label,
+        f"<{label}> is stated {count}, and no realization carries it",
+        shown + more,
+        None,
+        None,
+        goes.why or "it is lost in every conversion",
+        goes.settle or "nothing, unless a tool of yours reads it",
+    )
+
+
+def _custom(asset: Asset) -> Iterator[Finding]:
+    for label, places in sorted(asset.custom.items()):
+        what = "attribute" if "@" in label else "element"
+        count = "once" if len(places) == 1 else f"{len(places)} times"
+        yield Finding(
+            "controllers.custom_tag",
+            "info",
+            places[0],
+            label,
+            f"{what} <{label}> is stated {count}, and neither URDF, SRDF, ros2_control nor Gazebo "
+            "defines it",
+            float(len(places)),
+            f"{what}s",
+            None,
+            "every conversion that does not know it loses it",
+            "read the documentation of the tool that it is for",
+        )
