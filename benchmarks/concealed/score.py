@@ -1,18 +1,19 @@
-"""Open the truth of blind cases and hold the diagnoses against it.
+"""Compare the diagnoses of blind cases with the truth.
 
     python benchmarks/concealed/score.py --truth DIR --digests FILE
-    python benchmarks/concealed/score.py --truth DIR --results DIR [--committed FILE] [--out FILE]
+    python benchmarks/concealed/score.py --truth DIR --results DIR [--out FILE] [--page FILE]
 
-The first writes the digests of the truth files, to be committed before the diagnosis runs; the
-second checks them and writes the tables. Exit status 1 where a truth file is not the committed one.
+The first writes the digests of the truth files, to be committed before the diagnosis runs. The
+second checks them and writes the tables: with the names of the cases to ``--out``, and without them
+between the marks of ``--page`` (``docs/blind_cases.md``). Exit status 1: a truth file is not the
+committed one.
 
-An effect counts as named right where its id and its joint are. A hidden effect that changes no
-held-out recording by as much as the sensors' noise (``visibility`` below 1) cannot be seen: every
-figure over hidden effects is given with and without them.
+An effect counts as right if its id and its joint are right. A hidden effect that changes every
+held-out recording by less than the sensor noise (``visibility`` below 1) cannot be found; figures
+over hidden effects are given with and without these.
 
-Intervals are compared by name: plant and package mean the same by every parameter that both have.
-Where the plant's laws differ, no parameter says so: its dry friction yields 0.2 mrad before it
-slides, its teeth give, its surfaces creep.
+Intervals are compared by parameter name. The plant differs from the catalogue in details without a
+parameter: its dry friction has 0.2 mrad of presliding, its teeth and surfaces are compliant.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ from cases import EFFECTS
 
 Named = tuple[str, str | None]
 WINDOW_SLACK = 0.2
-"""s by which a claimed window may be beside the true one."""
+"""Tolerance of a reported time interval at each end, s."""
+MARKS = "<!-- blind figures -->\n", "<!-- end of blind figures -->\n"
+"""Lines of a page between which the tables are."""
 
 
 def truth_digests(folder: Path) -> dict[str, str]:
@@ -43,7 +46,7 @@ def truth_digests(folder: Path) -> dict[str, str]:
 
 @dataclass
 class Case:
-    """A truth, and what the diagnosis said; None where it gave no result."""
+    """A truth and its diagnosis; ``said`` is None without a result."""
 
     truth: dict[str, Any]
     run: dict[str, Any]
@@ -51,17 +54,17 @@ class Case:
 
     @property
     def hidden(self) -> dict[Named, dict[str, Any]]:
-        """(effect, joint) -> what the truth says of it."""
+        """(effect, joint) -> entry of the truth file."""
         return {(e["effect"], e["joint"]): e for e in self.truth["effects"]}
 
     @property
     def visible(self) -> dict[Named, dict[str, Any]]:
-        """Of :attr:`hidden` what can be seen."""
+        """The part of :attr:`hidden` that is above the sensor noise."""
         return {name: e for name, e in self.hidden.items() if e.get("visibility", np.inf) >= 1.0}
 
     @property
     def found(self) -> list[Named]:
-        """(effect, joint) of the findings, the greatest first."""
+        """(effect, joint) of the findings, the largest first."""
         return [(f["effect"], f["joint"]) for f in self.said["findings"]] if self.said else []
 
     @property
@@ -72,10 +75,11 @@ class Case:
 
     @property
     def label(self) -> str:
-        """Name, drives, size."""
+        """Command mode and number of joints."""
         t = self.truth
         contact = ", contact" if t.get("contact") else ""
-        return f"{t['case']} ({t['mode']}, {len(t['joints'])} joints{contact})"
+        count = len(t["joints"])
+        return f"{t['mode']} commands, {count} joint{'s' if count > 1 else ''}{contact}"
 
 
 def load(truth: Path, results: Path) -> list[Case]:
@@ -109,9 +113,9 @@ def f1(hidden: Iterable[Named], found: Iterable[Named]) -> float:
 
 
 def intervals(case: Case) -> Iterator[tuple[str, str, bool | None]]:
-    """(effect, parameter, whether its interval holds the truth) of effects that are named right.
+    """(effect, parameter, whether its interval contains the truth) of right findings.
 
-    None where it cannot be compared: no interval, or no such number in the truth.
+    None where there is no interval, or no such parameter in the truth.
     """
     for finding in case.said["findings"] if case.said else []:
         hidden = case.hidden.get((finding["effect"], finding["joint"]))
@@ -216,36 +220,39 @@ def figures(cases: list[Case]) -> list[str]:
         ("`unexplained`, right joint and window, outside the catalogue", "90 %", outside(beyond),
          outside(seen_beyond)),
         ("explainable held-out squared error removed, median", "95 %", gone(effects), gone(plain)),
-        ("95 % intervals that hold the truth", "90 to 99 %", held(effects), held(plain)),
+        ("95 % intervals that contain the truth", "90 to 99 %", held(effects), held(plain)),
     ]  # fmt: skip
-    return table(["figure", "goal", "all cases", "all of it visible"], rows)
+    return table(["figure", "goal", "all cases", "cases with all effects visible"], rows)
 
 
 def cost(cases: list[Case]) -> list[str]:
-    """Wall time, and against the engine alone where the diagnosis says so."""
+    """Wall time, and its ratio to the time of MuJoCo's steps alone."""
 
     def row(name: str, group: list[Case]) -> tuple[object, ...]:
         wall = [float(c.run["seconds"]) for c in group]
         told = [c.said["cost"] for c in group if c.said and c.said.get("cost")]
         told = [t for t in told if t["engine_seconds"]]
         if not wall:
-            return name, 0, "", "", "", "not told", "not told"
+            return name, 0, "", "", "", "unknown", "unknown"
         middle, most = f"{np.median(wall):.0f} s", f"{max(wall):.0f} s"
         ratios = (ratio(told, engine_seconds), ratio(told, engine_once))
         return name, len(group), f"{sum(wall):.0f} s", middle, most, *ratios
 
     def ratio(told: list[Cost], engine: Callable[[Cost], float]) -> str:
         if not told:
-            return "not told"
+            return "unknown"
         pooled = sum(t["wall_seconds"] for t in told) / sum(map(engine, told))
         middle = np.median([t["wall_seconds"] / engine(t) for t in told])
         return f"{pooled:.2f} (median {middle:.2f} of {len(told)})"
 
     counts = sorted({len(c.truth["joints"]) for c in cases})
     rows = [row("all", cases)]
-    rows += [row(f"{n} joints", [c for c in cases if len(c.truth["joints"]) == n]) for n in counts]
-    head = ["cases", "number", "wall time, sum", "median", "most"]
-    return table([*head, "wall / engine", "each simulation once"], rows)
+    rows += [
+        row(f"{n} joint{'s' if n > 1 else ''}", [c for c in cases if len(c.truth["joints"]) == n])
+        for n in counts
+    ]
+    head = ["cases", "number", "wall time, total", "median", "maximum"]
+    return table([*head, "wall / engine time", "without repeated simulations"], rows)
 
 
 Cost = dict[str, float]
@@ -264,7 +271,7 @@ def engine_once(cost: Cost) -> float:
 
 
 def kinds(cases: list[Case]) -> list[str]:
-    """Each kind of case by what was said."""
+    """Number of right and false findings and verdicts, by number of hidden effects."""
     rows = []
     for kind in ("none", "one", "two", "three", "outside"):
         group = [c for c in cases if c.truth["kind"] == kind]
@@ -273,12 +280,12 @@ def kinds(cases: list[Case]) -> list[str]:
         whole = sum(set(c.hidden) == set(c.found) for c in group if c.said)
         wrong = sum(bool(set(c.found) - set(c.hidden)) for c in group)
         rows.append((kind, len(group), whole, wrong, told))
-    head = ["hidden", "cases", "named in full, nothing else", "with a wrong name", "verdicts"]
+    head = ["hidden effects", "cases", "all found, nothing else", "with a false one", "verdicts"]
     return table(head, rows)
 
 
 def outsiders(cases: list[Case]) -> list[str]:
-    """Forces that are in no catalogue, by kind."""
+    """Forces outside the catalogue, by kind."""
     groups: dict[str, list[dict[str, bool]]] = defaultdict(list)
     for c in cases:
         if c.truth["outside"]:
@@ -287,15 +294,16 @@ def outsiders(cases: list[Case]) -> list[str]:
         (kind, len(g), *(sum(r[k] for r in g) for k in ("verdict", "joint", "window")))
         for kind, g in sorted(groups.items())
     ]
-    return table(["kind", "cases", "`unexplained`, no name", "right joint", "right window"], rows)
+    head = ["force", "cases", "`unexplained`, no finding", "right joint", "right time interval"]
+    return table(head, rows)
 
 
 def confusion(cases: list[Case]) -> dict[tuple[str, str], int]:
-    """(hidden, said) -> times, over every case with a result.
+    """(hidden, found) -> number of times, over every case with a result.
 
-    A hidden effect that is not named goes with a wrong name at its joint, else with any wrong name
-    that is left, else with ``nothing``; a wrong name that is left over with ``nothing`` hidden, or
-    ``outside`` where a force is in no catalogue.
+    A hidden effect that is not found is paired with a false finding at its joint, else with any
+    other false finding, else with ``nothing``. A false finding that remains is paired with
+    ``nothing``, or with ``outside`` where a force outside the catalogue is hidden.
     """
     count: Counter[tuple[str, str]] = Counter()
     for c in cases:
@@ -320,7 +328,7 @@ def confusion(cases: list[Case]) -> dict[tuple[str, str], int]:
 
 
 def by_effect(cases: list[Case]) -> list[str]:
-    """The confusion matrix, its rows written out: what was said of each effect."""
+    """What was found for each hidden effect: the confusion matrix, row by row."""
     matrix = confusion(cases)
     alone = Counter(e for c in cases if c.truth["kind"] == "one" for e, _ in c.hidden)
     named = Counter(
@@ -334,27 +342,11 @@ def by_effect(cases: list[Case]) -> list[str]:
         total = right + sum(said.values())
         single = f"{named[effect]} of {alone[effect]}" if effect in EFFECTS else ""
         rows.append((effect, single, f"{right} of {total}", others))
-    return table(["hidden", "named, alone", "named, in all", "said instead"], rows)
-
-
-def matrix_table(cases: list[Case]) -> list[str]:
-    """The confusion matrix with numbered columns: only what was ever said has one."""
-    matrix = confusion(cases)
-    hidden = [*EFFECTS, "outside", "nothing"]
-    said = [s for s in (*hidden, "no result") if any(k[1] == s for k in matrix)]
-    said += sorted({k[1] for k in matrix} - set(said))
-    rows = [
-        (h, *(matrix.get((h, s), "") for s in said))
-        for h in hidden
-        if any(h == k[0] for k in matrix)
-    ]
-    key = [f"{i}: {name}" for i, name in enumerate(said, 1)]
-    numbers = [str(i) for i in range(1, len(said) + 1)]
-    return [*table(["hidden \\ said", *numbers], rows), "; ".join(key), ""]
+    return table(["hidden", "found, if alone", "found, all cases", "found instead"], rows)
 
 
 def interval_table(cases: list[Case]) -> list[str]:
-    """Intervals by parameter, and which cannot be compared."""
+    """Coverage of the intervals by parameter."""
     held: dict[tuple[str, str], list[bool | None]] = defaultdict(list)
     for c in cases:
         for effect, name, value in intervals(c):
@@ -364,65 +356,76 @@ def interval_table(cases: list[Case]) -> list[str]:
         known = [v for v in values if v is not None]
         why = len(values) - len(known) or ""
         rows.append((f"{effect}.{name}", f"{sum(known)} of {len(known)}" if known else "", why))
-    return table(["parameter", "interval holds the truth", "without interval or truth"], rows)
+    return table(["parameter", "interval contains the truth", "not comparable"], rows)
 
 
-def failures(cases: list[Case]) -> list[str]:
-    """Each case that was not named in full, and nothing else with it."""
+def failures(cases: list[Case], *, named: bool) -> list[str]:
+    """A line for each case with a missed or false effect; with its name where ``named``."""
     lines = []
     for c in cases:
         said = listed(c.found)
+        label = f"{c.truth['case']}, {c.label}" if named else c.label
         outside = c.truth["outside"]
         if c.said is None:
-            lines.append(f"{c.label}: no diagnosis ({c.run['status']}); hidden {listed(c.hidden)}")
+            lines.append(f"{label}: no diagnosis ({c.run['status']}); hidden {listed(c.hidden)}")
         elif outside:
             right = outside_right(c)
             if not all(right.values()):
                 wrong = ", ".join(k for k, v in right.items() if not v)
                 at = ", ".join(c.said["unexplained"]) or "no joint"
                 lines.append(
-                    f"{c.label}: {outside['kind']} at {outside['joint']}; said {said}, "
+                    f"{label}: hidden {outside['kind']} {outside['joint']}; found {said}, "
                     f"{c.said['verdict']}, unexplained at {at}; wrong: {wrong}"
                 )
         elif set(c.hidden) != set(c.found):
             faint = [n for n in c.hidden if n not in c.visible]
             note = f"; below the noise: {listed(faint)}" if faint else ""
             seen = ", ".join(
-                f"{e['effect']} {e['joint'] or ''} ({e['visibility']:.3g} sigma)".replace("  ", " ")
+                f"{listed([(e['effect'], e['joint'])])} ({e['visibility']:.3g} times the noise)"
                 for e in sorted(c.truth["effects"], key=lambda e: -e["visibility"])
             )
-            lines.append(f"{c.label}: hidden {seen or 'nothing'}; said {said}{note}")
+            lines.append(f"{label}: hidden {seen or 'nothing'}; found {said}{note}")
     return [*(f"- {line}" for line in lines), ""]
 
 
-def report(cases: list[Case], checked: str) -> str:
-    """Everything, as Markdown."""
+def report(cases: list[Case], checked: str, *, named: bool = True) -> str:
+    """All tables as Markdown; failures with the names of their cases where ``named``."""
     none = sum(c.said is None for c in cases)
     faint = sum(len(c.hidden) - len(c.visible) for c in cases)
     confined = sum(bool(c.run.get("confined")) for c in cases)
     parts = [
-        f"{len(cases)} cases, {none} without a result; {faint} hidden effects below the sensors' "
-        f"noise. {checked} Kept by the kernel from every file but the case's and the programs': "
-        f"{confined} of {len(cases)}.", "", *figures(cases), *cost(cases), "By what is hidden:", "",
-        *kinds(cases), "Outside the catalogue:", "", *outsiders(cases),
-        "What was said of each effect, alone or beside others:", "", *by_effect(cases),
-        "The same as a matrix:", "", *matrix_table(cases),
-        "Intervals, of effects that are named right:", "", *interval_table(cases),
-        "Every case that was not named in full, or more with it:", "", *failures(cases),
+        f"{len(cases)} cases, {none} without a result. {faint} hidden effects are below the sensor "
+        f"noise. {checked} {confined} of {len(cases)} diagnoses ran without access to other files.",
+        "", *figures(cases), *cost(cases),
+        "By number of hidden effects:", "", *kinds(cases),
+        "Forces outside the catalogue:", "", *outsiders(cases),
+        "By hidden effect:", "", *by_effect(cases),
+        "Cases with a missed or false effect:", "", *failures(cases, named=named),
+        "Coverage of the 95 % intervals of right findings:", "", *interval_table(cases),
     ]  # fmt: skip
     return "\n".join(parts)
 
 
 def checked_digests(truth: Path, committed: Path, names: Iterable[str]) -> tuple[str, bool]:
-    """What to say of the truth files of cases, and whether all of them are the committed ones."""
+    """A sentence about the truth files, and whether all of them are the committed ones."""
     was = json.loads(committed.read_text()) if committed.exists() else {}
     now = truth_digests(truth)
     files = [f"{name}.json" for name in names]
     other = [f for f in files if was.get(f) != now[f]]
     if other:
         told = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
-        return f"**Not the committed truth ({committed.name}): {len(other)} files, {told}.**", False
-    return f"Every truth file is the committed one ({committed.name}).", True
+        return f"**{len(other)} truth files differ from {committed.name}: {told}.**", False
+    return f"Every truth file has the committed digest ({committed.name}).", True
+
+
+def write_between_marks(page: Path, text: str) -> None:
+    """Replace what a page has between ``MARKS``."""
+    start, end = MARKS
+    before, _, rest = page.read_text().partition(start)
+    _, found, after = rest.partition(end)
+    if not found:
+        raise SystemExit(f"{page}: expected the lines {start.strip()} and {end.strip()}")
+    page.write_text(f"{before}{start}{text}{end}{after}")
 
 
 def main() -> int:
@@ -434,7 +437,8 @@ def main() -> int:
     parser.add_argument(
         "--committed", type=Path, default=Path(__file__).with_name("truth_digests.json")
     )
-    parser.add_argument("--out", type=Path, help="write the report there, not to standard output")
+    parser.add_argument("--out", type=Path, help="write the tables there, not to standard output")
+    parser.add_argument("--page", type=Path, help="page that gets the tables between its marks")
     args = parser.parse_args()
     if args.digests is not None:
         args.digests.write_text(json.dumps(truth_digests(args.truth), indent=1) + "\n")
@@ -445,6 +449,8 @@ def main() -> int:
         parser.error(f"{args.results}: no *.run.json of a case in {args.truth}")
     told, same = checked_digests(args.truth, args.committed, (c.truth["case"] for c in cases))
     text = report(cases, told)
+    if args.page is not None:
+        write_between_marks(args.page, report(cases, told, named=False))
     if args.out is None:
         print(text)
     else:

@@ -1,10 +1,11 @@
-"""The table of blind cases, from nothing: cases, digests, diagnoses, scores.
+"""Make blind cases, diagnose them and write the tables of the results.
 
-    python benchmarks/concealed/table.py --out DIR [--seeds 20000:20200] [--jobs 2]
+    python benchmarks/concealed/table.py --out DIR [--seeds 20000:20200] [--jobs 2] [--page FILE]
 
-Goes on where it stopped. Writes DIR/cases, DIR/truth, DIR/digests.json before any diagnosis runs,
-DIR/results and DIR/table.md. The digests that were committed stand in ``truth_digests.json`` beside
-this file; the scorer says whether the truth is still theirs.
+Continues where it stopped. Writes DIR/cases, DIR/truth and DIR/digests.json before any diagnosis
+runs, then DIR/results and DIR/table.md. ``--page docs/blind_cases.md`` writes the tables there too.
+The committed digests are in ``truth_digests.json`` beside this file; the score says whether the
+truth still has them.
 """
 
 from __future__ import annotations
@@ -18,19 +19,20 @@ HERE = Path(__file__).parent
 
 
 def step(script: str, *words: str) -> None:
-    """One of the scripts beside this one; a failed check of digests does not hide the table."""
+    """Run a script beside this one; a failed check of digests does not stop the table."""
     done = subprocess.run([sys.executable, str(HERE / script), *words], check=False)
     if done.returncode not in (0, 1):
         raise SystemExit(done.returncode)
 
 
 def main() -> None:
-    """Every step of it."""
+    """Make cases, diagnose, score."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seeds", default="20000:20200", help="as cases.py has them")
-    parser.add_argument("--jobs", default="2", help="cases at the same time, a core each")
-    parser.add_argument("--seconds", default="600", help="a diagnosis may take")
+    parser.add_argument("--seeds", default="20000:20200", help="first and last + 1, as in cases.py")
+    parser.add_argument("--jobs", default="2", help="cases at the same time, one core each")
+    parser.add_argument("--seconds", default="600", help="time limit of a diagnosis")
+    parser.add_argument("--page", type=Path, help="page that gets the tables between its marks")
     args = parser.parse_args()
     out: Path = args.out
     truth, cases, results = out / "truth", out / "cases", out / "results"
@@ -40,8 +42,9 @@ def main() -> None:
         step("score.py", "--truth", str(truth), "--digests", str(out / "digests.json"))
     step("run.py", "--cases", str(cases), "--out", str(results), "--seconds", args.seconds,
          "--jobs", args.jobs)  # fmt: skip
+    page = [] if args.page is None else ["--page", str(args.page)]
     step("score.py", "--truth", str(truth), "--results", str(results), "--out",
-         str(out / "table.md"))  # fmt: skip
+         str(out / "table.md"), *page)  # fmt: skip
     print(out / "table.md")
 
 

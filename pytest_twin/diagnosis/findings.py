@@ -324,8 +324,8 @@ def trade_offs(
             narrow = width.quantile * sd[i] * mine * np.sqrt(max(1.0 - rho * rho, 0.0))
             name = _parameter_name(problem, other, q, term)
             lines.append(
-                f"{p.name} and {name} are not identifiable separately (correlation {rho:+.2f}); "
-                f"well known is {p.name} {'+' if slope >= 0 else '-'} {abs(slope):.3g} x {name} = "
+                f"{p.name} and {name} are strongly correlated ({rho:+.2f}); better known is "
+                f"{p.name} {'+' if slope >= 0 else '-'} {abs(slope):.3g} x {name} = "
                 f"{value:.4g} +- {narrow:.2g} (SI units, 95 %)"
             )
     return tuple(lines)

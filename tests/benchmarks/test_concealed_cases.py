@@ -212,3 +212,20 @@ def test_an_answer_that_leads_out_of_the_folder_is_refused(tmp_path: Path) -> No
     file.write_text('{"run": {"case": "../case1"}, "said": null}\n')
     with pytest.raises(ValueError, match=r"answers\.jsonl: case '\.\./case1', expected a name"):
         answers.unpack(file, tmp_path / "results")
+
+
+def test_a_page_gets_the_tables_between_its_marks_without_names_of_cases(tmp_path: Path) -> None:
+    case = _case([("backlash", "a", 9.0)], [("payload", "b")])
+    (line, _) = score.failures([case], named=False)
+    assert line == (
+        "- position commands, 2 joints: hidden backlash a (9 times the noise); found payload b"
+    )
+    assert score.failures([case], named=True)[0].startswith("- case0, position commands")
+    page = tmp_path / "page.md"
+    start, end = score.MARKS
+    page.write_text(f"before\n{start}old\n{end}after\n")
+    score.write_between_marks(page, f"{line}\n")
+    assert page.read_text() == f"before\n{start}{line}\n{end}after\n"
+    page.write_text("no marks\n")
+    with pytest.raises(SystemExit, match="expected the lines"):
+        score.write_between_marks(page, "")

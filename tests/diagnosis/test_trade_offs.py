@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.problem import Problem
 VISCOUS, COULOMB = Term("viscous_friction", 0), Term("coulomb_friction", 0)
 CRESTS = Term("position_dependent_friction", 0)
 KNOWN = re.compile(
-    r"(\w+) and (.+) are not identifiable separately \(correlation ([+-][\d.]+)\); well known is "
+    r"(\w+) and (.+) are strongly correlated \(([+-][\d.]+)\); better known is "
     r"\1 ([+-]) ([\d.e+-]+) x \2 = ([\d.e+-]+) \+- ([\d.e+-]+) \(SI units, 95 %\)"
 )
 PROBLEM: Problem = SimpleNamespace(  # type: ignore[assignment]
