@@ -20,6 +20,8 @@ COMMANDS: tuple[str, ...] = (
     "realize",
     "replay",
     "diagnose",
+    "convert",
+    "show",
     "effects",
     "verify",
     "completion",

@@ -17,9 +17,12 @@ CommandBetween = Literal["held", "interpolated", "ramped"]
 from the stamp to one command period after it, then held.
 """
 
+Units = Literal["rad", "deg"]
+
 COMMAND_MODES: tuple[CommandMode, ...] = get_args(CommandMode)
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
 COMMAND_BETWEEN: tuple[CommandBetween, ...] = get_args(CommandBetween)
+UNITS: tuple[Units, ...] = get_args(Units)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +76,8 @@ class RecordingOptions:
         clock: which times count.
         command_between: what a command does between two stamps, whatever the recording says.
         command_between_default: likewise, where the recording's own metadata does not say it.
+        columns: of CSV files: header -> what the column is, or the other way round.
+        units: of LeRobot data sets: the unit of their joints.
     """
 
     joints: JointNames = field(default_factory=JointNames)
@@ -80,6 +85,8 @@ class RecordingOptions:
     clock: Clock | None = None
     command_between: CommandBetween | None = None
     command_between_default: CommandBetween | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Units | None = None
 
     def mode_of(self, joint: str) -> CommandMode | None:
         """The declared field for a joint of the model."""
@@ -106,6 +113,8 @@ class RecordingOptions:
             "clock": self.clock,
             "command_between": self.command_between,
             "command_between_default": self.command_between_default,
+            "columns": dict(self.columns),
+            "units": self.units,
         }
         return {key: value for key, value in found.items() if value}
 
@@ -118,6 +127,8 @@ class RecordingOptions:
             clock=data.get("clock"),
             command_between=data.get("command_between"),
             command_between_default=data.get("command_between_default"),
+            columns=dict(data.get("columns") or {}),
+            units=data.get("units"),
         )
 
 

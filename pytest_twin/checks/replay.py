@@ -122,14 +122,13 @@ class Replay(Check):
 
     def trials(self, golden: Golden, realization: Realization) -> list[Trial]:
         """Read the recording: one trial, or one for each stretch between holes."""
-        from pytest_twin.formats.mcap import read_recording
-        from pytest_twin.trial import make_trials
+        from pytest_twin.trial import make_trials, recording_at
 
         twin = realization.twin
         if twin is None:
             raise SpecError("a replay golden needs a twin.yaml", path=golden.path)
         path = find_file(golden, "target.recording", golden.target["recording"], twin)
-        recording = read_recording(path, twin.topics)
+        recording = recording_at(path, twin.topics, twin.recordings)
         trials = make_trials(recording, realization.structure, twin.recordings)
         if all(len(t.time) < 2 for t in trials):
             raise spec_error(

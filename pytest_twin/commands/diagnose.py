@@ -11,7 +11,11 @@ from typing import Any
 
 from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
-from pytest_twin.commands.recording_arguments import add_recording_arguments, recording_options
+from pytest_twin.commands.recording_arguments import (
+    RECORDING_HELP,
+    add_recording_arguments,
+    recording_options,
+)
 from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, TwinError
@@ -53,7 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="MJCF or URDF file, twin.yaml, or the folder of an earlier diagnosis",
     )
-    parser.add_argument("recordings", metavar="RECORDING", type=Path, nargs="+", help="MCAP files")
+    parser.add_argument(
+        "recordings", metavar="RECORDING", type=Path, nargs="+", help=RECORDING_HELP
+    )
     parser.add_argument(
         "--held-out",
         metavar="RECORDING",

@@ -10,7 +10,12 @@ from pytest_twin.recording_options import (
     CLOCKS,
     COMMAND_BETWEEN,
     COMMAND_MODES,
+    UNITS,
     CommandMode,
+)
+
+RECORDING_HELP = (
+    "MCAP file, rosbag2 folder, .db3 file, CSV file, or the folder of a LeRobot data set"
 )
 
 
@@ -19,15 +24,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "how recordings are read", "each goes before the key of the same name in twin.yaml"
     )
-    group.add_argument(
-        "--topics",
-        metavar="state=/x,command=/y",
-        type=parse_topics,
-        default={},
-        help="topics of the recordings (default: twin.yaml's, else "
-        + ",".join(f"{role}={topic}" for role, topic in TOPICS.items())
-        + ")",
-    )
+    add_topics_argument(group, "twin.yaml's, else ")
     group.add_argument(
         "--joints",
         metavar="prefix=left_|RECORDED=MODEL,...",
@@ -56,6 +53,38 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "controller ramps to it in one period (default: what the recording's metadata or twin.yaml "
         "says, else held)",
     )
+    add_reading_arguments(group)
+
+
+def add_topics_argument(group: argparse._ActionsContainer, before: str = "") -> None:
+    """Declare ``--topics``; ``before``: what goes before the default topics."""
+    group.add_argument(
+        "--topics",
+        metavar="state=/x,command=/y",
+        type=parse_topics,
+        default={},
+        help=f"topics of the recordings (default: {before}"
+        + ",".join(f"{role}={topic}" for role, topic in TOPICS.items())
+        + ")",
+    )
+
+
+def add_reading_arguments(group: argparse._ActionsContainer) -> None:
+    """Declare what readers of single formats take."""
+    group.add_argument(
+        "--columns",
+        metavar="HEADER=MEANING,...",
+        type=parse_columns,
+        default={},
+        help="of a CSV file: what columns with other headers are: time or NAME.position, "
+        "NAME.velocity, NAME.effort, NAME.command",
+    )
+    group.add_argument(
+        "--units",
+        choices=UNITS,
+        help="of a LeRobot data set: the unit of its joints (default: what it declares, else found "
+        "from its values and reported)",
+    )
 
 
 def recording_options(args: argparse.Namespace) -> dict[str, Any]:
@@ -65,6 +94,8 @@ def recording_options(args: argparse.Namespace) -> dict[str, Any]:
         "command_mode": args.command_mode,
         "clock": args.clock,
         "command_between": args.command_between,
+        "columns": args.columns,
+        "units": args.units,
     }
     return {key: value for key, value in given.items() if value}
 
@@ -85,6 +116,11 @@ def parse_topics(text: str) -> dict[str, str]:
 def parse_joints(text: str) -> dict[str, str]:
     """``prefix=left_`` or ``left_elbow=elbow,...`` of a command line, as a mapping."""
     return _pairs(text, "prefix=TEXT, suffix=TEXT or RECORDED=MODEL, with commas between")
+
+
+def parse_columns(text: str) -> dict[str, str]:
+    """``t=time,q1=elbow.position`` of a command line, as a mapping."""
+    return _pairs(text, "HEADER=MEANING with commas between")
 
 
 def parse_command_mode(text: str) -> CommandMode | dict[str, str]:

@@ -13,15 +13,19 @@ from typing import TYPE_CHECKING, Any
 from pytest_twin.commands import json_output
 from pytest_twin.commands.predicting import distances, joined, predict
 from pytest_twin.commands.progress import Progress
-from pytest_twin.commands.recording_arguments import add_recording_arguments, recording_options
+from pytest_twin.commands.recording_arguments import (
+    RECORDING_HELP,
+    add_recording_arguments,
+    recording_options,
+)
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
-from pytest_twin.formats.mcap import read_recording, write_recording
+from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
-from pytest_twin.trial import at_command_stamps, make_trials
+from pytest_twin.trial import at_command_stamps, make_trials, recording_at
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES, Twin, load_twin
 
 if TYPE_CHECKING:
@@ -48,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="MJCF or URDF file, twin.yaml, or the folder that diagnose wrote",
     )
-    parser.add_argument("recording", metavar="RECORDING", type=Path, help="MCAP file")
+    parser.add_argument("recording", metavar="RECORDING", type=Path, help=RECORDING_HELP)
     parser.add_argument(
         "--out",
         metavar="FILE.mcap",
@@ -126,11 +130,9 @@ def replay_file(
 
     loaded = load_model(Path(model))
     realization = loaded.realization
-    trials = make_trials(
-        read_recording(Path(recording), {**loaded.topics, **topics}),
-        realization.structure,
-        RecordingOptions.from_json(options).over(loaded.options),
-    )
+    chosen = RecordingOptions.from_json(options).over(loaded.options)
+    read = recording_at(Path(recording), {**loaded.topics, **topics}, chosen)
+    trials = make_trials(read, realization.structure, chosen)
     # One state says where the robot starts: the motion is predicted at the commands.
     replayed = [t if len(t.time) > 1 else at_command_stamps(t) for t in trials]
     parts, notes = predict(realization, loaded.patched, replayed, progress)

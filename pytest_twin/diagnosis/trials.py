@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +10,9 @@ import numpy as np
 
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError, TwinError
-from pytest_twin.formats.mcap import read_recording
 from pytest_twin.formats.recording import Recording
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
-from pytest_twin.trial import Trial, make_trials
+from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.one_base import on_one_base
 
 # Of this many whole recordings one is held out where nobody says which.
@@ -64,8 +63,6 @@ def read_trials(
     topics: Mapping[str, str],
     structure: Structure,
     options: RecordingOptions = NO_OPTIONS,
-    *,
-    read: Callable[[Path, Mapping[str, str]], Recording] = read_recording,
 ) -> TrialSet:
     """Read every recording and decide its role.
 
@@ -80,21 +77,24 @@ def read_trials(
     known: dict[Path, list[Trial]] = {}
     first_error: TwinError | None = None
     for path in dict.fromkeys([*recordings, *held_out]):
-        try:
-            parts = [on_one_base(t) for t in make_trials(read(path, topics), structure, options)]
-        except TwinError as error:
-            first_error = first_error or error
-            notes.append(f"left out: {error}")
-            continue
-        for trial in parts:
+        for read in _each_recording(path, topics, options):
             try:
-                _refuse_too_few(trial)
-                _refuse_other_unit(trial, structure)
+                if isinstance(read, TwinError):
+                    raise read
+                parts = [on_one_base(t) for t in make_trials(read, structure, options)]
             except TwinError as error:
                 first_error = first_error or error
                 notes.append(f"left out: {error}")
-            else:
-                known.setdefault(path, []).append(trial)
+                continue
+            for trial in parts:
+                try:
+                    _refuse_too_few(trial)
+                    _refuse_other_unit(trial, structure)
+                except TwinError as error:
+                    first_error = first_error or error
+                    notes.append(f"left out: {error}")
+                else:
+                    known.setdefault(path, []).append(trial)
     trials = [t for p in recordings if p not in set(held_out) for t in known.get(p, ())]
     aside = [t for p in held_out for t in known.get(p, ())]
     if not trials and (first_error is not None and not aside):
@@ -130,6 +130,16 @@ def read_trials(
     notes += _doubts([*trials, *aside])
     notes += _far([*trials, *aside], structure)
     return TrialSet(tuple(trials), tuple(aside), tuple(notes), unseen)
+
+
+def _each_recording(
+    path: Path, topics: Mapping[str, str], options: RecordingOptions
+) -> Sequence[Recording | TwinError]:
+    """The recordings of a path, or why it cannot be read."""
+    try:
+        return recordings_at(path, topics, options)
+    except TwinError as error:
+        return [error]
 
 
 def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:

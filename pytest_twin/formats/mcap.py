@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats.atomic import open_replacement
@@ -81,9 +82,9 @@ def write_recording(
 ) -> None:
     """Write series as ``sensor_msgs/msg/JointState`` (CDR) to an MCAP file, whole or not at all.
 
-    :func:`read_recording` reads the same series back. Rows in which a quantity is NaN for every
-    joint are written as an empty field. The same data give the same bytes (with the same versions
-    of ``mcap`` and ``zstandard``).
+    :func:`read_recording` reads the same series back. A message leaves out the joints without any
+    value in its row; a quantity that is NaN for all others is written as an empty field. The same
+    data give the same bytes (with the same versions of ``mcap`` and ``zstandard``).
 
     Args:
         path: the file.
@@ -120,15 +121,30 @@ def _messages(series: Sequence[JointSeries]) -> Iterator[tuple[int, int, bytes]]
     row = np.concatenate([np.arange(len(one.stamp)) for one in series] or [np.zeros(0, int)])
     log_time = np.concatenate([one.log_time for one in series] or [np.zeros(0, int)])
     order = np.argsort(log_time, kind="stable")
-    names: dict[tuple[str, ...], bytes] = {}
+    encoded: dict[tuple[str, ...], bytes] = {}
+    carried = [_carried(one) for one in series]
     for index, at in zip(owner[order].tolist(), row[order].tolist(), strict=True):
-        one = series[index]
+        one, named = series[index], carried[index][at]
+        names, keep = one.names, slice(None)
+        if not named.all() and named.any():
+            names = tuple(name for name, has in zip(names, named, strict=True) if has)
+            keep = named
         values: dict[str, list[float] | None] = {}
         for name in QUANTITIES:
             table: Floats | None = getattr(one, name)
-            filled = table is not None and not np.isnan(table[at]).all()
-            values[name] = table[at].tolist() if table is not None and filled else None
-        yield index, int(one.log_time[at]), encode_cdr(one.names, int(one.stamp[at]), values, names)
+            some = None if table is None else table[at][keep]
+            values[name] = None if some is None or np.isnan(some).all() else some.tolist()
+        yield index, int(one.log_time[at]), encode_cdr(names, int(one.stamp[at]), values, encoded)
+
+
+def _carried(one: JointSeries) -> NDArray[np.bool_]:
+    """(n, j) which joints each message has a value of."""
+    found = np.zeros((len(one.stamp), len(one.names)), dtype=bool)
+    for name in QUANTITIES:
+        table: Floats | None = getattr(one, name)
+        if table is not None:
+            found |= ~np.isnan(table)
+    return found
 
 
 def _check_series(one: JointSeries, path: Path) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 from pytest_twin.checks import Check, Observation, Trace, check_of
 from pytest_twin.errors import TwinError
-from pytest_twin.formats.mcap import read_recording
 from pytest_twin.formats.trace import read_trace, trace_text
 from pytest_twin.gate.specs import load_golden
 from pytest_twin.golden import Golden
@@ -19,7 +18,7 @@ from pytest_twin.realization import Realization, load
 from pytest_twin.realization.features.cache import Features
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.report.plots import plot
-from pytest_twin.trial import make_trials
+from pytest_twin.trial import make_trials, recording_at
 from pytest_twin.twin import Twin, load_twin
 
 Progress = Callable[[float], None]
@@ -120,7 +119,7 @@ def _mode(path: Path, realization: Realization) -> str | None:
     twin = realization.twin
     assert twin is not None
     try:
-        recording = read_recording(path, twin.topics)
+        recording = recording_at(path, twin.topics, twin.recordings)
         return make_trials(recording, realization.structure, twin.recordings)[0].command_mode
     except TwinError:
         return None

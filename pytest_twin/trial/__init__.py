@@ -5,6 +5,7 @@ from __future__ import annotations
 from pytest_twin.recording_options import CommandBetween, CommandMode
 from pytest_twin.trial.make import make_trial, make_trials
 from pytest_twin.trial.one_state import at_command_stamps, predicted_rows
+from pytest_twin.trial.read import recording_at, recordings_at
 from pytest_twin.trial.stretches import stretches
 from pytest_twin.trial.trial import Mark, MarkKind, Trial
 
@@ -18,5 +19,7 @@ __all__ = [
     "make_trial",
     "make_trials",
     "predicted_rows",
+    "recording_at",
+    "recordings_at",
     "stretches",
 ]

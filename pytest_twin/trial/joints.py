@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -66,6 +66,30 @@ def in_model_names(
             effort=None if series.effort is None else series.effort[:, keep],
         )
     return series, notes
+
+
+def named_by_actuators(
+    series: JointSeries, names: JointNames, actuator_joints: Mapping[str, Sequence[str]]
+) -> tuple[JointSeries, list[str]]:
+    """Name the values of a topic without joint names as the model orders its actuators.
+
+    Args:
+        series: of one topic; without names its joints are 0, 1, 2, ...
+        names: joints that a user has mapped are left alone.
+        actuator_joints: actuator -> joints that it drives, in the model's order.
+
+    Returns:
+        The series, and a note where joints were named.
+    """
+    places = tuple(str(place) for place in range(len(series.names)))
+    driven = [joints[0] for joints in actuator_joints.values() if len(joints) == 1]
+    if series.names != places or names.names or len(set(driven)) != len(places):
+        return series, []
+    note = (
+        f"{series.topic}: values without joint names, taken in the order of the model's actuators: "
+        f"{listed(driven)} ('joints: {{\"0\": {driven[0]}, ...}}' in twin.yaml says otherwise)"
+    )
+    return replace(series, names=tuple(driven)), [note]
 
 
 def listed(names: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries, Recording
+from pytest_twin.formats.recordings.candidates import what_to_do
 from pytest_twin.recording_options import (
     COMMAND_BETWEEN,
     COMMAND_MODES,
@@ -21,7 +22,7 @@ from pytest_twin.recording_options import (
 from pytest_twin.trial.clock import Timed, on_one_clock
 from pytest_twin.trial.command_field import Commanded, commanded_fields
 from pytest_twin.trial.doubts import Doubts
-from pytest_twin.trial.joints import in_model_names, listed
+from pytest_twin.trial.joints import in_model_names, listed, named_by_actuators
 from pytest_twin.trial.stretches import stretches
 from pytest_twin.trial.table import (
     StateRows,
@@ -79,12 +80,14 @@ def _whole(
     recording: Recording, structure: Structure | None, options: RecordingOptions
 ) -> list[Trial]:
     joints = None if structure is None else structure.joint_type.keys()
-    notes: list[str] = []
+    notes: list[str] = list(recording.notes)
     topics = []
     for role in ("state", "command"):
-        series, said = in_model_names(
-            _series(recording, role), options.joints, joints, recording.path
-        )
+        series = _series(recording, role)
+        if structure is not None:
+            series, placed = named_by_actuators(series, options.joints, structure.actuator_joints)
+            notes += placed
+        series, said = in_model_names(series, options.joints, joints, recording.path)
         topics.append(series)
         notes += said
     states, commands = topics
@@ -127,7 +130,7 @@ def _series(recording: Recording, role: str) -> JointSeries:
         f"no {role} messages",
         path=recording.path,
         where=role,
-        expected=f"a topic for role {role!r}; topics are mapped in twin.yaml or by "
+        expected=f"{what_to_do(recording, role)}; topics are mapped in twin.yaml or by "
         "--topics state=/x,command=/y",
     )
 

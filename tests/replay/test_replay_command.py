@@ -108,7 +108,7 @@ def test_the_folder_of_a_diagnosis(arm: Path, name: str) -> None:
         ("moves.mcap", "moves.mcap", "o.mcap", "moves.mcap: no model that can be replayed"),
         ("empty", "moves.mcap", "o.mcap", "empty: no model in this folder (expected realization"),
         ("twin.yaml", "none.mcap", "o.mcap", "none.mcap: "),
-        ("twin.yaml", "arm.xml", "o.mcap", "arm.xml: not an MCAP file"),
+        ("twin.yaml", "arm.xml", "o.mcap", "arm.xml: no recording that can be read"),
         ("arm.xml", "moves.mcap", "o.mcap", "moves.mcap: state: no state messages"),
         (
             "other.xml",

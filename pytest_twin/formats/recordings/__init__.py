@@ -56,14 +56,18 @@ def read_recordings(
 
 
 def read_one(
-    path: Path, topics: Mapping[str, str] = TOPICS, *, columns: Mapping[str, str] | None = None
+    path: Path,
+    topics: Mapping[str, str] = TOPICS,
+    *,
+    columns: Mapping[str, str] | None = None,
+    units: str | None = None,
 ) -> Recording:
     """The only recording at a path.
 
     Raises:
         FormatError: a data set of several episodes, or as :func:`read_recordings`.
     """
-    found = read_recordings(path, topics, columns=columns)
+    found = read_recordings(path, topics, columns=columns, units=units)
     if len(found) != 1:
         raise FormatError(
             "holds several recordings",

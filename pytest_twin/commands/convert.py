@@ -1,0 +1,258 @@
+"""``pytest-twin convert``: any recording that can be read, as MCAP."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.commands import json_output
+from pytest_twin.commands.recording_arguments import (
+    RECORDING_HELP,
+    add_reading_arguments,
+    add_topics_argument,
+)
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import RecordingError, TwinError
+from pytest_twin.formats import atomic
+from pytest_twin.formats.mcap import write_recording
+from pytest_twin.formats.recording import TOPICS, JointSeries, Recording
+from pytest_twin.formats.recordings import read_recordings
+from pytest_twin.formats.recordings.candidates import what_to_do
+from pytest_twin.formats.serialized import QUANTITIES
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.recording_options import COMMAND_MODES
+from pytest_twin.report.text import printable
+
+HELP = "write recordings of any kind as MCAP files with joint states and joint commands"
+EXAMPLES = (
+    "pytest-twin convert bag/ --out moves.mcap",
+    "pytest-twin convert log.csv --out log.mcap --columns t=time,q1=elbow.position",
+    "pytest-twin convert dataset/ --out episode.mcap --units deg",
+)
+EXIT_STATUS = {0: "every recording is written"}
+DONE = 0
+_SECOND = 1_000_000_000
+# Positions follow their commands with at least this correlation and about their size. On the
+# SO-101's recordings the least is 0.67; a force of EMPS has 650 times the size.
+_FOLLOWS = 0.6
+_SAME_SIZE = 3.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("inputs", metavar="INPUT", type=Path, nargs="+", help=RECORDING_HELP)
+    parser.add_argument(
+        "--out",
+        metavar="FILE.mcap",
+        type=Path,
+        required=True,
+        help="the recording; of several inputs or episodes FILE_000.mcap, FILE_001.mcap, ... in "
+        "their order; FILE.json beside it says what is in each",
+    )
+    add_topics_argument(parser)
+    add_reading_arguments(parser)
+    parser.add_argument(
+        "--command-mode",
+        choices=COMMAND_MODES,
+        help="what commands are whose format does not say it: columns NAME.command of a CSV file, "
+        "std_msgs/msg/Float64MultiArray (default: position where they follow the positions, else "
+        "all three fields hold them and the model decides)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once all files are written.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
+    out: Path = args.out
+    _check_out(out, args.inputs)
+    with Sandbox() as sandbox:
+        summary = sandbox.call(
+            "pytest_twin.commands.convert:convert_files",
+            {
+                "inputs": [str(path) for path in args.inputs],
+                "out": str(out),
+                "topics": args.topics,
+                "columns": args.columns,
+                "units": args.units,
+                "command_mode": args.command_mode,
+            },
+        )
+    atomic.write_text(out.with_suffix(".json"), json.dumps(summary, indent=2) + "\n")
+    json_output.give(args, summary)
+    show("\n".join(_words(one) for one in summary["written"]))
+    return DONE
+
+
+def convert_files(
+    inputs: Sequence[str],
+    out: str,
+    topics: Mapping[str, str],
+    columns: Mapping[str, str],
+    units: str | None,
+    command_mode: str | None,
+) -> dict[str, Any]:
+    """Read all inputs, then write; runs in the child process.
+
+    Returns:
+        The content of the JSON file beside the recordings.
+    """
+    recordings = [
+        recording
+        for path in inputs
+        for recording in read_recordings(
+            Path(path), {**TOPICS, **topics}, columns=columns, units=units
+        )
+    ]
+    files = names_of(Path(out), len(recordings))
+    written = []
+    for file, recording in zip(files, recordings, strict=True):
+        series, notes = converted(recording, command_mode)
+        write_recording(file, list(series.values()), recording.metadata)
+        written.append(_summary(file, recording, series, (*recording.notes, *notes)))
+    return {"schema": 1, "written": written}
+
+
+def names_of(out: Path, count: int) -> list[Path]:
+    """``FILE.mcap`` for one recording, ``FILE_000.mcap`` and so on for several."""
+    if count == 1:
+        return [out]
+    width = max(3, len(str(count - 1)))
+    return [out.with_name(f"{out.stem}_{number:0{width}d}.mcap") for number in range(count)]
+
+
+def converted(
+    recording: Recording, command_mode: str | None
+) -> tuple[dict[str, JointSeries], list[str]]:
+    """The series as they are written, and notes about what had to be decided.
+
+    Args:
+        recording: as read.
+        command_mode: what commands are that do not say it.
+
+    Raises:
+        RecordingError: neither states nor commands.
+    """
+    if not recording.series:
+        raise RecordingError(
+            "neither states nor commands", path=recording.path,
+            expected=what_to_do(recording, "state"),
+        )  # fmt: skip
+    notes = [f"no {role}s" for role in TOPICS if role not in recording.series]
+    series = dict(recording.series)
+    command = series.get("command")
+    if command is not None and _of_any_quantity(command):
+        mode = command_mode or _followed(command, series.get("state"))
+        if mode is None:
+            notes.append("all command fields hold the command; --command-mode says what it is")
+        else:
+            series["command"] = replace(
+                command,
+                position=command.position if mode == "position" else None,
+                velocity=command.velocity if mode == "velocity" else None,
+                effort=command.effort if mode == "effort" else None,
+            )
+            notes.append(f"the commands are taken as {mode} commands")
+    earliest = min(int(one.stamp.min()) for one in series.values())
+    earliest = min(earliest, *(int(one.log_time.min()) for one in series.values()))
+    shift = -(earliest // _SECOND) * _SECOND if earliest < 0 else 0
+    if shift:
+        notes.append(f"all times are {shift // _SECOND} s later: ROS has no negative times")
+    return {
+        role: replace(
+            one, topic=TOPICS[role], stamp=one.stamp + shift, log_time=one.log_time + shift
+        )
+        for role, one in series.items()
+    }, notes
+
+
+def _of_any_quantity(series: JointSeries) -> bool:
+    first = series.position
+    if first is None or series.velocity is None or series.effort is None:
+        return False
+    return all(
+        np.array_equal(first, other, equal_nan=True) for other in (series.velocity, series.effort)
+    )
+
+
+def _followed(command: JointSeries, state: JointSeries | None) -> str | None:
+    """``position`` where the positions of most joints follow the commands."""
+    if state is None or state.position is None or command.position is None:
+        return None
+    follows = []
+    for joint in command.names:
+        if joint not in state.names:
+            continue
+        sent = command.position[:, command.names.index(joint)]
+        measured = state.position[:, state.names.index(joint)]
+        seen, known = np.isfinite(measured), np.isfinite(sent)
+        if not seen.any() or not known.any():
+            continue
+        order = np.argsort(state.stamp[seen], kind="stable")
+        at = np.interp(command.stamp[known], state.stamp[seen][order], measured[seen][order])
+        motion, wanted = float(np.std(at)), float(np.std(sent[known]))
+        if not motion or not wanted:
+            continue
+        correlation = float(np.corrcoef(at, sent[known])[0, 1])
+        same_size = motion < _SAME_SIZE * wanted and wanted < _SAME_SIZE * motion
+        follows.append(correlation > _FOLLOWS and same_size)
+    return "position" if follows and 2 * sum(follows) >= len(follows) else None
+
+
+def _summary(
+    file: Path, recording: Recording, series: Mapping[str, JointSeries], notes: Sequence[str]
+) -> dict[str, Any]:
+    stamps = np.concatenate([one.stamp for one in series.values()])
+    return {
+        "file": str(file),
+        "recording": str(recording.path),
+        "duration": {"value": float(np.ptp(stamps)) * 1e-9, "unit": "s"},
+        "topics": {
+            role: {
+                "topic": one.topic,
+                "from": recording.series[role].topic,
+                "messages": len(one.stamp),
+                "joints": list(one.names),
+                "fields": [name for name in QUANTITIES if getattr(one, name) is not None],
+            }
+            for role, one in series.items()
+        },
+        "trial": dict(recording.metadata),
+        "damage": [str(item) for item in recording.damage],
+        "notes": list(notes),
+    }
+
+
+def _words(one: Mapping[str, Any]) -> str:
+    counts = " and ".join(f"{topic['messages']} {role}s" for role, topic in one["topics"].items())
+    joints = {name for topic in one["topics"].values() for name in topic["joints"]}
+    noun = "joint" if len(joints) == 1 else "joints"
+    lines = [
+        f"{one['file']}: {counts} of {len(joints)} {noun} over {one['duration']['value']:.4g} s, "
+        f"from {one['recording']}"
+    ]
+    lines += [f"  damaged: {text}" for text in one["damage"]]
+    lines += [f"  note: {text}" for text in one["notes"]]
+    # Names come from files and may carry terminal escapes.
+    return "\n".join(printable(line) for line in lines)
+
+
+def _check_out(out: Path, inputs: Sequence[Path]) -> None:
+    if out.suffix != ".mcap":
+        raise TwinError("no name for a recording", path=out, expected="--out FILE.mcap")
+    if not out.absolute().parent.is_dir():
+        raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
+    for path in inputs:
+        # A file of the bag folder would be replaced by what is read from it.
+        if out.resolve() == path.resolve() or path.resolve() in out.resolve().parents:
+            raise TwinError(
+                "would overwrite the recording itself", path=out, expected="another file"
+            )

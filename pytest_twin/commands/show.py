@@ -1,0 +1,81 @@
+"""``pytest-twin show``: what a recording holds, and what a diagnosis could use of it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands import json_output
+from pytest_twin.commands.recording_arguments import (
+    RECORDING_HELP,
+    add_recording_arguments,
+    recording_options,
+)
+from pytest_twin.commands.showing import episodes_in_words, in_words, survey
+from pytest_twin.commands.terminal import show
+from pytest_twin.formats.recording import TOPICS
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.report.text import printable
+
+HELP = "show what a recording holds: topics, joints, rates, gaps, and what is missing"
+EXAMPLES = (
+    "pytest-twin show moves.mcap",
+    "pytest-twin show bag/ --topics state=/arm/joint_states,command=/arm/commands",
+    "pytest-twin show log.csv --json - | jq '.recordings[0].missing'",
+)
+EXIT_STATUS = {0: "the recording can be read, whether a diagnosis could use it or not"}
+DONE = 0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("recording", metavar="RECORDING", type=Path, help=RECORDING_HELP)
+    add_recording_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once it is shown.
+
+    Raises:
+        TwinError: a recording that cannot be read.
+    """
+    with Sandbox() as sandbox:
+        found = sandbox.call(
+            "pytest_twin.commands.show:show_file",
+            {
+                "recording": str(args.recording),
+                "topics": args.topics,
+                "options": recording_options(args),
+            },
+        )
+    json_output.give(args, found)
+    one = found["recordings"]
+    lines = in_words(found["kind"], one[0]) if len(one) == 1 else episodes_in_words(found)
+    # Names come from files and may carry terminal escapes.
+    show("\n".join(printable(line) for line in lines))
+    return DONE
+
+
+def show_file(
+    recording: str, topics: Mapping[str, str], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Read and survey; runs in the child process.
+
+    Returns:
+        The JSON document.
+    """
+    from pytest_twin.formats.recordings import reader_of
+    from pytest_twin.trial import recordings_at
+
+    path = Path(recording)
+    chosen = RecordingOptions.from_json(options)
+    found = recordings_at(path, {**TOPICS, **topics}, chosen)
+    return {
+        "schema": 1,
+        "recording": recording,
+        "kind": reader_of(path).kind,
+        "recordings": [survey(one, chosen) for one in found],
+    }

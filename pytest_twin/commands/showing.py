@@ -1,0 +1,284 @@
+"""A recording as ``pytest-twin show`` has it: as a table for programs and in words."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.recording import TOPICS, JointSeries, Recording, Topic
+from pytest_twin.formats.recordings.candidates import described, pairs, topics_option
+from pytest_twin.formats.serialized import QUANTITIES, Integers
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.trial import make_trials
+
+# Below this rate, Hz, a delay of a usual servo loop falls between two samples.
+_SLOW = 50.0
+# A joint that moves less, rad or m, says nothing about friction or inertia.
+_STILL = 0.02
+# Log times this far apart from the stamps, s, are another clock.
+_OTHER_CLOCK = 1.0
+# A gap is an interval this many times the usual one.
+_GAP_INTERVALS = 4.0
+# Stamps after this, ns, are dates: 2001-09-09.
+_DATES_NS = 10**18
+_PAIRS = 4
+
+
+def survey(recording: Recording, options: RecordingOptions) -> dict[str, Any]:
+    """What a recording holds, JSON-able.
+
+    Args:
+        recording: as read.
+        options: how a command would read it.
+    """
+    missing, advice = _missing_roles(recording), []
+    usable, notes = None, list(recording.notes)
+    if not missing:
+        try:
+            trials = make_trials(recording, None, options)
+        except TwinError as error:
+            missing.append(str(error))
+        else:
+            usable = {
+                "trials": [
+                    {"start": t.offset, "duration": t.duration, "unit": "s"} for t in trials
+                ],
+                "command_modes": dict(
+                    zip(trials[0].command_joints, trials[0].command_modes, strict=True)
+                ),
+                "command_between": {
+                    "value": trials[0].command_between,
+                    "source": trials[0].between_source,
+                },
+            }
+            notes = list(dict.fromkeys(note for trial in trials for note in trial.notes))
+            advice = _advice(recording)
+    return {
+        "recording": str(recording.path),
+        "topics": [_topic(topic, recording) for topic in recording.topics],
+        "series": {role: _series(one) for role, one in recording.series.items()},
+        "clock": _clock(recording),
+        "trial": dict(recording.metadata),
+        "damage": [str(item) for item in recording.damage],
+        "notes": notes,
+        "usable": usable,
+        "missing": missing,
+        "advice": advice,
+    }
+
+
+def _topic(topic: Topic, recording: Recording) -> dict[str, Any]:
+    read_as = [role for role, one in recording.series.items() if one.topic == topic.name]
+    return {
+        "topic": topic.name,
+        "type": topic.type,
+        "messages": topic.messages,
+        "joints": list(topic.joints),
+        "fields": list(topic.filled),
+        "read_as": read_as,
+    }
+
+
+def _series(one: JointSeries) -> dict[str, Any]:
+    times = np.unique(one.stamp)
+    steps = np.diff(times) * 1e-9
+    usual = float(np.median(steps)) if len(steps) else None
+    longest = int(np.argmax(steps)) if len(steps) else None
+    gaps = [] if usual is None else np.flatnonzero(steps > _GAP_INTERVALS * usual).tolist()
+    return {
+        "topic": one.topic,
+        "messages": len(one.stamp),
+        "joints": list(one.names),
+        "fields": [name for name in QUANTITIES if getattr(one, name) is not None],
+        "rate": {"value": None if not usual else 1.0 / usual, "unit": "Hz"},
+        "longest_interval": None
+        if longest is None
+        else {"value": float(steps[longest]), "at": _since(times, longest), "unit": "s"},
+        "gaps": [{"start": _since(times, at), "end": _since(times, at + 1)} for at in gaps],
+        "range": _ranges(one),
+    }
+
+
+def _since(times: Integers, at: int) -> float:
+    return float(times[at] - times[0]) * 1e-9
+
+
+def _ranges(one: JointSeries) -> dict[str, dict[str, list[float]]]:
+    """Field -> joint -> (least, greatest)."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for name in QUANTITIES:
+        table = getattr(one, name)
+        if table is None:
+            continue
+        found[name] = {
+            joint: [float(seen.min()), float(seen.max())]
+            for column, joint in enumerate(one.names)
+            if (seen := table[np.isfinite(table[:, column]), column]).size
+        }
+    return found
+
+
+def _clock(recording: Recording) -> dict[str, Any]:
+    series = list(recording.series.values())
+    if not series:
+        return {}
+    first = min(int(one.stamp.min()) for one in series)
+    last = max(int(one.stamp.max()) for one in series)
+    found: dict[str, Any] = {
+        "first": first,
+        "last": last,
+        "unit": "ns",
+        "duration": {"value": (last - first) * 1e-9, "unit": "s"},
+        "log_after_stamp": {
+            role: float(np.median(one.log_time - one.stamp)) * 1e-9
+            for role, one in recording.series.items()
+        },
+    }
+    if first > _DATES_NS:
+        date = datetime.datetime.fromtimestamp(first // 10**9, datetime.UTC)
+        found["date"] = date.strftime("%Y-%m-%d %H:%M:%S UTC")
+    return found
+
+
+def _missing_roles(recording: Recording) -> list[str]:
+    absent = [role for role in TOPICS if role not in recording.series]
+    if not absent:
+        return []
+    lacks = f"no {' and no '.join(f'{role}s' for role in absent)}"
+    if not recording.topics:
+        column = "NAME.command" if "command" in absent else "NAME.position"
+        return [f"{lacks}: a CSV file has them in columns {column}"]
+    options = [topics_option(*pair) for pair in pairs(recording)[:_PAIRS]]
+    if options:
+        return [f"{lacks} on the usual topics; try {' or '.join(options)}"]
+    known = [described(topic) for topic in recording.topics if topic.joints]
+    if known:
+        return [f"{lacks}, and no topic that could be; it has {'; '.join(known)}"]
+    return [f"{lacks}: record them (ros2 bag record /joint_states and the controller's commands)"]
+
+
+def _advice(recording: Recording) -> list[str]:
+    """What a diagnosis would be surer with."""
+    state, command = recording.series["state"], recording.series["command"]
+    found = []
+    rate = _series(state)["rate"]["value"]
+    if rate is not None and rate < _SLOW:
+        found.append(
+            f"states at {rate:.3g} Hz: delays and lags below {500.0 / rate:.3g} ms cannot be told; "
+            "record at 100 Hz or more"
+        )
+    if state.effort is None:
+        found.append(
+            "no measured efforts: torque constant, payload and friction are told apart less "
+            "surely; record effort (or motor current) where the drive has it"
+        )
+    if "role" not in recording.metadata:
+        found.append(
+            "no role: give several recordings; whole ones are then held out, or name them with "
+            "--held-out"
+        )
+    assert state.position is not None
+    still = [
+        joint
+        for column, joint in enumerate(state.names)
+        if joint in command.names
+        and (seen := state.position[np.isfinite(state.position[:, column]), column]).size
+        and float(np.ptp(seen)) < _STILL
+    ]
+    if still:
+        found.append(
+            f"moves less than {_STILL} rad or m: {', '.join(still)}; nothing can be said of what "
+            "does not move"
+        )
+    return found
+
+
+def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
+    """One recording, line by line."""
+    clock = one["clock"]
+    head = f"{one['recording']}: {kind}"
+    if clock:
+        head += f", {clock['duration']['value']:.4g} s"
+        head += f" from {clock['date']}" if "date" in clock else ""
+    lines = [head]
+    if one["topics"]:
+        width = max(len(topic["topic"]) for topic in one["topics"])
+        lines.append("topics:")
+        lines += [_topic_line(topic, width) for topic in one["topics"]]
+    for role, series in one["series"].items():
+        lines += _series_lines(role, series)
+    lines += _clock_lines(clock)
+    if one["trial"]:
+        lines.append(
+            "trial metadata: " + ", ".join(f"{key} {value}" for key, value in one["trial"].items())
+        )
+    lines += [f"damaged: {text}" for text in one["damage"]]
+    lines += [f"note: {text}" for text in one["notes"]]
+    lines += [f"missing: {text}" for text in one["missing"]]
+    lines += [f"advice: {text}" for text in one["advice"]]
+    usable = one["usable"]
+    if usable is None:
+        lines.append("A diagnosis cannot use it as it is.")
+        return lines
+    modes = sorted(set(usable["command_modes"].values()))
+    between = usable["command_between"]
+    parts = len(usable["trials"])
+    in_parts = "" if parts == 1 else f", in {parts} parts between holes"
+    seconds = sum(trial["duration"] for trial in usable["trials"])
+    lines.append(
+        f"A diagnosis can use {seconds:.4g} s of it{in_parts}: "
+        f"{' and '.join(modes)} commands of {', '.join(usable['command_modes'])}, "
+        f"{between['value']} between stamps ({between['source']})."
+    )
+    lines.append(f"next: pytest-twin diagnose MODEL {one['recording']} ... --out diagnosis")
+    return lines
+
+
+def _topic_line(topic: Mapping[str, Any], width: int) -> str:
+    read = f"  <- {' and '.join(topic['read_as'])}" if topic["read_as"] else ""
+    joints = f"  {', '.join(topic['joints'])}" if topic["joints"] else ""
+    return (
+        f"  {topic['topic']:<{width}}  {topic['messages']:>7}  {topic['type'] or '-'}{joints}{read}"
+    )
+
+
+def _series_lines(role: str, series: Mapping[str, Any]) -> list[str]:
+    rate, longest = series["rate"]["value"], series["longest_interval"]
+    joints = "1 joint" if len(series["joints"]) == 1 else f"{len(series['joints'])} joints"
+    text = f"{role}s: {series['messages']} messages of {joints}"
+    text += "" if rate is None else f" at {rate:.4g} Hz"
+    text += f", {' and '.join(series['fields']) or 'no field'}"
+    if longest is not None:
+        text += f", longest interval {longest['value']:.4g} s at {longest['at']:.4g} s"
+    if series["gaps"]:
+        text += f", {len(series['gaps'])} gaps"
+    return [text]
+
+
+def _clock_lines(clock: Mapping[str, Any]) -> list[str]:
+    late = clock.get("log_after_stamp", {})
+    said = [f"{role}s {value:.3g} s" for role, value in late.items() if abs(value) > _OTHER_CLOCK]
+    if said:
+        return [f"clock: the recorder's log times are on another clock: later by {', '.join(said)}"]
+    if not late or not any(late.values()):
+        return []
+    text = ", ".join(f"{role}s {1e3 * value:.3g} ms" for role, value in late.items())
+    return [f"clock: header stamps; log times come later by {text} (median)"]
+
+
+def episodes_in_words(found: Mapping[str, Any]) -> list[str]:
+    """A data set: a line for each episode, and the first in full."""
+    recordings = found["recordings"]
+    lines = [f"{found['recording']}: {found['kind']}, {len(recordings)} episodes"]
+    for one in recordings:
+        duration = one["clock"].get("duration", {}).get("value", 0.0)
+        usable = "usable" if one["usable"] is not None else "cannot be used"
+        lines.append(f"  {one['recording']}: {duration:.4g} s, {usable}")
+    lines.append("the first:")
+    lines += [f"  {line}" for line in in_words("episode", recordings[0])[1:-1]]
+    lines.append(f"next: pytest-twin diagnose MODEL {found['recording']} --out diagnosis")
+    return lines

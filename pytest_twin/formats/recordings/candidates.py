@@ -1,0 +1,86 @@
+"""Topics of a recording that could be its states and its commands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pytest_twin.formats.recording import Recording, Topic
+
+_CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+_PAIRS = 4
+_LISTED = 8
+_JOINTS = 6
+
+
+def pairs(recording: Recording) -> list[tuple[Topic, Topic]]:
+    """(state, command) topics with a joint in common, the likeliest first.
+
+    A topic that was read for a role stays in it.
+    """
+    fixed = {role: series.topic for role, series in recording.series.items()}
+    known = [topic for topic in recording.topics if topic.joints]
+
+    def choices(role: str) -> list[Topic]:
+        if role in fixed:
+            return [topic for topic in known if topic.name == fixed[role]]
+        others = [topic for topic in known if role in topic.roles]
+        return [t for t in others if role != "state" or "position" in t.filled]
+
+    found = [
+        (state, command)
+        for state in choices("state")
+        for command in choices("command")
+        if _fit(state, command)
+    ]
+    return sorted(found, key=lambda pair: -_likelihood(*pair))
+
+
+def topics_option(state: Topic, command: Topic) -> str:
+    """The option that reads a pair."""
+    return f"--topics state={state.name},command={command.name}"
+
+
+def described(topic: Topic) -> str:
+    """A topic with its type, messages and joints."""
+    more = f" and {len(topic.joints) - _JOINTS} more" if len(topic.joints) > _JOINTS else ""
+    joints = ", ".join(topic.joints[:_JOINTS]) + more
+    of_joints = f" of {joints}" if joints else ""
+    return f"{topic.name} ({topic.messages} {topic.type or 'messages without a type'}{of_joints})"
+
+
+def what_to_do(recording: Recording, role: str) -> str:
+    """For an error: the topics that could be meant, and the option that reads each pair."""
+    fits = [topic for topic in recording.topics if topic.joints and role in topic.roles]
+    if not recording.topics:
+        column = "command" if role == "command" else "position"
+        return f"{role}s in the file: a topic, or columns NAME.{column} of a CSV file"
+    if not fits:
+        names = ", ".join(topic.name for topic in recording.topics[:_LISTED])
+        return f"a topic with joints; it has {names}"
+    text = "one of " + "; ".join(described(topic) for topic in fits[:_LISTED])
+    options = _options(pairs(recording))
+    return f"{text}; {' or '.join(options)}" if options else text
+
+
+def _options(found: Sequence[tuple[Topic, Topic]]) -> list[str]:
+    return [topics_option(*pair) for pair in found[:_PAIRS]]
+
+
+def _fit(state: Topic, command: Topic) -> bool:
+    if state.name == command.name:
+        return state.type == _CONTROLLER_STATE
+    by_place = all(name.isdecimal() for name in command.joints)
+    return by_place or bool(set(state.joints) & set(command.joints))
+
+
+def _likelihood(state: Topic, command: Topic) -> int:
+    """Names and types that drivers and controllers usually have."""
+    last = command.name.rpartition("/")[2]
+    return (
+        4 * (state.name.endswith("joint_states"))
+        + 2 * (len(state.filled) > 1)
+        + 4 * ("command" in command.name)
+        + 3 * (command.type.startswith(("std_msgs", "trajectory_msgs")))
+        + 2 * (command.type == _CONTROLLER_STATE)
+        - 4 * ("state" in last and command.type != _CONTROLLER_STATE)
+    )
