@@ -140,6 +140,8 @@ JSON_COMMANDS = {
         ["{golden}/twin.yaml", "{golden}/recordings/moves.mcap", "--out", "predicted.mcap"],
         "joints",
     ),
+    "convert": (["{golden}/recordings/moves.mcap", "--out", "converted.mcap"], "written"),
+    "show": (["{golden}/recordings/moves.mcap"], "recordings"),
     "effects": ([], "viscous_friction"),
 }
 """What each command is called with, and a field of its result; ``diagnose`` and ``verify`` have

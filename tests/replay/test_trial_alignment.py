@@ -174,8 +174,9 @@ def spoiled(row: int, column: int, value: float) -> np.ndarray:
 ERRORS: dict[str, tuple[Callable[[], Recording], str]] = {
     "no command": (
         lambda: recording(sound().series["state"], None),
-        "made.mcap: command: no command messages (expected a topic for role 'command'; topics are "
-        "mapped in twin.yaml or by --topics state=/x,command=/y)",
+        "made.mcap: command: no command messages (expected commands in the file: a topic, or columns "
+        "NAME.command of a CSV file; topics are mapped in twin.yaml or by "
+        "--topics state=/x,command=/y)",
     ),
     "nothing left": (
         lambda: replace(
