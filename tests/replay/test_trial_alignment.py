@@ -174,8 +174,8 @@ def spoiled(row: int, column: int, value: float) -> np.ndarray:
 ERRORS: dict[str, tuple[Callable[[], Recording], str]] = {
     "no command": (
         lambda: recording(sound().series["state"], None),
-        "made.mcap: command: no command messages (expected commands in the file: a topic, or columns "
-        "NAME.command of a CSV file; topics are mapped in twin.yaml or by "
+        "made.mcap: command: no command messages (expected commands in the file: a topic, or "
+        "columns NAME.command of a CSV file; topics are mapped in twin.yaml or by "
         "--topics state=/x,command=/y)",
     ),
     "nothing left": (
