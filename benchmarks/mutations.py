@@ -32,7 +32,7 @@ import pinocchio as pin
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from lxml import etree
 
-from pytest_twin.asset.normalize import normalize, source_roots
+from pytest_twin.asset.normalize import normalize
 from pytest_twin.errors import TwinError
 from pytest_twin.properties import PROPERTIES, Asset, Broken, Form, Tolerances
 from pytest_twin.properties.form import mujoco_form, pinocchio_form, text_form, usd_form
@@ -649,11 +649,10 @@ def real_robots() -> list[Path]:
 
 def normalized(path: Path, folder: Path) -> Path:
     """The robot in a folder of its own: repairs accepted, what is only seen left out."""
-    roots = source_roots(path)
-    made = normalize(path, folder, roots=roots)
+    made = normalize(path, folder)
     patches = [flag.patch for flag in made.flags if flag.patch]
     if patches:
-        made = normalize(path, folder, roots=roots, accept=patches)
+        made = normalize(path, folder, accept=patches)
     tree = etree.parse(str(made.urdf))
     for link in tree.getroot().findall("link"):
         for visual in link.findall("visual"):
@@ -763,7 +762,7 @@ def _catcher(subject: Subject, target: str, path: Path) -> str | None:
         if b"scale=" in path.read_bytes():
             # Realizations are made of normalized assets, whose meshes are in metres.
             with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-                made = normalize(path, Path(folder), roots=source_roots(path))
+                made = normalize(path, Path(folder))
                 faulty = TARGETS[target][0](made.urdf)
         else:
             faulty = TARGETS[target][0](path)

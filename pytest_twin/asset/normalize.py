@@ -7,10 +7,9 @@ its repair is accepted by name.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,16 +18,17 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pytest_twin.asset import manifest, obj
+from pytest_twin.asset import obj
 from pytest_twin.asset.changes import Change, Flag
 from pytest_twin.asset.collada import stated_up_axis
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats import atomic, xml
 from pytest_twin.formats.digest import bytes_sha256
-from pytest_twin.formats.paths import Roots, read_bytes
+from pytest_twin.formats.paths import read_bytes
 from pytest_twin.realization import inertia, mesh, urdf
+from pytest_twin.realization.files.locate import Located, locate
+from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS
-from pytest_twin.realization.urdf_spec import find_package
 
 Vector = NDArray[np.float64]
 
@@ -70,8 +70,7 @@ def normalize(
     source: Path,
     folder: Path,
     *,
-    roots: Roots,
-    packages: Mapping[str, Path] | None = None,
+    located: Located | None = None,
     accept: Collection[str] = (),
 ) -> Normalized:
     """Write the normalized asset of a URDF.
@@ -79,8 +78,7 @@ def normalize(
     Args:
         source: the URDF; only read.
         folder: an existing folder, which gets ``<name>.urdf`` and ``meshes/``.
-        roots: where files that the URDF names may lie.
-        packages: ROS package -> its folder, in front of those that are found by name.
+        located: where files that the URDF names may lie; by default below the model's root.
         accept: named patches, ``inertia-repair:<link>``.
 
     Raises:
@@ -90,7 +88,7 @@ def normalize(
         SpecError: an accepted patch that nothing asks for.
     """
     robot = urdf.read(source)
-    return _Normalizer(source, robot, folder, roots, packages or {}, accept).run()
+    return _Normalizer(source, robot, folder, located or locate(source), accept).run()
 
 
 def file_stem(name: str, fallback: str) -> str:
@@ -104,15 +102,13 @@ class _Normalizer:
         source: Path,
         robot: urdf.Robot,
         folder: Path,
-        roots: Roots,
-        packages: Mapping[str, Path],
+        located: Located,
         accept: Collection[str],
     ) -> None:
         self.source = source
         self.robot = robot
         self.folder = folder
-        self.roots = roots
-        self.packages = packages
+        self.files = UrdfFiles.of(robot.node, located.roots, located.packages)
         self.accept = set(accept)
         self.known_patches: set[str] = set()
         self.root = xml.parse(source)
@@ -406,41 +402,12 @@ class _Normalizer:
             self._set(element, "filename", place, "a path inside the asset")
 
     def _resolve(self, element: Any, reference: str) -> Path:
-        line = element.sourceline
-        where = f"{element.tag}.filename"
-        if reference.startswith("package://"):
-            package, _, rest = reference.removeprefix("package://").lstrip("/").partition("/")
-            found = (
-                self.packages.get(package)
-                or find_package(package, self.source, self.roots)
-                or _described_package(package, self.source, self.roots)
-            )
-            if found is None:
-                raise PathError(
-                    f"package '{package}' is not found",
-                    path=self.source,
-                    line=line,
-                    where=where,
-                    value=reference,
-                    expected="its folder above the URDF, or --package NAME=FOLDER",
-                )
-            reference = str(found / rest)
-        return self.roots.resolve(
-            reference.removeprefix("file://"), at=self.source, line=line, where=where
+        return self.files.find(
+            reference,
+            at=self.source,
+            line=element.sourceline,
+            where=f"{element.tag}.filename",
         )
-
-
-def _described_package(package: str, source: Path, roots: Roots) -> Path | None:
-    """The folder whose ``package.xml`` bears the name: above the URDF, or in a root."""
-    above = [folder for folder in source.parents if roots.contains(folder)]
-    beside = [file.parent for root in roots.folders for file in sorted(root.glob("*/package.xml"))]
-    for folder in (*above, *roots.folders, *beside):
-        file = folder / "package.xml"
-        if file.is_file() and roots.contains(file):
-            with contextlib.suppress(TwinError):
-                if (xml.parse(file).findtext("name") or "").strip() == package:
-                    return folder
-    return None
 
 
 def _label(element: Any) -> str:
@@ -467,22 +434,6 @@ def _number(word: str) -> float:
 def digits(values: Any) -> str:
     """The shortest decimals that read back as the same numbers."""
     return " ".join(repr(float(value) + 0.0).removesuffix(".0") for value in values)
-
-
-def source_roots(source: Path, packages: dict[str, Path] | None = None) -> Roots:
-    """Where what a URDF names may lie.
-
-    Its folder and the ROS package around it; the whole source of an asset that was taken in; and
-    the packages that were given.
-    """
-    extra = tuple((packages or {}).values())
-    known = manifest.find(source)
-    if known is not None and (known[0].parent / manifest.SOURCE_FOLDER) in source.parents:
-        return Roots(source.parent, (known[0].parent / manifest.SOURCE_FOLDER, *extra))
-    for folder in source.resolve().parents:
-        if (folder / "package.xml").is_file():
-            return Roots(source.parent, (folder, *extra))
-    return Roots(source.parent, extra)
 
 
 def relative_to(path: Path, folder: Path) -> str:

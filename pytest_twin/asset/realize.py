@@ -17,7 +17,7 @@ from pytest_twin.asset.changes import ChangeLog
 from pytest_twin.asset.loss import compare, from_mujoco, from_pinocchio, from_urdf, from_usd, render
 from pytest_twin.asset.loss.description import Description
 from pytest_twin.asset.loss.matrix import Conversion, Matrix
-from pytest_twin.asset.normalize import Normalized, normalize, source_roots
+from pytest_twin.asset.normalize import Normalized, normalize
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import Roots
@@ -31,6 +31,10 @@ from pytest_twin.realization import (
     urdf_visuals,
     usd,
 )
+from pytest_twin.realization.files.locate import locate
+from pytest_twin.realization.files.packages import Packages
+from pytest_twin.realization.files.search import SearchFolders
+from pytest_twin.realization.files.urdf import UrdfFiles
 
 CHANGES = "changes"
 LOSS = "loss"
@@ -41,6 +45,7 @@ def realize(
     folder: str,
     accept: Sequence[str] = (),
     packages: Mapping[str, str] | None = None,
+    roots: Sequence[str] = (),
     progress: Any = None,
 ) -> dict[str, Any]:
     """Write every form of a robot into an empty folder.
@@ -48,7 +53,8 @@ def realize(
     Args:
         source: the URDF.
         accept: named patches, ``inertia-repair:<link>``.
-        packages: ROS package -> its folder.
+        packages: ROS package -> its folder, as the user names it.
+        roots: folders that the user names for its files.
 
     Returns:
         ``files`` of each state, ``critical`` failures, ``notes``, ``left_out``, and ``counts`` of
@@ -59,8 +65,8 @@ def realize(
     """
     say = progress or (lambda fraction: None)
     path, out = Path(source), Path(folder)
-    where = {name: Path(place) for name, place in (packages or {}).items()}
-    made = normalize(path, out, roots=source_roots(path, where), packages=where, accept=accept)
+    located = locate(path, search=SearchFolders.of(roots, packages))
+    made = normalize(path, out, located=located, accept=accept)
     say(0.3)
     told = _repaired(urdf.read(path), made)
     robot = urdf.read(made.urdf)
@@ -75,8 +81,9 @@ def realize(
         told.node.attributes.get("name", path.stem), path.name, tuple(c for c, _ in forms)
     )
     command: tuple[str, ...] = ("pytest-twin", "realize", path.name, "--out", "DIR")
-    for name in sorted(where):
+    for name in sorted(packages or {}):
         command += ("--package", f"{name}=FOLDER")
+    command += ("--root", "FOLDER") * len(roots)
     for patch in sorted(accept):
         command += ("--accept", patch)
     log = ChangeLog(command, tuple(made.changes), tuple(made.flags))
@@ -106,6 +113,7 @@ def realize(
             for name, state in states.items()
         },
         "critical": critical + matrix.critical,
+        "located": {**located.to_json(), "words": list(located.words())},
         "patches": [flag.patch for flag in made.flags if flag.patch],
         "left_out": [c.problem for c in matrix.conversions if c.problem and not c.critical],
         "changes": len(made.changes),
@@ -146,7 +154,7 @@ def _mjcf(
 ) -> _Form:
     path = made.urdf.with_suffix(".xml")
     try:
-        converted = urdf_spec.convert(robot, Roots(path.parent), {})
+        converted = urdf_spec.convert(robot, UrdfFiles(Roots(path.parent), Packages()))
         urdf_sites.add(converted.spec, robot, extras)
         urdf_visuals.add(converted.spec, robot, converted.mesh_paths)
         model = mjcf_file.write(converted.spec, path, converted.mesh_paths)

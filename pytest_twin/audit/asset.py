@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.audit.finding import Finding, Place
-from pytest_twin.formats.paths import Roots
+from pytest_twin.realization.files.locate import Located
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.node import Node
 
@@ -244,7 +244,7 @@ class Asset:
         poses: name -> joint -> rad or m, as the file declares them (keyframes).
         custom: elements and attributes that no format defines: path -> places.
         faults: what could not be read as it should.
-        files: every file that was read; roots_of_files: where they may lie, None for the default.
+        files: every file that was read; located: where they may lie, None for the default.
         unseen: layers that could not be looked at, and why.
     """
 
@@ -268,7 +268,7 @@ class Asset:
     custom: dict[str, list[Place]] = field(default_factory=dict)
     faults: list[Finding] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
-    roots_of_files: Roots | None = None
+    located: Located | None = None
     unseen: dict[str, str] = field(default_factory=dict)
 
     @property

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
-from pytest_twin.asset.normalize import source_roots
 from pytest_twin.audit import read_urdf
 from pytest_twin.audit.asset import Asset
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import xml
-from pytest_twin.formats.paths import Roots
+from pytest_twin.realization.files.locate import locate
+from pytest_twin.realization.files.search import SearchFolders
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
-def read(path: Path, packages: Mapping[str, Path] | None = None) -> Asset:
+def read(path: Path, search: SearchFolders | None = None) -> Asset:
     """Read a URDF, MJCF or USD file for the audit.
 
     Args:
-        packages: ROS package -> its folder, where it is not found above a URDF.
+        search: folders that the user names for its files.
 
     Raises:
         TwinError: no robot that can be looked at.
@@ -31,12 +30,11 @@ def read(path: Path, packages: Mapping[str, Path] | None = None) -> Asset:
         return read_stage(path)
     tag = xml.parse(path).tag
     if tag == "robot":
-        known = dict(packages or {})
-        return read_urdf.read(path, source_roots(path, known), known)
+        return read_urdf.read(path, locate(path, search=search))
     if tag == "mujoco":
         from pytest_twin.audit.read_mjcf import read as read_model
 
-        return read_model(path, Roots(path.parent))
+        return read_model(path, locate(path, search=search))
     raise ModelError(
         "not a robot model", path=path, line=1, value=str(tag), expected="<robot> or <mujoco>"
     )

@@ -24,8 +24,8 @@ from pytest_twin.audit.asset import (
 )
 from pytest_twin.audit.finding import LAYERS, Finding, Place, from_error
 from pytest_twin.errors import ModelError, TwinError
-from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import inertia, mjcf
+from pytest_twin.realization.files.locate import Located
 from pytest_twin.realization.inputs import joint_inputs
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.mesh import Triangles
@@ -46,7 +46,7 @@ _RADIANS_READ_AS_DEGREES = math.radians(2 * math.pi)
 """rad: what a whole turn in radians becomes where it is read as degrees."""
 
 
-def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
+def read(path: Path, located: Located, *, limits: ModelLimits = LIMITS) -> Asset:
     """Read an MJCF file and everything that it refers to.
 
     Raises:
@@ -55,9 +55,9 @@ def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
         ModelError: MuJoCo's parser refuses it, and not for a name that stands twice.
     """
     try:
-        document = mjcf.read(path, roots, limits=limits)
+        document = mjcf.read(path, located.roots, limits=limits)
     except TwinError:
-        root = mjcf.read_tree(path, roots, limits=limits)
+        root = mjcf.read_tree(path, located.roots, limits=limits)
         nodes = _Nodes(root)
         if not nodes.twice:
             raise
@@ -70,6 +70,7 @@ def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Asset:
             raise
         return _of_text(path, document.root, nodes)
     out = _named_asset(path, document.root, nodes)
+    out.located = located
     out.files = sorted({*out.files, *document.asset_paths.values()})
     try:
         model, warned = mjcf.compiled(spec)

@@ -24,8 +24,9 @@ from pytest_twin.audit.asset import (
 from pytest_twin.audit.finding import Finding, Place, from_error
 from pytest_twin.audit.mesh_files import MeshFiles
 from pytest_twin.errors import FormatError, ModelError, TwinError
-from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import urdf
+from pytest_twin.realization.files.locate import Located
+from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf_spec import mesh_file
@@ -41,16 +42,14 @@ _KINDS: Mapping[str, JointKind] = {
 
 def read(
     path: Path,
-    roots: Roots,
-    packages: Mapping[str, Path] | None = None,
+    located: Located,
     *,
     limits: ModelLimits = LIMITS,
 ) -> Asset:
     """Read a URDF file and its meshes.
 
     Args:
-        roots: where meshes may lie.
-        packages: name -> folder for ``package://name/``.
+        located: where meshes may lie.
 
     Raises:
         FormatError: not well-formed, or beyond a bound.
@@ -59,7 +58,7 @@ def read(
     root = urdf.document(path, limits=limits)
     if not root.all("link"):
         raise root.error("a robot without links", expected="at least one <link>")
-    return _Reader(root, path, roots, packages or {}, limits).asset()
+    return _Reader(root, path, located, limits).asset()
 
 
 class _Reader:
@@ -67,16 +66,14 @@ class _Reader:
         self,
         root: Node,
         path: Path,
-        roots: Roots,
-        packages: Mapping[str, Path],
+        located: Located,
         limits: ModelLimits,
     ) -> None:
         self.root = root
-        self.packages = packages
-        self.roots = roots
+        self.mesh_paths = UrdfFiles.of(root, located.roots, located.packages)
         self.meshes = MeshFiles(limits)
         self.out = Asset("urdf", path, root.attributes.get("name", ""), root)
-        self.out.roots_of_files = roots
+        self.out.located = located
         self.out.files = [path]
 
     def asset(self) -> Asset:
@@ -181,7 +178,7 @@ class _Reader:
 
     def _mesh(self, shape: Shape, node: Node, element: str) -> None:
         try:
-            shape.file = mesh_file(node, self.roots, self.packages)
+            shape.file = mesh_file(node, self.mesh_paths)
         except TwinError as error:
             escapes = "leaves the declared roots" in error.problem or "URL" in error.problem
             self.out.faults.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from pytest_twin.audit.finding import LAYERS, SEVERITIES, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
 from pytest_twin.audit.self_collision import PoseResult
+from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.quiet import quiet
 
 SCHEMA = 1
@@ -72,6 +73,7 @@ def audit_file(
     path: str,
     evidence_path: str | None = None,
     packages: Mapping[str, str] | None = None,
+    roots: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Read and audit a file; what stands in its JSON, and renders as base64 under ``renders``.
@@ -81,9 +83,8 @@ def audit_file(
     """
     say = progress or (lambda fraction: None)
     known = Evidence() if evidence_path is None else evidence.load(Path(evidence_path))
-    folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     with quiet():
-        asset = read(Path(path), folders)
+        asset = read(Path(path), SearchFolders.of(roots, packages))
         say(0.4)
         geometry = Geometry(asset)
         findings = audit(asset, known, geometry)
@@ -94,6 +95,7 @@ def audit_file(
     found["poses"] = self_collision.to_json(results)
     plain: dict[str, Any] = _finite(found)
     plain["renders"] = pictures(asset, results)
+    plain["located"] = [] if asset.located is None else list(asset.located.words())
     say(1.0)
     return plain
 
@@ -105,7 +107,7 @@ def criticals(path: str) -> list[str]:
         TwinError: no robot that can be looked at.
     """
     with quiet():
-        asset = read(Path(path), {})
+        asset = read(Path(path))
         findings = audit(asset, Evidence(), Geometry(asset))
     return [
         ": ".join(
@@ -189,6 +191,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             "mass": {"value": sum(body.mass or 0.0 for body in asset.bodies), "unit": "kg"},
             "reach": {"value": asset.span, "unit": "m"},
             "files": [str(file) for file in asset.files],
+            **({} if asset.located is None else asset.located.to_json()),
         },
         "findings": rows,
         "bodies": [

@@ -112,7 +112,7 @@ def measure(
     if asset.kind != "usd":
         # A model that no simulator takes is still measured, between hulls.
         with contextlib.suppress(TwinError):
-            realization = load(asset.path, roots=asset.roots_of_files, accept_invalid_inertia=True)
+            realization = load(asset.path, located=asset.located, accept_invalid_inertia=True)
     count = len(asset.shapes) if realization is None else realization.model.ngeom
     if count > _MOST_SHAPES:
         return [], [

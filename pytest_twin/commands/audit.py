@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from pytest_twin.commands import folders, json_output, packages
+from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="YAML with what is known from elsewhere: signs, zeros, ranges, poses, commands",
     )
-    packages.add_argument(parser)
+    model_files.add_arguments(parser)
     parser.add_argument(
         "--all", action="store_true", help="list every finding, not one line for each kind"
     )
@@ -63,17 +63,20 @@ def run(args: argparse.Namespace) -> int:
             "pytest_twin.audit.run:audit_file",
             {
                 "path": str(asset.resolve()),
-                "packages": packages.parse(args.package),
+                **model_files.search_folders(args),
                 "evidence_path": None if args.evidence is None else str(args.evidence.resolve()),
             },
             progress=progress,
         )
     renders = found.pop("renders", [])
+    located = found.pop("located", [])
     folders.make(out)
     name = f"{asset.name}.audit"
     atomic.write_text(out / f"{name}.json", json.dumps(found, indent=2) + "\n")
     atomic.write_text(out / f"{name}.html", render(found, renders))
     json_output.give(args, found)
+    for line in located:
+        show(line)
     show(table(found, every=args.all))
     show(f"report: {out / name}.html, {out / name}.json")
     return CRITICAL if found["counts"]["critical"] else CLEAN

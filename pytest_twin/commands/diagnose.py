@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -21,6 +21,7 @@ from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
+from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
@@ -79,6 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "replaced whole where it is an earlier diagnosis",
     )
     add_recording_arguments(parser)
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -107,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
                     "out": str(staging),
                     "topics": args.topics,
                     "options": recording_options(args),
+                    **model_files.search_folders(args),
                 },
                 progress=progress,
             )
@@ -124,6 +127,8 @@ def diagnose_files(
     out: str,
     topics: Mapping[str, str],
     options: Mapping[str, Any],
+    packages: Mapping[str, str] | None = None,
+    roots: Sequence[str] = (),
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
@@ -135,7 +140,7 @@ def diagnose_files(
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
 
-    loaded = load_model(Path(model))
+    loaded = load_model(Path(model), SearchFolders.of(roots, packages))
     trials = read_trials(
         [Path(r) for r in recordings],
         [Path(r) for r in held_out],
@@ -143,7 +148,7 @@ def diagnose_files(
         loaded.realization.structure,
         RecordingOptions.from_json(options).over(loaded.options),
     )
-    return write_diagnosis(
+    summary = write_diagnosis(
         Path(out),
         loaded.realization,
         trials,
@@ -151,6 +156,9 @@ def diagnose_files(
         model=Path(model).name,
         progress=progress,
     )
+    located = loaded.realization.source.located
+    chosen = () if located is None or located.root is None else located.words()
+    return {**summary, "words": [*chosen, *summary["words"]]}
 
 
 def _check_out(out: Path) -> None:

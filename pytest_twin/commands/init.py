@@ -7,7 +7,7 @@ import json
 import re
 from pathlib import Path
 
-from pytest_twin.commands import folders, json_output
+from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
@@ -16,6 +16,7 @@ from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.runner import Runner
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.setup import writing
+from pytest_twin.setup.asset_files import RobotFiles, bring_in
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
 
 HELP = "set up a twin for a robot's URDF or MJCF file: twin.yaml and recorded golden specs"
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the twin's folder (default: the working directory); a robot from elsewhere is "
         "copied to DIR/asset",
     )
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,15 +59,25 @@ def run(args: argparse.Namespace) -> int:
 
 def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
     with Sandbox(cwd=None) as sandbox, Progress("reading the robot") as progress:
-        seen = sandbox.call("pytest_twin.setup.inspection:look", {"model": str(robot)})
+        search = model_files.search_folders(args)
+        seen = sandbox.call("pytest_twin.setup.inspection:look", {"model": str(robot), **search})
         folders.make(folder)
-        files = [Path(path) for path in seen["files"]]
-        model, source = writing.bring_in(robot, files, folder)
+        brought = bring_in(
+            RobotFiles(
+                robot,
+                [Path(path) for path in seen["files"]],
+                Path(seen["root"]),
+                {name: Path(package) for name, package in seen["packages"].items()},
+                [Path(root) for root in search["roots"]],
+            ),
+            folder,
+        )
         twin_file = writing.write_twin_file(
             folder,
             name=re.sub(r"[^A-Za-z0-9_.-]", "_", robot.stem),
-            model=model,
-            source=source,
+            model=brought.model,
+            source=brought.files,
+            roots=brought.roots,
             tcp=seen["tcp"],
             inertia_repairs=seen["inertia_repairs"],
         )

@@ -12,7 +12,7 @@ from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.asset.placing import frozen_source, put_in_place
-from pytest_twin.commands import folders, json_output, packages
+from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="accept one named repair of the asset, such as inertia-repair:LINK; once for each",
     )
-    packages.add_argument(parser)
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
                     "source": str(source),
                     "folder": str(staging),
                     "accept": args.accept,
-                    "packages": packages.parse(args.package),
+                    **model_files.search_folders(args),
                 },
                 progress=progress,
             )
@@ -101,6 +101,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tell(out: Path, made: dict[str, Any]) -> None:
+    for line in made["located"]["words"]:
+        show(line)
     for name in manifest.STATES:
         state = made["manifest"]["states"].get(name)
         if state is not None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.predicting import distances, joined, predict
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
@@ -23,6 +23,7 @@ from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS
+from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.trial import at_command_stamps, make_trials, recording_at
@@ -62,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "says how far it is from the recording, joint by joint",
     )
     add_recording_arguments(parser)
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -82,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
                 "out": str(out.absolute()),
                 "topics": args.topics,
                 "options": recording_options(args),
+                **model_files.search_folders(args),
             },
             progress=progress,
         )
@@ -119,6 +122,8 @@ def replay_file(
     out: str,
     topics: Mapping[str, str],
     options: Mapping[str, Any],
+    packages: Mapping[str, str] | None = None,
+    roots: Sequence[str] = (),
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Load, replay, write; runs in the child process.
@@ -128,7 +133,7 @@ def replay_file(
     """
     import mujoco
 
-    loaded = load_model(Path(model))
+    loaded = load_model(Path(model), SearchFolders.of(roots, packages))
     realization = loaded.realization
     chosen = RecordingOptions.from_json(options).over(loaded.options)
     read = recording_at(Path(recording), {**loaded.topics, **topics}, chosen)
@@ -187,8 +192,11 @@ class LoadedModel:
     patched: Patched | None
 
 
-def load_model(file: Path) -> LoadedModel:
+def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
     """Load what :func:`find_model` found; in the child process.
+
+    Args:
+        search: folders that the user names for the model's files.
 
     Raises:
         TwinError: it cannot be loaded.
@@ -204,7 +212,7 @@ def load_model(file: Path) -> LoadedModel:
             raise SpecError("this twin has no model", path=file, where="model")
         name, reference = next(iter(twin.realizations.items()))
         file = reference.file
-    realization = load(file, twin=twin, name=name)
+    realization = load(file, twin=twin, name=name, search=search)
     topics = dict(TOPICS if twin is None else twin.topics)
     options = NO_OPTIONS if twin is None else twin.recordings
     return LoadedModel(realization, topics, options, patched_of(realization))

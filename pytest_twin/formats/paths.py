@@ -71,7 +71,6 @@ class Roots:
             )
 
         self._check_words(reference, refuse)
-        inside = "a path inside " + " or ".join(str(root) for root in self.folders)
         current = "/" if reference.startswith("/") else os.path.realpath(at.parent)
         # Component by component, so that a link out of the roots and back in is refused too.
         for part in reference.split("/"):
@@ -82,16 +81,16 @@ class Roots:
                 following = os.path.realpath(step, strict=True)
             except FileNotFoundError:
                 if not self._leads_to_root(current, os.path.realpath(step)):
-                    raise refuse("path leaves the declared roots", inside) from None
+                    raise refuse(*self._outside(reference, at, folder)) from None
                 raise refuse("no such folder" if folder else "no such file") from None
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or str(error)
                 raise refuse(f"cannot be reached: {reason}") from None
             if not self._leads_to_root(current, following, by_link=part != ".."):
-                raise refuse("path leaves the declared roots", inside)
+                raise refuse(*self._outside(reference, at, folder))
             current = following
         if not self._holds(current):
-            raise refuse("path leaves the declared roots", inside)
+            raise refuse(*self._outside(reference, at, folder))
         found = Path(current)
         mode = found.stat().st_mode
         if folder and not stat.S_ISDIR(mode):
@@ -99,6 +98,17 @@ class Roots:
         if not folder and not stat.S_ISREG(mode):
             raise refuse(f"not a regular file but {_kind(mode)}")
         return found
+
+    def _outside(self, reference: str, at: Path, folder: bool) -> tuple[str, str]:
+        """What is wrong with a reference that leaves the roots, and the line that mends it."""
+        inside = "a path inside " + " or ".join(str(root) for root in self.folders)
+        real = os.path.realpath(at.parent / reference)
+        wanted = real if folder else os.path.dirname(real)  # noqa: PTH120
+        return (
+            "path leaves the declared roots",
+            f"{inside}; to allow that folder: --root {wanted} on the command line, or "
+            f"'roots: [{wanted}]' in twin.yaml",
+        )
 
     @staticmethod
     def _check_words(reference: str, refuse: object) -> None:

@@ -153,13 +153,15 @@ def _of_urdf(
     packages: Mapping[str, Path],
     accept: list[str],
 ) -> Asset:
-    from pytest_twin.asset.normalize import normalize, source_roots
+    from pytest_twin.asset.normalize import normalize
+    from pytest_twin.realization.files.locate import locate
+    from pytest_twin.realization.files.search import SearchFolders
     from pytest_twin.realization.usd import UsdMissingError
 
     left_out: list[str] = []
     with tempfile.TemporaryDirectory(prefix="pytest-twin-") as folder:
-        roots = source_roots(path, dict(packages))
-        made = normalize(path, Path(folder), roots=roots, packages=packages, accept=accept)
+        located = locate(path, search=SearchFolders(packages=packages))
+        made = normalize(path, Path(folder), located=located, accept=accept)
         for flag in made.flags:
             if flag.patch and flag.critical:
                 raise ModelError(

@@ -121,9 +121,11 @@ def mujoco_form(urdf: Path) -> Form:
     from pytest_twin.formats.paths import Roots
     from pytest_twin.realization import mjcf_file, urdf_spec
     from pytest_twin.realization import urdf as urdf_text
+    from pytest_twin.realization.files.packages import Packages
+    from pytest_twin.realization.files.urdf import UrdfFiles
 
     robot = urdf_text.read(urdf)
-    converted = urdf_spec.convert(robot, Roots(urdf.parent), {})
+    converted = urdf_spec.convert(robot, UrdfFiles(Roots(urdf.parent), Packages()))
     model = mjcf_file.write(converted.spec, urdf.with_suffix(".xml"), converted.mesh_paths)
     return Form(
         "MuJoCo",

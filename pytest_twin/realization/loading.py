@@ -12,6 +12,9 @@ from pytest_twin.errors import ModelError, SpecError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import mjcf, patch, urdf, urdf_spec
+from pytest_twin.realization.files.locate import Located, locate
+from pytest_twin.realization.files.search import SearchFolders
+from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.source import Source
@@ -24,6 +27,8 @@ def load(
     twin: Twin | None = None,
     name: str = "mujoco",
     roots: Roots | None = None,
+    search: SearchFolders | None = None,
+    located: Located | None = None,
     accept_invalid_inertia: bool = False,
     limits: ModelLimits = LIMITS,
 ) -> Realization:
@@ -34,7 +39,10 @@ def load(
         twin: the twin that it belongs to: its fit is applied, its roots hold. A model that a
             diagnosis wrote has the fit and the base's pose in it.
         name: the realization's name.
-        roots: folders that references may lead into; the twin's, or the file's own, by default.
+        roots: folders that references may lead into; by default the twin's, else the root of the
+            model, which :func:`pytest_twin.realization.files.locate` chooses.
+        search: folders that the user names beside these.
+        located: where the files may lie, where that is known already.
         accept_invalid_inertia: of a URDF, repair inertias that no body can have and note it,
             rather than raise; ``source.inertia_repairs`` then holds what a twin's fit can state.
         limits: bounds on what may be loaded.
@@ -50,20 +58,20 @@ def load(
     effects = effects_beside(path)
     fit = None if twin is None or effects is not None else twin.fit
     tag = xml.parse(path).tag
+    if tag not in ("mujoco", "robot"):
+        raise ModelError("not a robot model", path=path, value=tag, expected="<mujoco> or <robot>")
+    located = located or locate(path, search=search, twin=twin, roots=roots, limits=limits)
     if tag == "mujoco":
-        roots = roots or (Roots(path.parent) if twin is None else twin.path_roots)
-        document = mjcf.read(path, roots, limits=limits)
+        document = mjcf.read(path, located.roots, limits=limits)
         source = Source(
             "mjcf", document.root, dict(document.asset_paths), read=frozenset(document.files)
         )
         spec, places = mjcf.build(document), document.places
-    elif tag == "robot":
-        roots = roots or (urdf_roots(path) if twin is None else twin.path_roots)
+    else:
         robot = urdf.read(path, limits=limits)
         converted = urdf_spec.convert(
             robot,
-            roots,
-            {} if twin is None else twin.roots,
+            UrdfFiles.of(robot.node, located.roots, located.packages),
             accept_invalid_inertia=accept_invalid_inertia,
             inertia_patches={} if fit is None else fit.patches.get("body", {}),
             limits=limits,
@@ -78,8 +86,6 @@ def load(
             converted.velocity_limit,
         )
         spec, places = converted.spec, None
-    else:
-        raise ModelError("not a robot model", path=path, value=tag, expected="<mujoco> or <robot>")
     if fit is not None:
         patch.apply_fit(spec, fit.patches, fit.option, refuse=_fit_error(fit))
     base = twin.calibration.transform_world_to_base if twin and twin.calibration else None
@@ -90,16 +96,9 @@ def load(
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise mjcf.translate(error, path, places) from None
     said = tuple(f"{path}: MuJoCo warns: {words}" for words in warned)
-    source = replace(source, notes=source.notes + said, effects=effects)
+    chosen = () if twin is not None else located.words()
+    source = replace(source, notes=chosen + source.notes + said, effects=effects, located=located)
     return Realization(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
-
-
-def urdf_roots(path: Path) -> Roots:
-    """The ROS package that the file lies in, or its folder alone."""
-    for folder in path.resolve().parents:
-        if (folder / "package.xml").is_file():
-            return Roots(path.parent, (folder,))
-    return Roots(path.parent)
 
 
 def _fit_error(fit: Fit) -> patch.Refuse:

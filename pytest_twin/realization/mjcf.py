@@ -11,7 +11,8 @@ import math
 import re
 import struct
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -90,6 +91,29 @@ def asset_name(node: Node) -> str:
     """The name of a mesh, texture or other asset: its own, or else that of its file."""
     file = node.attributes.get("file", "").replace("\\", "/")
     return node.attributes.get("name") or Path(file).stem
+
+
+def named_files(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> set[Path]:
+    """Absolute path of every file that a model names, as written: no link is followed.
+
+    Only XML is read: the model, and what it includes or attaches inside ``roots``. What is wrong
+    with it is left for :func:`read` to say.
+    """
+    named: set[Path] = set()
+    waiting = [path]
+    for _ in range(limits.include_files):
+        if not waiting:
+            break
+        file = waiting.pop()
+        reader = _Reader(roots, limits)
+        with suppress(TwinError):
+            tree = reader.tree(file)
+            for node, _, reference in _references(tree):
+                named.add(reference)
+                if node.tag == "model":
+                    waiting.append(roots.resolve(str(reference), at=node.path))
+        named |= reader.included
+    return named
 
 
 def build(document: Document) -> mujoco.MjSpec:
@@ -195,17 +219,54 @@ _POSITIVE = ("timestep",)
 _BOUNDED = ("nsample", "size", "nconmax", "njmax", "nkey", "nuserdata", "nstack", "maxhullvert")
 
 
+def _references(root: Node) -> Iterator[tuple[Node, str, Path]]:
+    """Each element that names a file, its attribute, and the file's absolute path as written.
+
+    The folders that ``<compiler>`` puts in front are taken out of it: they are in the path.
+    """
+    mesh_folder, texture_folder, strip = "", "", False
+    for compiler in root.all("compiler"):
+        for key in ("assetdir", "meshdir", "texturedir"):
+            folder = compiler.attributes.pop(key, None)
+            if folder is not None and key != "texturedir":
+                mesh_folder = folder
+            if folder is not None and key != "meshdir":
+                texture_folder = folder
+        strip = compiler.attributes.pop("strippath", str(strip).lower()) == "true"
+    base = root.path.parent
+    for node in root.walk():
+        for key in _TEXTURE_FILES if node.tag == "texture" else ("file",):
+            reference = node.attributes.get(key)
+            if reference is None:
+                continue
+            if not reference:
+                raise node.error("empty file name", key)
+            if strip:
+                reference = reference.replace("\\", "/").rsplit("/", 1)[-1]
+            if node.tag == "model":
+                yield node, key, base / reference
+            elif node.tag == "texture":
+                yield node, key, base / texture_folder / reference
+            elif node.tag in _MESH_FILES:
+                yield node, key, base / mesh_folder / reference
+            else:
+                raise node.error("no file may stand here", key, value=reference)
+
+
 class _Reader:
     def __init__(self, roots: Roots, limits: ModelLimits) -> None:
         self.roots = roots
         self.limits = limits
         self.files = 0
         self.read: set[Path] = set()
+        self.included: set[Path] = set()
+        """Includes as they are written: no link followed."""
         self.elements = 0.0
         self.bytes = 0
         self.faces = 0
 
     def tree(self, path: Path) -> Node:
+        """The elements of a file, includes spliced in."""
         root = self._tree(path, path.parent, (path,))
         if root.tag != "mujoco":
             raise root.error("not an MJCF model", value=root.tag, expected="the root <mujoco>")
@@ -259,49 +320,25 @@ class _Reader:
 
     def _resolve(self, reference: str, folders: tuple[Path, ...], path: Path, line: int) -> Path:
         """The first of the folders that has the file; each candidate is checked on its own."""
+        candidate = folders[-1] / reference
         for folder in folders[:-1]:
-            candidate = folder / reference
             # lstat alone: whether something stands there decides nothing that is read.
-            if candidate.is_symlink() or candidate.exists():
-                return self.roots.resolve(str(candidate), at=path, line=line)
-        return self.roots.resolve(str(folders[-1] / reference), at=path, line=line)
+            if (folder / reference).is_symlink() or (folder / reference).exists():
+                candidate = folder / reference
+                break
+        self.included.add(candidate)
+        return self.roots.resolve(str(candidate), at=path, line=line)
 
     # -- referenced files
 
     def _take_files(self, document: Document, depth: int) -> None:
-        root = document.root
-        mesh_folder, texture_folder, strip = "", "", False
-        for compiler in (child for child in root.children if child.tag == "compiler"):
-            for key in ("assetdir", "meshdir", "texturedir"):
-                folder = compiler.attributes.pop(key, None)
-                if folder is not None and key != "texturedir":
-                    mesh_folder = folder
-                if folder is not None and key != "meshdir":
-                    texture_folder = folder
-            strip = compiler.attributes.pop("strippath", str(strip).lower()) == "true"
-        base = root.path.parent
-        for node in root.walk():
-            keys = _TEXTURE_FILES if node.tag == "texture" else ("file",)
-            for key in keys:
-                reference = node.attributes.get(key)
-                if reference is None:
-                    continue
-                if not reference:
-                    raise node.error("empty file name", key)
-                if strip:
-                    reference = reference.replace("\\", "/").rsplit("/", 1)[-1]
-                if node.tag == "model":
-                    self._take_model(document, node, base, reference, depth)
-                elif node.tag == "texture":
-                    self._take_asset(document, node, key, base / texture_folder / reference)
-                elif node.tag in _MESH_FILES:
-                    self._take_asset(document, node, key, base / mesh_folder / reference)
-                else:
-                    raise node.error("no file may stand here", key, value=reference)
+        for node, key, path in _references(document.root):
+            if node.tag == "model":
+                self._take_model(document, node, path, depth)
+            else:
+                self._take_asset(document, node, key, path)
 
-    def _take_model(
-        self, document: Document, node: Node, base: Path, reference: str, depth: int
-    ) -> None:
+    def _take_model(self, document: Document, node: Node, file: Path, depth: int) -> None:
         if depth >= self.limits.nested_models:
             raise LimitError(
                 "models nested too deep",
@@ -310,7 +347,7 @@ class _Reader:
                 where=node.label,
                 expected=f"at most {self.limits.nested_models} levels",
             )
-        path = self.roots.resolve(str(base / reference), at=node.path, line=node.line)
+        path = self.roots.resolve(str(file), at=node.path, line=node.line)
         nested = self.document(path, depth + 1)
         document.assets.update(nested.assets)
         document.models.update(nested.models)

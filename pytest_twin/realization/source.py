@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pytest_twin.realization import urdf
+from pytest_twin.realization.files.locate import Located
 from pytest_twin.realization.node import Node
 
 
@@ -27,6 +28,7 @@ class Source:
             that no body can have, where such a repair was accepted.
         velocity_limit: joint -> rad/s or m/s.
         effects: the file of what is stepped beside the model, where a diagnosis wrote it.
+        located: where its files may lie, and how its packages were found.
     """
 
     kind: Literal["mjcf", "urdf"]
@@ -38,6 +40,7 @@ class Source:
     velocity_limit: Mapping[str, float] = field(default_factory=dict)
     read: frozenset[Path] = frozenset()
     effects: Path | None = None
+    located: Located | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:

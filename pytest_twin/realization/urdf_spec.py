@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import TwinError
-from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import inertia, mesh
+from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf import Joint, Link, Robot, origin, principal_text
@@ -64,8 +64,7 @@ class Converted:
 
 def convert(
     robot: Robot,
-    roots: Roots,
-    packages: Mapping[str, Path],
+    files: UrdfFiles,
     *,
     accept_invalid_inertia: bool = False,
     inertia_patches: Mapping[str, Patch] | None = None,
@@ -74,8 +73,7 @@ def convert(
     """Build the spec.
 
     Args:
-        roots: where meshes may lie.
-        packages: name -> folder for ``package://name/``.
+        files: finds the meshes.
         accept_invalid_inertia: repair inertias that no body can have, with a note, rather than
             raise.
         inertia_patches: link -> mass, com, inertia stated in their place.
@@ -85,24 +83,20 @@ def convert(
         PathError: a mesh outside the roots, or none.
         FormatError: a broken mesh.
     """
-    return _Converter(
-        robot, roots, packages, accept_invalid_inertia, inertia_patches or {}, limits
-    ).run()
+    return _Converter(robot, files, accept_invalid_inertia, inertia_patches or {}, limits).run()
 
 
 class _Converter:
     def __init__(
         self,
         robot: Robot,
-        roots: Roots,
-        packages: Mapping[str, Path],
+        files: UrdfFiles,
         accept_invalid_inertia: bool,
         inertia_patches: Mapping[str, Patch],
         limits: ModelLimits,
     ) -> None:
         self.robot = robot
-        self.roots = roots
-        self.packages = packages
+        self.files = files
         self.accept_invalid_inertia = accept_invalid_inertia
         self.inertia_patches = inertia_patches
         self.limits = limits
@@ -112,7 +106,7 @@ class _Converter:
         self.stated: dict[str, tuple[float, Vector, Vector]] = {}
         self.other_axes: Counter[str] = Counter()
         self.mesh_names: dict[tuple[Path, tuple[float, ...]], str] = {}
-        self.files: dict[Path, mesh.Triangles] = {}
+        self.triangles: dict[Path, mesh.Triangles] = {}
         self.geom_names: set[str] = set()
         self.bytes = 0
         self.faces = 0
@@ -392,7 +386,7 @@ class _Converter:
     def _mesh(
         self, link: Link, node: Node, position: Vector, axes: Vector
     ) -> dict[str, Any] | None:
-        path = mesh_file(node, self.roots, self.packages)
+        path = mesh_file(node, self.files)
         scale = node.numbers("scale", (1.0, 1.0, 1.0))
         if (scale == 0).any():
             raise node.error("a mesh without size", "scale", value=node.attributes["scale"])
@@ -445,13 +439,13 @@ class _Converter:
         }
 
     def _triangles(self, node: Node, path: Path) -> mesh.Triangles:
-        if path not in self.files:
+        if path not in self.triangles:
             try:
                 found = mesh.read(path, self.limits)
             except TwinError as error:
                 error.problem += f"; wanted by {node.place}"
                 raise
-            self.files[path] = found
+            self.triangles[path] = found
             self.bytes += path.stat().st_size
             self.faces += len(found.faces)
             if self.bytes > self.limits.total_asset_bytes:
@@ -463,7 +457,7 @@ class _Converter:
                     "the meshes have too many triangles",
                     expected=f"at most {self.limits.total_mesh_faces}",
                 )
-        return self.files[path]
+        return self.triangles[path]
 
     # -- the rest
 
@@ -509,46 +503,17 @@ class _Converter:
             self.note(self.robot.node, f"left out: {listed}")
 
 
-def mesh_file(node: Node, roots: Roots, packages: Mapping[str, Path]) -> Path:
+def mesh_file(node: Node, files: UrdfFiles) -> Path:
     """The file that a ``mesh`` element names.
 
     Raises:
-        ModelError: none is named, or its package is not found.
-        PathError: outside the roots, or not there.
+        ModelError: none is named.
+        PathError: its package is not found, it is outside the roots, or not there.
     """
     reference = node.attributes.get("filename", "")
     if not reference:
         raise node.error("no file", "filename", expected="the path of a mesh")
-    details: dict[str, Any] = {"at": node.path, "line": node.line, "where": "mesh.filename"}
-    if reference.startswith("package://"):
-        package, _, rest = reference.removeprefix("package://").lstrip("/").partition("/")
-        folder = packages.get(package) or find_package(package, node.path, roots)
-        if folder is None:
-            raise node.error(
-                f"package '{package}' is not found",
-                "filename",
-                value=reference,
-                expected="its folder above this file, or under 'roots:'",
-            )
-        return roots.resolve(str(folder / rest), **details)
-    if reference.startswith("file://"):
-        return roots.resolve(reference.removeprefix("file://"), **details)
-    return roots.resolve(reference, **details)
-
-
-def find_package(package: str, urdf: Path, roots: Roots) -> Path | None:
-    """The folder of a ROS package: one that holds the URDF, or lies in a root, by its name."""
-    real = urdf.resolve()
-    for folder in real.parents:
-        if folder.name == package and roots.contains(folder):
-            return folder
-    for root in roots.folders:
-        if root.name == package:
-            return root
-        candidate = root / package
-        if package and candidate.is_dir() and roots.contains(candidate):
-            return candidate
-    return None
+    return files.find(reference, at=node.path, line=node.line, where="mesh.filename")
 
 
 def _quaternion(axes: Vector) -> Vector:

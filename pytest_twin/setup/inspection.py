@@ -4,28 +4,43 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.checks import check_of, kinds
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import Realization, load
+from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.twin import load_twin
 
 _TOOL = re.compile(r"(^|_)(tcp|tool0?|ee|ee_link|end_effector|gripper_?frame)$", re.IGNORECASE)
 
 
-def look(model: str) -> dict[str, Any]:
+def look(
+    model: str, packages: Mapping[str, str] | None = None, roots: Sequence[str] = ()
+) -> dict[str, Any]:
     """The files that a model is made of, what had to be repaired, and its tool frame.
+
+    Args:
+        packages: ROS package -> its folder, as the user names it.
+        roots: folders that the user names for the model's files.
 
     Raises:
         TwinError: no model that could be loaded.
     """
-    realization = load(Path(model), accept_invalid_inertia=True)
+    search = SearchFolders.of(roots, packages)
+    realization = load(Path(model), accept_invalid_inertia=True, search=search)
     source = realization.source
+    located = source.located
+    assert located is not None
+    assert located.root is not None
     return {
         "files": [str(path) for path in source.files],
+        "root": str(located.root.folder),
+        "packages": {
+            name: str(found.folder) for name, found in sorted(located.packages.found.items())
+        },
         "notes": [*realization.notes, *_nameless(realization)],
         "inertia_repairs": {
             link: [float(value) for value in values]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -19,13 +18,13 @@ from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.file_names import portable_names
 from pytest_twin.gate.schema import golden_schema, modeline
+from pytest_twin.setup.asset_files import ASSET
 from pytest_twin.twin import FILE_NAME
 
-_ASSET = "asset"
 _SCHEMAS = "schemas"
 _GOLDEN = "golden"
 _IGNORED = ".gitignore"
-_OWN = (FILE_NAME, _ASSET, _SCHEMAS, _GOLDEN, ".twin", _IGNORED)
+_OWN = (FILE_NAME, ASSET, _SCHEMAS, _GOLDEN, ".twin", _IGNORED)
 _RULES = """\
 # What no file shows. Change an id when the thing changes: the goldens that it affects are stale.
 # parts:
@@ -62,52 +61,13 @@ def _written(folder: Path) -> Iterator[Path]:
             yield folder / name
 
 
-def bring_in(robot: Path, files: Sequence[Path], folder: Path) -> tuple[Path, list[Path]]:
-    """The robot's place in the twin's folder, and its files'; copies what lies outside.
-
-    The copy keeps the folders between the files, so that every reference holds.
-
-    Raises:
-        SpecError: a file would leave the folder, or its place is taken.
-    """
-    if all(path.is_relative_to(folder) for path in files):
-        return robot, list(files)
-    base = _package_root(robot, files)
-    target = folder / _ASSET / base.name
-    if target.exists():
-        raise SpecError("the asset's place is taken", path=target, expected="a new folder")
-    staging = folder / f".{_ASSET}-{os.getpid()}"
-    try:
-        for path in files:
-            copy = staging / base.name / path.relative_to(base)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, copy)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        (staging / base.name).rename(target)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-    return target / robot.relative_to(base), [target / path.relative_to(base) for path in files]
-
-
-def _package_root(robot: Path, files: Sequence[Path]) -> Path:
-    """The deepest folder that holds all files; the package above it where there is one."""
-    common = Path(os.path.commonpath([path.parent for path in files]))
-    for folder in (common, *common.parents):
-        if (folder / "package.xml").is_file():
-            return folder
-    text = robot.read_text(errors="replace")
-    for folder in common.parents:
-        if folder.name and f"package://{folder.name}/" in text:
-            return folder
-    return common
-
-
 def write_twin_file(
     folder: Path,
     *,
     name: str,
     model: Path,
     source: Iterable[Path],
+    roots: Mapping[str, Path],
     tcp: str | None,
     inertia_repairs: Mapping[str, Sequence[float]],
 ) -> Path:
@@ -116,8 +76,10 @@ def write_twin_file(
         "schema": 1,
         "name": name,
         "model": model.relative_to(folder).as_posix(),
-        "source": sorted(path.relative_to(folder).as_posix() for path in source),
+        "source": sorted(_from(folder, path) for path in source),
     }
+    if roots:
+        content["roots"] = {name: _from(folder, root) for name, root in sorted(roots.items())}
     if tcp is not None:
         content["tcp"] = tcp
     if inertia_repairs:
@@ -134,6 +96,11 @@ def write_twin_file(
     path = folder / FILE_NAME
     atomic.write_text(path, f"{head}\n{_dump(content)}{_RULES}")
     return path
+
+
+def _from(folder: Path, path: Path) -> str:
+    """A path as ``twin.yaml`` states it: relative to its folder where it lies inside."""
+    return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
 
 
 def write_specs(folder: Path, specs: Sequence[Mapping[str, Any]]) -> list[Path]:

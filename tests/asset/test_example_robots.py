@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from asset_robots import FINGER, ROBOTS
 
-from pytest_twin.asset.normalize import normalize, source_roots
+from pytest_twin.asset.normalize import normalize
 from pytest_twin.asset.realize import realize
 from pytest_twin.realization import urdf
 
@@ -48,7 +48,7 @@ def test_every_form_moves_alike(tmp_path: Path, name: str) -> None:
 )
 def test_impossible_inertias_are_flagged(tmp_path: Path, name: str, flagged: int) -> None:
     source = ROBOTS / name
-    found = normalize(source, tmp_path, roots=source_roots(source))
+    found = normalize(source, tmp_path)
     assert len([flag for flag in found.flags if flag.critical]) == flagged
 
 

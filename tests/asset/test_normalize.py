@@ -10,14 +10,14 @@ import pytest
 import trimesh
 from asset_robots import ALLEGRO, ARM, CORNERS, write_arm
 
-from pytest_twin.asset.normalize import Normalized, normalize, source_roots
+from pytest_twin.asset.normalize import Normalized, normalize
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.realization import inertia, urdf
 
 
 def made(source: Path, folder: Path, accept: tuple[str, ...] = ()) -> Normalized:
     folder.mkdir()
-    return normalize(source, folder, roots=source_roots(source), accept=accept)
+    return normalize(source, folder, accept=accept)
 
 
 def digests(folder: Path) -> dict[str, str]:

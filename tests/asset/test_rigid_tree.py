@@ -16,6 +16,8 @@ from pytest_twin.asset.loss import from_mujoco, from_pinocchio
 from pytest_twin.asset.loss.description import Dynamics
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import mjcf_file, urdf, urdf_spec, urdf_tree
+from pytest_twin.realization.files.packages import Packages
+from pytest_twin.realization.files.urdf import UrdfFiles
 
 
 def agree(first: Dynamics, second: Dynamics, q: dict[str, float], tolerance: float) -> None:
@@ -45,7 +47,7 @@ def test_tree_pinocchio_and_written_mjcf_agree(text: str, seed: int) -> None:
         generator = np.random.default_rng(seed)
         q = {name: float(generator.uniform(-1, 1)) for name in tree.joints}
         agree(tree, from_pinocchio.reference(robot), q, 1e-10)
-        spec = urdf_spec.convert(robot, Roots(path.parent), {}).spec
+        spec = urdf_spec.convert(robot, UrdfFiles(Roots(path.parent), Packages())).spec
         model = mjcf_file.write(spec, path.with_suffix(".xml"), {})
         agree(tree, from_mujoco.MujocoDynamics(model, robot.root), q, 1e-10)
 
@@ -61,7 +63,7 @@ def test_written_mjcf_is_the_compiled_spec_to_the_last_digit(tmp_path: Path) -> 
         '<limit lower="-1.23456789012345" upper="1.1" effort="7.77777777" velocity="1"/>'
         '<dynamics damping="0.123456789" friction="0.0123456789"/></joint></robot>'
     )
-    converted = urdf_spec.convert(urdf.read(path), Roots(tmp_path), {})
+    converted = urdf_spec.convert(urdf.read(path), UrdfFiles(Roots(tmp_path), Packages()))
     loaded = mjcf_file.write(converted.spec, tmp_path / "arm.xml", {})
     compiled = converted.spec.compile()
     for field in (

@@ -102,11 +102,11 @@ def test_a_folder_behind_a_link_still_holds_its_files(tmp_path: Path) -> None:
         "<compiler assetdir='/etc'/><asset><mesh name='m' file='secret.stl'/></asset>",
     ],
 )
-def test_no_reference_leaves_the_roots(tmp_path: Path, element: str) -> None:
+def test_no_reference_leaves_the_checkout(tmp_path: Path, element: str) -> None:
     for suffix in ("xml", "stl", "png", "skn"):
         (tmp_path / f"secret.{suffix}").write_text("<mujoco/>")
     inside = tmp_path / "robot"
-    inside.mkdir()
+    (inside / ".git").mkdir(parents=True)
     (inside / "link.xml").symlink_to(tmp_path / "secret.xml")
     with pytest.raises(PathError, match="roots") as caught:
         load(written(inside, f"<mujoco>\n{element}\n</mujoco>"))
@@ -116,7 +116,7 @@ def test_no_reference_leaves_the_roots(tmp_path: Path, element: str) -> None:
 
 def test_declared_roots_open_the_way(tmp_path: Path) -> None:
     inside, shared = tmp_path / "robot", tmp_path / "shared"
-    inside.mkdir()
+    (inside / ".git").mkdir(parents=True)
     shared.mkdir()
     (shared / "tip.stl").write_bytes(binary_stl())
     text = model_with("<geom type='mesh' mesh='tip'/>", "<mesh file='../shared/tip.stl'/>")

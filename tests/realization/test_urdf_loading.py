@@ -11,7 +11,6 @@ from model_texts import ARM, example_robot, written
 from test_mjcf_loading import FACES, TETRAHEDRON, binary_stl
 
 from pytest_twin.errors import FormatError, LimitError, ModelError, TwinError
-from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import Realization, load
 
 MESH = '<collision><geometry><box size="0.2 0.1 0.1"/></geometry></collision>'
@@ -312,24 +311,13 @@ def test_a_mesh_beyond_the_bounds_is_refused(tmp_path: Path) -> None:
         "link.stl",
     ],
 )
-def test_no_mesh_leaves_the_roots(tmp_path: Path, reference: str) -> None:
+def test_no_mesh_leaves_the_checkout(tmp_path: Path, reference: str) -> None:
     (tmp_path / "secret.stl").write_bytes(binary_stl())
     inside = tmp_path / "robot"
-    inside.mkdir()
+    (inside / ".git").mkdir(parents=True)
     (inside / "link.stl").symlink_to(tmp_path / "secret.stl")
     said = refusal(with_mesh(inside, reference), TwinError)
     assert said.startswith(f"{inside}/arm.urdf:9: ")
-
-
-def test_a_package_is_the_folder_above_with_a_manifest_or_a_declared_root(tmp_path: Path) -> None:
-    package = tmp_path / "my_robot"
-    (package / "urdf").mkdir(parents=True)
-    (package / "t.stl").write_bytes(binary_stl())
-    path = with_mesh(package / "urdf", "package://my_robot/t.stl")
-    assert "package 'my_robot' is not found" in refusal(path)
-    assert load(path, roots=Roots(path.parent, (package,))).model.nmesh == 1
-    (package / "package.xml").write_text("<package/>")
-    assert load(path).model.nmesh == 1
 
 
 ROBOTS = [

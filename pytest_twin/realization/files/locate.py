@@ -1,0 +1,140 @@
+"""Find the root and the packages of a model on this machine."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.errors import PathError
+from pytest_twin.formats import xml
+from pytest_twin.formats.paths import Roots
+from pytest_twin.realization import mjcf
+from pytest_twin.realization.files.packages import Packages
+from pytest_twin.realization.files.root import Folder, ModelRoot, choose, inside
+from pytest_twin.realization.files.search import SearchFolders
+from pytest_twin.realization.files.surroundings import folders_above
+from pytest_twin.realization.files.urdf import MujocoFolders, UrdfFiles
+from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.twin import Twin
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """Where the files of a model may lie.
+
+    Attributes:
+        roots: every folder that a reference may lead into.
+        packages: looks up ``package://``.
+        root: the root that was chosen; None where a twin declares the roots.
+    """
+
+    roots: Roots
+    packages: Packages
+    root: ModelRoot | None = None
+
+    def words(self) -> tuple[str, ...]:
+        """What was chosen, a line each; nothing where it is the folder of the model alone."""
+        lines = []
+        if self.root is not None and self.root.folder != self.roots.base:
+            lines.append(f"root of the model: {self.root.folder} ({self.root.why})")
+        for name, package in sorted(self.packages.found.items()):
+            lines.append(f"package '{name}': {package.folder} (found by {package.by})")
+        return tuple(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for reports."""
+        root = self.root
+        return {
+            "root": None if root is None else {"folder": str(root.folder), "why": root.why},
+            "packages": {
+                name: {"folder": str(package.folder), "found_by": package.by}
+                for name, package in sorted(self.packages.found.items())
+            },
+        }
+
+
+def locate(
+    path: Path,
+    *,
+    search: SearchFolders | None = None,
+    twin: Twin | None = None,
+    roots: Roots | None = None,
+    limits: ModelLimits = LIMITS,
+) -> Located:
+    """The root and the packages of a model; its XML is read, and no other file.
+
+    Args:
+        path: the model's file, its folder free of links.
+        search: folders that the user names.
+        twin: its roots hold, and none is chosen.
+        roots: these hold, and none is chosen.
+
+    Raises:
+        FormatError: the file itself is not well-formed XML.
+        LimitError: the file itself is beyond a bound.
+    """
+    search = search or SearchFolders()
+    declared = {} if twin is None else twin.roots
+    if twin is not None and roots is None:
+        roots = twin.path_roots
+    if roots is not None:
+        within = Roots(roots.base, (*roots.extra, *search.roots, *search.packages.values()))
+        above = [folder for folder in path.parents if within.contains(folder)]
+        others = [folder for folder in within.folders if folder not in above]
+        return Located(within, Packages(above, others, search.packages, declared))
+    surroundings = folders_above(path)
+    allowed = [folder.path for folder in inside(surroundings)]
+    packages = Packages(allowed, search.roots, search.packages)
+    root = _chosen(path, surroundings, packages, search.roots, limits)
+    beside = [
+        package.folder
+        for package in packages.found.values()
+        if not package.folder.is_relative_to(root.folder)
+    ]
+    extra = (root.folder, *search.roots, *search.packages.values(), *beside)
+    return Located(Roots(path.parent, tuple(dict.fromkeys(extra))), packages, root)
+
+
+def _chosen(
+    path: Path,
+    surroundings: Sequence[Folder],
+    packages: Packages,
+    others: Sequence[Path],
+    limits: ModelLimits,
+) -> ModelRoot:
+    outermost = inside(surroundings)[-1].path
+    element = xml.parse(path)
+    named: set[Path] = set()
+    if element.tag == "robot":
+        files = UrdfFiles(Roots(path.parent), packages, MujocoFolders.of(element))
+        for node in element.iter("mesh", "texture"):
+            reference = node.get("filename") or ""
+            # What is wrong with a reference is said where it is read.
+            with suppress(PathError, OSError, ValueError):
+                named.add(files.path_of(reference, path))
+    elif element.tag == "mujoco":
+        named = mjcf.named_files(path, Roots(outermost, tuple(others)), limits=limits)
+    lying_above = {
+        package.folder for package in packages.found.values() if path.is_relative_to(package.folder)
+    }
+    elsewhere = [
+        package.folder for package in packages.found.values() if package.folder not in lying_above
+    ]
+    there = [Path(os.path.normpath(file)) for file in named if _exists(file)]
+    own = [
+        file
+        for file in there
+        if not any(file.is_relative_to(folder) for folder in (*elsewhere, *others))
+    ]
+    return choose(surroundings, own, lying_above)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return os.path.lexists(path)
+    except (OSError, ValueError):
+        return False

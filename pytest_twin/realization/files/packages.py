@@ -1,0 +1,153 @@
+"""Where the folder of a ROS package lies, and by which way it was found."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+from pytest_twin.errors import TwinError
+from pytest_twin.formats import xml
+
+_MOST_ENTRIES = 2000
+"""Entries of one folder that are looked at for a package: ROS workspaces have hundreds."""
+
+BY_OPTION = "--package"
+BY_TWIN = "roots: in twin.yaml"
+BY_NAME_ABOVE = "the name of a folder above the file"
+BY_NAME_BESIDE = "the name of a folder beside one above the file"
+BY_MANIFEST = "the name in package.xml"
+BY_FILE = "a folder above the file that holds what is named"
+BY_ROOT = "the name of a declared root, or of a folder in it"
+BY_AMENT = "AMENT_PREFIX_PATH"
+BY_ROS = "ROS_PACKAGE_PATH"
+
+
+@dataclass(frozen=True, slots=True)
+class FoundPackage:
+    """A ROS package.
+
+    Attributes:
+        by: the way by which it was found.
+    """
+
+    folder: Path
+    by: str
+
+
+@dataclass(slots=True)
+class Packages:
+    """Looks up the folders of ROS packages for one model.
+
+    Nearest evidence first: what the user says (``--package``, ``roots:`` of the twin), folders
+    around the file by their name, ``package.xml`` around the file, and last the ROS environment,
+    which another shell may not have. Of several folders the first counts that holds the file that
+    is named in it.
+
+    Attributes:
+        above: folders above the model in which packages are looked for, nearest first.
+        roots: other folders that may be packages or hold some.
+        given: package -> folder, by the command line.
+        declared: package -> folder, by ``twin.yaml``.
+        environment: the environment's variables.
+        found: what was looked up: package -> where, and by which way.
+    """
+
+    above: Sequence[Path] = ()
+    roots: Sequence[Path] = ()
+    given: Mapping[str, Path] = field(default_factory=dict)
+    declared: Mapping[str, Path] = field(default_factory=dict)
+    environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+    found: dict[str, FoundPackage] = field(default_factory=dict)
+
+    def find(self, name: str, file: str) -> FoundPackage | None:
+        """The folder of package ``name``, None where there is none.
+
+        Args:
+            file: the path in the package that is wanted.
+        """
+        first: FoundPackage | None = None
+        for candidate in self._candidates(name, file):
+            if (candidate.folder / file).exists():
+                self.found[name] = candidate
+                return candidate
+            first = first or candidate
+        if first is not None:
+            self.found.setdefault(name, first)
+        return first
+
+    def places(self) -> list[str]:
+        """Everywhere that a package is looked for, as people read it."""
+        looked = [f"{folder} and its folders" for folder in (*self.above, *self.roots)]
+        for variable in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"):
+            value = self.environment.get(variable)
+            looked.append(f"{variable}={value}" if value else f"{variable} (not set)")
+        return looked
+
+    def _candidates(self, name: str, file: str) -> Iterator[FoundPackage]:
+        for by, known in ((BY_OPTION, self.given), (BY_TWIN, self.declared)):
+            if name in known:
+                yield FoundPackage(known[name], by)
+        if not name or name in (".", ".."):
+            return
+        for folder in self.above:
+            if folder.name == name:
+                yield FoundPackage(folder, BY_NAME_ABOVE)
+        for folder in self.above:
+            beside = folder / name
+            if beside.is_dir() and not beside.is_symlink():
+                yield FoundPackage(beside, BY_NAME_BESIDE)
+        for folder in self.above:
+            for candidate in (folder, *_folders_in(folder)):
+                if package_name(candidate) == name:
+                    yield FoundPackage(candidate, BY_MANIFEST)
+        for root in self.roots:
+            for candidate in (root, root / name):
+                if candidate.name == name and candidate.is_dir():
+                    yield FoundPackage(candidate, BY_ROOT)
+        yield from self._in_environment(name)
+        for folder in self.above:
+            if (folder / file).is_file():
+                yield FoundPackage(folder, BY_FILE)
+
+    def _in_environment(self, name: str) -> Iterator[FoundPackage]:
+        for prefix in self._paths("AMENT_PREFIX_PATH"):
+            if (prefix / "share" / name).is_dir():
+                yield FoundPackage(prefix / "share" / name, BY_AMENT)
+        for entry in self._paths("ROS_PACKAGE_PATH"):
+            for candidate in (entry, *_folders_in(entry)):
+                if candidate.name == name or package_name(candidate) == name:
+                    yield FoundPackage(candidate, BY_ROS)
+                elif candidate != entry and (candidate / name).is_dir():
+                    yield FoundPackage(candidate / name, BY_ROS)
+
+    def _paths(self, variable: str) -> list[Path]:
+        listed = self.environment.get(variable, "").split(os.pathsep)
+        paths = [Path(entry) for entry in listed if entry]
+        return [path for path in paths if path.is_absolute() and path.is_dir()]
+
+
+def package_name(folder: Path) -> str | None:
+    """The name in the ``package.xml`` of a folder, None where it has none."""
+    file = folder / "package.xml"
+    if not file.is_file():
+        return None
+    with suppress(TwinError):
+        return (xml.parse(file).findtext("name") or "").strip() or None
+    return None
+
+
+def _folders_in(folder: Path) -> list[Path]:
+    try:
+        with os.scandir(folder) as entries:
+            found = [
+                Path(entry.path)
+                for entry in islice(entries, _MOST_ENTRIES)
+                if entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".")
+            ]
+    except OSError:
+        return []
+    return sorted(found)

@@ -1,0 +1,43 @@
+"""Folders that the user names for the files of a model: ``--root`` and ``--package``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypedDict
+
+
+class SearchFoldersJson(TypedDict):
+    """Plain data of :class:`SearchFolders`, as a child process gets it."""
+
+    roots: list[str]
+    packages: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class SearchFolders:
+    """Folders that the user names for the files of a model.
+
+    Attributes:
+        roots: folders that references may lead into, beside the model's own root.
+        packages: ROS package -> its folder.
+    """
+
+    roots: tuple[Path, ...] = ()
+    packages: Mapping[str, Path] = field(default_factory=dict)
+
+    @staticmethod
+    def of(roots: Sequence[str] = (), packages: Mapping[str, str] | None = None) -> SearchFolders:
+        """From plain data."""
+        return SearchFolders(
+            tuple(Path(root) for root in roots),
+            {name: Path(folder) for name, folder in (packages or {}).items()},
+        )
+
+    def to_json(self) -> SearchFoldersJson:
+        """Plain data, which :meth:`of` reads."""
+        return {
+            "roots": [str(root) for root in self.roots],
+            "packages": {name: str(folder) for name, folder in self.packages.items()},
+        }
