@@ -1,4 +1,4 @@
-"""One result of the audit: what stands where, why it matters, and what would settle it."""
+"""One finding of the audit: what is wrong where, why it matters, and what to do next."""
 
 from __future__ import annotations
 
@@ -35,20 +35,19 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A fault, a doubt, a fact, or what the asset leaves unknown.
+    """A fault, a doubt, a fact, or a property that the file does not state.
 
     Attributes:
         code: ``layer.what``, the same for every element with the same fault.
-        severity: ``critical`` no robot can have it, or every simulator is misled by it;
-            ``warning`` it can be meant so and seldom is; ``info`` a fact; ``unknown`` the asset
-            does not say.
+        severity: ``critical`` no robot can have it, or it misleads every simulator; ``warning``
+            it is seldom intended; ``info`` a fact; ``unknown`` the file does not state it.
         place: file and line.
         element: as people name it, ``link 'wrist'``.
-        title: what stands there, one sentence without a final stop.
+        title: what is found there, one sentence without a final stop.
         value: as stated or computed, with ``unit``.
-        expected: what would have been right.
-        why: why it matters.
-        settle: the evidence, source or bounded test that would settle it.
+        expected: the right value, or the values that are plausible.
+        why: what goes wrong with it.
+        settle: what to do next: the correction, or the source or test that gives the value.
     """
 
     code: str

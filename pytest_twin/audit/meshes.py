@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.asset.collada import DEFAULT_UP_AXIS, stated_up_axis
-from pytest_twin.audit.asset import Asset, Shape
+from pytest_twin.audit.asset import Asset, Body, Shape
 from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Geometry, Solid
 from pytest_twin.realization.mesh import Triangles
@@ -20,6 +20,11 @@ _MANY_FACES = 20_000
 _HOLLOW = 1.5
 """Hull over mesh: beyond, the hull that simulators collide with fills what is hollow."""
 _REACH = "the robot's reach"
+_OTHER = "the link's other shape"
+_GYRATION = "the size that the link's inertia implies"
+_BULK = "the size that the link's mass implies"
+_DENSITY = 2000.0
+"""kg/m^3: of links, between plastic and steel; the cube root forgives a factor of 10 by 2.2."""
 _TOO_LARGE, _TOO_SMALL = 100.0, 0.01
 """Against another length of the same body: beyond, one of them is in another unit."""
 
@@ -174,7 +179,7 @@ def _size(shape: Shape) -> Iterator[Finding]:
 
 
 def _units(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
-    """Meshes in millimetres: held against inertia, the other role's shape, and the robot."""
+    """Meshes in another unit: compared with mass, inertia, the other shape and the robot."""
     for name, body in asset.body.items():
         for role in ("collision", "visual"):
             shapes = [s for s in asset.shapes_of(name) if s.role == role and s.kind == "mesh"]
@@ -182,17 +187,25 @@ def _units(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 solid = geometry.shape(shape)
                 if solid is None or solid.size <= 0:
                     continue
-                votes: list[tuple[str, float]] = []
-                if body.stated and body.mass and body.inertia is not None and body.mass > 0:
-                    gyration = np.sqrt(max(float(np.trace(body.inertia)) / 2 / body.mass, 0.0))
-                    if gyration > 1e-6:
-                        votes.append(("its radius of gyration", solid.gyration / float(gyration)))
+                ratios = _inertial_ratios(body, solid)
                 other = geometry.body(name, "visual" if role == "collision" else "collision")
                 if other is not None:
-                    votes.append(("its other shape", solid.size / other.size))
+                    ratios[_OTHER] = solid.size / other.size
                 if asset.span > 0:
-                    votes.append((_REACH, _span_ratio(solid, asset.span)))
-                yield from _verdict(shape, solid, votes)
+                    ratios[_REACH] = _span_ratio(solid, asset.span)
+                yield from _verdict(shape, solid, ratios)
+
+
+def _inertial_ratios(body: Body, solid: Solid) -> dict[str, float]:
+    """Lengths of a solid over those that the body's mass and inertia imply."""
+    if not body.stated or not body.mass or body.mass < 0:
+        return {}
+    found = {_BULK: float(np.cbrt(solid.volume * _DENSITY / body.mass))}
+    if body.inertia is not None:
+        gyration = float(np.sqrt(max(float(np.trace(body.inertia)) / 2 / body.mass, 0.0)))
+        if gyration > 1e-6:
+            found[_GYRATION] = solid.gyration / gyration
+    return found
 
 
 def _span_ratio(solid: Solid, span: float) -> float:
@@ -201,29 +214,34 @@ def _span_ratio(solid: Solid, span: float) -> float:
     return ratio * 5 if ratio > 20 else min(max(ratio, 1.0), 20.0)
 
 
-def _verdict(shape: Shape, solid: Solid, votes: list[tuple[str, float]]) -> Iterator[Finding]:
+def _verdict(shape: Shape, solid: Solid, ratios: dict[str, float]) -> Iterator[Finding]:
+    """A mesh is in another unit where more than half of what can judge its size says so.
+
+    A minority says that what it rests on is odd: the layer `inertia` names an inertia or mass that
+    does not fit its shape, and here the other shape alone is left to name.
+    """
     for words, beyond in (
-        ("large", [vote for vote in votes if vote[1] > _TOO_LARGE]),
-        ("small", [vote for vote in votes if vote[1] < _TOO_SMALL]),
+        ("large", {what: ratio for what, ratio in ratios.items() if ratio > _TOO_LARGE}),
+        ("small", {what: ratio for what, ratio in ratios.items() if ratio < _TOO_SMALL}),
     ):
-        if not beyond:
-            continue
-        against = ", ".join(f"{ratio:.3g} times {what}" for what, ratio in beyond)
-        # A part may be small beside its robot: its reach says nothing of too small.
-        judges = [vote for vote in votes if words == "large" or vote[0] != _REACH]
+        # A part may be small beside its robot: the reach does not judge that.
+        judges = [what for what in ratios if words == "large" or what != _REACH]
         agreed = len(beyond) > len(judges) / 2
+        if not agreed and _OTHER not in beyond:
+            continue
+        against = ", ".join(f"{ratio:.3g} times {what}" for what, ratio in beyond.items())
         yield Finding(
             "meshes.units",
-            "critical" if agreed else "warning",
+            "critical" if agreed and shape.role == "collision" else "warning",
             shape.place,
             _element(shape),
             f"its mesh is far too {words}: {against}"
             + ("; millimetres taken for metres?" if words == "large" else "; scaled twice?"),
             solid.size,
             "m",
-            f"a size like that of {beyond[0][0]}",
-            "it collides with everything, or with nothing",
-            "one length of the part, with its unit; the unit of the CAD export",
+            f"a size near {next(iter(beyond))}",
+            "it collides with everything" if words == "large" else "it collides with nothing",
+            "measure one length of the part, and set the mesh's scale to match it",
         )
 
 

@@ -29,7 +29,7 @@ from pytest_twin.errors import FormatError, LimitError, ModelError
 from pytest_twin.formats.paths import Roots, read_bytes
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.mesh import Triangles
-from pytest_twin.realization.usd import INSTALL, UsdMissingError
+from pytest_twin.realization.usd import missing
 from pytest_twin.realization.usd_names import display_name
 
 WORLD = "world"
@@ -57,9 +57,7 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Asset:
     try:
         from pxr import Tf, Usd
     except ImportError:
-        raise UsdMissingError(
-            "USD cannot be read: the extra 'usd' is not installed", path=path, expected=INSTALL
-        ) from None
+        raise missing("USD cannot be read", path=path) from None
     try:
         layers = _layers(path, limits)
         stage = Usd.Stage.Open(str(path))

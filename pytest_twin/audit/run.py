@@ -22,6 +22,7 @@ from pytest_twin.audit import (
     meshes,
     render,
     self_collision,
+    sources,
     transmissions,
     tree,
 )
@@ -194,6 +195,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             **({} if asset.located is None else asset.located.to_json()),
         },
         "findings": rows,
+        "sources": sources.settled(rows),
         "bodies": [
             {
                 "body": row.body,

@@ -18,10 +18,32 @@ if TYPE_CHECKING:
     from pytest_twin.realization.urdf import Joint
 
 INSTALL = "pip install 'pytest-twin[usd]'"
+_FIRST_WITHOUT = (3, 13)
+"""The first Python for which usd-exchange has no release; on it the extra installs nothing."""
 
 
 class UsdMissingError(TwinError):
     """The extra ``usd`` is not installed, or two packages of OpenUSD stand in each other's way."""
+
+
+def missing(consequence: str, *, path: Path | None = None) -> UsdMissingError:
+    """The error that says why USD is not there, and what to do on this Python.
+
+    Args:
+        consequence: what does not happen without it, ``USD is left out``.
+        path: the file that needs it.
+    """
+    running = sys.version_info[:2]
+    if running >= _FIRST_WITHOUT:
+        version = ".".join(str(part) for part in running)
+        return UsdMissingError(
+            f"{consequence}: its libraries (usd-exchange) have no release for Python {version}",
+            path=path,
+            expected=f"Python 3.11 or 3.12, with {INSTALL}",
+        )
+    return UsdMissingError(
+        f"{consequence}: the extra 'usd' is not installed", path=path, expected=INSTALL
+    )
 
 
 def require() -> None:
@@ -32,9 +54,7 @@ def require() -> None:
     """
     for module in ("pxr", "urdf_usd_converter"):
         if importlib.util.find_spec(module) is None:
-            raise UsdMissingError(
-                "USD is left out: the extra 'usd' is not installed", expected=INSTALL
-            )
+            raise missing("USD is left out")
     try:
         with _quiet():
             import urdf_usd_converter  # noqa: F401

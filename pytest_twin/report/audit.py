@@ -1,4 +1,4 @@
-"""What an audit found: a table for the terminal and a page that needs nothing but itself."""
+"""The findings of an audit: text for the terminal, and a self-contained page."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Group:
 
     @property
     def elements(self) -> str:
-        """Whom it concerns."""
+        """Names of the elements that it is about."""
         names = list(dict.fromkeys(str(row["element"]) for row in self.findings))
         more = f" and {len(names) - _NAMES} more" if len(names) > _NAMES else ""
         return ", ".join(names[:_NAMES]) + more
@@ -70,32 +70,69 @@ def groups(findings: Iterable[Mapping[str, Any]]) -> list[Group]:
 
 
 def table(audit: Mapping[str, Any], *, every: bool = False) -> str:
-    """What a terminal shows: layers and counts, what is critical in full, the rest by kind.
+    """Text for the terminal: critical findings and warnings, then what the file does not state.
 
-    ``every`` finding in full, where asked for.
+    Critical findings are printed in full, warnings by kind, and properties that the file does not
+    state by the source that settles them. ``every``: each finding in full.
     """
-    lines = [headline(audit), "", *_layers(audit), ""]
+    lines = [headline(audit)]
     for group in groups(audit["findings"]):
-        if group.severity == "info" and not every:
-            continue
-        if every or group.severity == "critical":
-            shown = group.findings if every else group.findings[:_CRITICAL]
-            for row in shown:
+        if every:
+            lines += ["", *(line for row in group.findings for line in _full(row))]
+        elif group.severity == "critical":
+            lines.append("")
+            for row in group.findings[:_CRITICAL]:
                 lines += _full(row)
-            if len(shown) < len(group.findings):
-                lines.append(f"    and {len(group.findings) - len(shown)} more {group.code}")
-        else:
-            count = f" ({len(group.findings)})" if len(group.findings) > 1 else ""
-            lines.append(f"{MARKS[group.severity]} {group.code}{count}: {group.first['title']}")
-            lines.append(f"    {group.elements}")
+            if len(group.findings) > _CRITICAL:
+                lines.append(f"    and {len(group.findings) - _CRITICAL} more {group.code}")
+        elif group.severity == "warning":
+            lines += ["", *_kind(group)]
+    if not every:
+        lines += _not_stated(audit)
     facts = audit["facts"]
     lines += [
         "",
+        *_layers(audit),
+        "",
         f"{facts['bodies']} bodies, {facts['joints']} joints, "
-        f"{facts['degrees_of_freedom']} degrees of freedom, {facts['independent']} independent, "
+        f"{facts['degrees_of_freedom']} degrees of freedom ({facts['independent']} independent), "
         f"{number(facts['mass']['value'])} kg",
     ]
     return "\n".join(printable(line) for line in lines)
+
+
+def _kind(group: Group) -> list[str]:
+    """A kind of finding: what, how often, where first, and what to do next."""
+    first = group.first
+    if len(group.findings) == 1:
+        return _full(first)
+    lines = [f"{MARKS[group.severity]} {group.code} ({len(group.findings)}): {first['title']}"]
+    lines.append(f"    {group.elements}")
+    lines.append(f"    first: {place(first)}" + (f"; got {value(first)}" if value(first) else ""))
+    if first["expected"]:
+        lines[-1] += f"; expected {first['expected']}"
+    if first["settle"]:
+        lines.append(f"    next: {first['settle']}")
+    return lines
+
+
+def _not_stated(audit: Mapping[str, Any]) -> list[str]:
+    """Properties that the file does not state, by the source that settles them."""
+    sources = audit["sources"]
+    if not sources:
+        return []
+    total = audit["counts"]["unknown"]
+    lines = [
+        "",
+        f"{total} properties are not stated in the file (--all lists each). To settle them:",
+    ]
+    for source in sources:
+        count = source["count"]
+        lines.append(f"{MARKS['unknown']} {count:>4}  {source['what']}")
+        codes = ", ".join(f"{code} ({many})" for code, many in source["codes"].items())
+        lines.append(f"        {codes}")
+        lines.append(f"        next: {source['next_step']}")
+    return lines
 
 
 def _layers(audit: Mapping[str, Any]) -> list[str]:
@@ -143,7 +180,7 @@ def _full(row: Mapping[str, Any]) -> list[str]:
         details.append(f"expected {row['expected']}")
     lines.append("    " + "; ".join(detail for detail in details if detail))
     if row["settle"]:
-        lines.append(f"    settled by {row['settle']}")
+        lines.append(f"    next: {row['settle']}")
     return lines
 
 
@@ -151,23 +188,28 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
     """The page.
 
     Args:
-        audit: what stands in the JSON.
+        audit: the content of the JSON file.
         renders: ``title``, ``caption`` and ``png`` (base64) of each picture.
     """
     folder = resources.files(__package__)
     style = folder.joinpath("report.css").read_text("utf-8")
     style += folder.joinpath("audit.css").read_text("utf-8")
     style_hash = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
-    by_layer: dict[str, list[Group]] = {layer: [] for layer in audit["layers"]}
-    for group in groups(audit["findings"]):
-        by_layer[str(group.first["layer"])].append(group)
+    kinds = groups(audit["findings"])
+    unknown = [kind for kind in kinds if kind.severity == "unknown"]
+    sources = [
+        (source, [kind for kind in unknown if kind.code in source["codes"]])
+        for source in audit["sources"]
+    ]
     return _template().render(
         audit=audit,
         good=not audit["counts"]["critical"],
         style=style,
         style_hash=style_hash,
-        layers=[(name, _TITLES[name], by_layer[name]) for name in by_layer],
-        titles=_TITLES,
+        layers=[(name, _TITLES[name]) for name in audit["layers"]],
+        faults=[kind for kind in kinds if kind.severity in ("critical", "warning")],
+        sources=sources,
+        facts=[kind for kind in kinds if kind.severity == "info"],
         marks=MARKS,
         renders=renders,
         file=Path(str(audit["asset"])).name,

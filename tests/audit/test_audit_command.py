@@ -31,7 +31,7 @@ def test_a_clean_robot_exits_0_and_leaves_json_and_page(
     assert main(["audit", str(path), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "clean: 0 critical, 0 warning" in said.splitlines()[0]
-    assert "? commands.unknown (3)" in said
+    assert "commands.unknown (3)" in said
     rows = [line.split() for line in said.splitlines()]
     assert ["critical", "warning", "unknown", "info"] in rows
     assert ["inertia", "-", "-", "-", "-"] in rows
@@ -81,7 +81,7 @@ def test_a_critical_finding_exits_1_and_is_told_in_full(
     assert "X inertia.triangle: link 'upper': its principal moments break the triangle" in said
     line = line_of(BROKEN, "<inertial>")
     assert f"robot.urdf:{line}; got 0.1, 0.1, 1 kg*m^2; expected no moment above the sum" in said
-    assert "settled by the CAD model's mass properties" in said
+    assert "next: " in said
 
 
 def test_a_link_to_the_file_is_followed(tmp_path: Path) -> None:
