@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Structure
+from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.trace import Trace
@@ -17,10 +18,22 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
     from pytest_twin.trial import Trial
 
-__all__ = ["Check", "FloatArray", "Measure", "Observation", "Progress", "Trace"]
+__all__ = [
+    "Check",
+    "FloatArray",
+    "Measure",
+    "NothingToProposeError",
+    "Observation",
+    "Progress",
+    "Trace",
+]
 
 Progress = Callable[[float], None]
 """Called with the fraction done, 0 to 1, by checks that take long."""
+
+
+class NothingToProposeError(SpecError):
+    """Why ``init`` proposes no golden of a kind for a robot: ``no joint takes a command``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +122,6 @@ class Check(ABC):
         there is nothing to propose.
 
         Raises:
-            SpecError: why the robot cannot have one.
+            NothingToProposeError: why there is nothing.
         """
         return []

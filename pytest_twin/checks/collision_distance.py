@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.fields import known_name, spec_error, tolerance
 from pytest_twin.checks.poses import (
     POSES_SCHEMA,
@@ -188,7 +195,7 @@ class CollisionDistance(Check):
                 pairs.append((distance, a, b))
         apart = [[a, b] for distance, a, b in sorted(pairs) if distance > 0.0][:_FIRST_PAIRS]
         if not apart and not disabled:
-            return []
+            raise NothingToProposeError("no two bodies of the robot have shapes that can collide")
         entries: list[dict[str, Any]] = [
             {"pair": list(pair), "reason": _first_reason(shapes, data, pair, why)}
             for pair, why in disabled

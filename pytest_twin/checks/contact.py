@@ -5,8 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pytest_twin.checks import contact_primitives
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks import contact_primitives, proposals
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.contact_scene import FLOOR, OBJECT, SIZES, Scene
 from pytest_twin.checks.fields import QUANTITY_SCHEMA
 from pytest_twin.checks.poses import POSE_SCHEMA, keyframes_of
@@ -250,21 +257,15 @@ class Contact(Check):
             found = next((spec for spec in choices if self._rests(spec, realization)), None)
             if found is not None:
                 specs.append(found)
+        if not specs:
+            raise NothingToProposeError(
+                "no body of the robot is touched at its pose by a ball, a box or a floor"
+            )
         return specs
 
     def _rests(self, spec: Mapping[str, Any], realization: Realization) -> bool:
         """Whether the pair touches, not from the start, and carries what is to be compared."""
-        trial = Golden(
-            id=spec["name"],
-            path=realization.path,
-            kind=self.kind,
-            title="",
-            realizations=(realization.name,),
-            criticality="critical",
-            target=spec["target"],
-            stimulus=spec["stimulus"],
-            tolerance={},
-        )
+        trial = proposals.draft(self, realization, spec)
         try:
             values = self.observe(trial, realization, lambda _: None).values
         except TwinError:

@@ -19,7 +19,7 @@ from pytest_twin.checks.fields import (
     quantity,
     spec_error,
 )
-from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, configuration, resolve_pose
+from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, resolve_pose
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
 
@@ -35,10 +35,19 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     "effort": EFFORT_UNIT,
 }
 
+CONTROL = "control"
+"""Mode of a command that is an actuator's control, in the actuator's own unit."""
+
 TARGET_SCHEMA: Mapping[str, Any] = {
     "type": "object",
     "properties": {
         "joint": {"type": "string", "minLength": 1, "description": "Hinge or slide joint."},
+        "actuator": {
+            "type": "string",
+            "minLength": 1,
+            "description": "Actuator that drives the joint through a tendon; the command is then "
+            "its control, in the actuator's own unit.",
+        },
         "command": {
             "enum": ["position", "velocity", "effort"],
             "description": "What is commanded: the mode of the joint's actuator by default; an "
@@ -82,7 +91,8 @@ class Drive:
         hold: the command that holds, in ``command_unit``.
         at: index of the response in ``qpos`` or ``qvel``.
         dof: index of the joint in ``qvel``.
-        command, response: modes.
+        command, response: modes; a command is ``control`` where it is that of an actuator which
+            drives the joint through a tendon, in the actuator's own unit.
     """
 
     joint: str
@@ -124,7 +134,9 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
 
     joint, kind = joint_of(golden, realization)
     item, command = _input(golden, realization)
-    response = golden.target.get("response", "position" if command == "position" else "velocity")
+    unit = _unit(command, kind)
+    position_like = item is not None and item.mode == "position"
+    response = golden.target.get("response", "position" if position_like else "velocity")
     stimulus = golden.stimulus
     pose = resolve_pose(golden, realization, stimulus.get("pose", REFERENCE), "stimulus.pose")
     locked: list[str] = []
@@ -145,7 +157,6 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
         raise spec_error(
             golden, "stimulus.settle", "out of bounds", value=settle, unit="s", expected="0 to 60 s"
         )
-    unit = _UNITS[command][kind]
     _check_range(golden, realization, item, (hold + extremes[0], hold + extremes[1]), unit)
     if settle > 0.0:
         simulate.simulate(model, data, simulate.steps_in(model, settle))
@@ -168,7 +179,11 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
 def command_unit(golden: Golden, realization: Realization) -> str:
     """SI unit of the command that the golden's joint takes; raises as ``prepare`` does."""
     _, kind = joint_of(golden, realization)
-    return _UNITS[_input(golden, realization)[1]][kind]
+    return _unit(_input(golden, realization)[1], kind)
+
+
+def _unit(command: str, kind: str) -> str:
+    return "1" if command == CONTROL else _UNITS[command][kind]
 
 
 def joint_of(golden: Golden, realization: Realization) -> tuple[str, str]:
@@ -184,6 +199,8 @@ def _input(golden: Golden, realization: Realization) -> tuple[CommandInput | Non
     from pytest_twin.realization.inputs import command_input, joint_inputs
 
     joint = golden.target["joint"]
+    if "actuator" in golden.target:
+        return _tendon_input(golden, realization), CONTROL
     inputs = joint_inputs(realization.model, joint)
     mode = golden.target.get("command", inputs[0].mode if inputs else "effort")
     try:
@@ -192,6 +209,37 @@ def _input(golden: Golden, realization: Realization) -> tuple[CommandInput | Non
         raise spec_error(
             golden, "target.command", error.problem, value=error.value, expected=error.expected
         ) from None
+
+
+def _tendon_input(golden: Golden, realization: Realization) -> CommandInput:
+    """The control of the actuator that drives the target's joint through a tendon."""
+    from pytest_twin.realization import simulate
+    from pytest_twin.realization.inputs import CommandInput
+
+    joint = golden.target["joint"]
+    actuator = known_name(
+        golden, "target.actuator", golden.target["actuator"], realization.actuators, "actuator"
+    )
+    driven = simulate.driven_joints(realization, actuator)
+    if joint not in driven:
+        raise spec_error(
+            golden,
+            "target.actuator",
+            f"this actuator does not drive joint {joint!r}",
+            value=actuator,
+            expected=f"one that does; it drives {', '.join(driven) or 'no joint'}",
+        )
+    if "command" in golden.target:
+        raise spec_error(
+            golden,
+            "target.command",
+            "a step of an actuator's control has no mode of its own",
+            value=golden.target["command"],
+            expected="target.actuator or target.command, not both",
+        )
+    index = realization.actuator_index(actuator)
+    mode = simulate.command_kind(realization.model, index)
+    return CommandInput(mode, realization.control_index(actuator), 1.0, index)
 
 
 def _check_range(
@@ -207,7 +255,13 @@ def _check_range(
         bounds = model.actuator_ctrlrange[item.control] / item.scale
         ranges.append(("the control's range", min(bounds), max(bounds)))
     joint = realization.joint_index(golden.target["joint"])
-    if item is not None and item.mode == "position" and model.jnt_limited[joint]:
+    through_tendon = "actuator" in golden.target
+    if (
+        item is not None
+        and item.mode == "position"
+        and model.jnt_limited[joint]
+        and not through_tendon
+    ):
         ranges.append(("the joint's range", *model.jnt_range[joint]))
     for name, lower, upper in ranges:
         slack = 1e-9 * (upper - lower)
@@ -221,94 +275,3 @@ def _check_range(
                     unit=unit,
                     expected=f"{lower:.6g} to {upper:.6g} {unit}",
                 )
-
-
-def drivable(realization: Realization) -> list[tuple[str, str]]:
-    """(joint, command) of joints for first specs: those with an input, or all if none has.
-
-    Followers of a coupling are left out.
-    """
-    import mujoco
-
-    from pytest_twin.realization.inputs import joint_inputs
-
-    model = realization.model
-    followers = {
-        str(model.joint(int(model.eq_obj1id[i])).name)
-        for i in range(model.neq)
-        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]
-    }
-    types = realization.structure.joint_type
-    joints = [j for j in realization.joints if types.get(j) in POSITION_UNIT and j not in followers]
-    found: list[tuple[str, str]] = []
-    for joint in joints:
-        modes = [item.mode for item in joint_inputs(model, joint)]
-        if modes and modes.count(modes[0]) == 1:
-            found.append((joint, modes[0]))
-    return found or [
-        (joint, "effort")
-        for joint in joints
-        if not any(joint in driven for driven in realization.structure.actuator_joints.values())
-    ]
-
-
-def first_bench(realization: Realization, command: str) -> dict[str, Any]:
-    """Pose and surroundings of a first spec: alone on the bench where nothing holds the rest,
-    without contact where bodies overlap at the pose."""
-    from pytest_twin.realization import simulate
-
-    alone = command != "position" or "free" in realization.structure.joint_type.values()
-    bench: dict[str, Any] = {"pose": simulate.first_pose(realization), "gravity": not alone}
-    if alone:
-        bench["others"] = "locked"
-    if simulate.overlaps(realization, first_qpos(realization)):
-        bench["contact"] = False
-    return bench
-
-
-def first_amplitude(realization: Realization, joint: str, command: str, duration: float) -> float:
-    """A small command step, to the side with more room, in the command's unit, three digits.
-
-    Position: 5 % of the range, at most 0.1 rad or 0.02 m. Velocity: what travels that far. Effort:
-    what accelerates the joint that far in ``duration`` s, and dry friction.
-    """
-    import mujoco
-
-    from pytest_twin.realization.inputs import command_input
-
-    model = realization.model
-    index = realization.joint_index(joint)
-    travel = 0.1 if realization.structure.joint_type[joint] == "hinge" else 0.02
-    data = mujoco.MjData(model)
-    data.qpos[:] = first_qpos(realization)
-    mujoco.mj_forward(model, data)
-    sign = 1.0
-    if model.jnt_limited[index]:
-        lower, upper = (float(bound) for bound in model.jnt_range[index])
-        travel = min(travel, 0.05 * (upper - lower))
-        sign = 1.0 if data.qpos[model.jnt_qposadr[index]] <= 0.5 * (lower + upper) else -1.0
-    amplitude = travel
-    if command == "velocity":
-        amplitude = travel / duration
-    elif command == "effort":
-        dof = int(model.jnt_dofadr[index])
-        inertia = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, inertia)
-        amplitude = 2.0 * travel / duration**2 * float(inertia[dof, dof])
-        amplitude += 1.5 * float(model.dof_frictionloss[dof])
-    item = command_input(model, joint, command)  # type: ignore[arg-type]
-    if item is not None and model.actuator_ctrllimited[item.control]:
-        bounds = model.actuator_ctrlrange[item.control] / item.scale
-        amplitude = min(amplitude, 0.1 * float(abs(bounds[1] - bounds[0])))
-    return float(f"{sign * amplitude:.3g}")
-
-
-def first_qpos(realization: Realization) -> FloatArray:
-    """(nq,) of the pose that first specs start from."""
-    from pytest_twin.realization import simulate
-
-    pose = simulate.first_pose(realization)
-    if isinstance(pose, str):
-        model = realization.model
-        return np.array(model.qpos0 if pose == REFERENCE else model.key(pose).qpos)
-    return configuration(realization, pose["joints"])

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.fields import known_name, tolerance
 from pytest_twin.checks.poses import (
     POSES_SCHEMA,
@@ -139,7 +146,7 @@ class ForwardKinematics(Check):
         """The ends of all chains at the reference, at each keyframe, and at twenty random poses."""
         frames = end_frames(realization)
         if not frames:
-            return []
+            raise NothingToProposeError("no joint moves a frame that has a name")
         model = realization.model
         keyframes = [name for i in range(model.nkey) if (name := model.key(i).name)]
         return [

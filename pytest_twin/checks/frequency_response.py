@@ -10,15 +10,20 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks import proposals
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.drive import (
     BENCH_SCHEMA,
     TARGET_SCHEMA,
     Drive,
     command_unit,
-    drivable,
-    first_amplitude,
-    first_bench,
     prepare,
 )
 from pytest_twin.checks.fields import QUANTITY_SCHEMA, quantity, spec_error
@@ -212,21 +217,23 @@ class FrequencyResponse(Check):
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """The first, middle and last joint that take a command, where lines are carried."""
-        joints = drivable(realization)
+        joints = proposals.drivable(realization)
         chosen = sorted({0, len(joints) // 2, len(joints) - 1}) if joints else []
         timestep = float(realization.model.opt.timestep)
         highest = min(50.0, float(f"{0.1 / timestep:.1g}"))
         specs: list[Mapping[str, Any]] = []
+        swallowed: list[str] = []
         for joint, command in (joints[i] for i in chosen):
+            answer = "position" if command == "position" else "velocity"
             spec: dict[str, Any] = {
                 "name": joint,
-                "title": f"Frequency response of {joint}",
+                "title": f"Frequency response of {joint}: {answer} over {command} command",
                 "target": {"joint": joint, "command": command},
                 "stimulus": {
-                    "amplitude": abs(first_amplitude(realization, joint, command, 0.5)),
+                    "amplitude": abs(proposals.first_amplitude(realization, joint, command, 0.5)),
                     "band": ["0.5 Hz", f"{highest:g} Hz"],
                     "period": "4 s",
-                    **first_bench(realization, command),
+                    **proposals.first_bench(realization, command),
                 },
                 "tolerance": {
                     "magnitude": "0.1 dB",
@@ -243,21 +250,32 @@ class FrequencyResponse(Check):
                 if self._carried(spec, realization):
                     specs.append(spec)
                     break
-        return specs
+            else:
+                swallowed.append(joint)
+        if not specs:
+            raise NothingToProposeError(
+                f"{', '.join(swallowed)}: no small command gets a coherent answer"
+                if swallowed
+                else "no joint takes a command"
+            )
+        left_out = len(joints) - len(specs) - len(swallowed)
+        notes = []
+        if left_out:
+            notes.append(
+                f"Left out: {left_out} joints between these, because one takes seconds; add them "
+                "where a gain or a resonance matters."
+            )
+        if swallowed:
+            notes.append(
+                f"Left out: {', '.join(swallowed)}, because dry friction, a stop or saturation "
+                "hides the answer to a small command."
+            )
+        return [{**spec, "notes": notes} for spec in specs]
 
     def _carried(self, spec: Mapping[str, Any], realization: Realization) -> bool:
         """Whether every line is carried: dry friction, a stop or saturation can swallow them."""
-        trial = Golden(
-            id=spec["name"],
-            path=realization.path,
-            kind=self.kind,
-            title="",
-            realizations=(realization.name,),
-            criticality="critical",
-            target=spec["target"],
-            stimulus={**spec["stimulus"], "realizations": 3},
-            tolerance={},
-        )
+        fewer = {**spec, "stimulus": {**spec["stimulus"], "realizations": 3}}
+        trial = proposals.draft(self, realization, fewer)
         try:
             values = self.observe(trial, realization, lambda _: None).values
         except TwinError:
@@ -266,7 +284,9 @@ class FrequencyResponse(Check):
 
 
 def _ratio(response_unit: str, command_unit: str) -> str:
-    return "1" if response_unit == command_unit else f"({response_unit})/({command_unit})"
+    if response_unit == command_unit:
+        return "1"
+    return response_unit if command_unit == "1" else f"({response_unit})/({command_unit})"
 
 
 def _plan(golden: Golden, timestep: float) -> _Plan:

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.fields import POSITION_UNIT, known_name, quantity, spec_error, tolerance
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, Pose, keyframes_of, resolve_pose
 from pytest_twin.dependency import Structure
@@ -236,7 +243,7 @@ class JointDirection(Check):
                         break
             joints[joint] = entry
         if not joints:
-            return []
+            raise NothingToProposeError("no hinge or slide joint with a name moves a named body")
         return [
             {
                 "name": "joint_direction",

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.fields import (
     EFFORT_UNIT,
     POSITION_UNIT,
@@ -194,6 +201,8 @@ class Limits(Check):
                 entry := _stated(realization, joint)
             ):
                 groups[self._holding(realization, joint, entry)][joint] = entry
+        if not any(groups.values()):
+            raise NothingToProposeError("no joint with a name states a limit")
         specs: list[Mapping[str, Any]] = []
         for fraction, joints in groups.items():
             if not joints:

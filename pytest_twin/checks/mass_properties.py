@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.fields import known_name, tolerance
 from pytest_twin.checks.poses import (
     POSES_SCHEMA,
@@ -192,7 +199,7 @@ class MassProperties(Check):
 
         model = realization.model
         if float(np.sum(model.body_mass)) <= 0.0:
-            return []
+            raise NothingToProposeError("the model has no mass")
         keyframes = [name for i in range(model.nkey) if (name := model.key(i).name)]
         bounds = {"mass": "1e-6 kg", "center_of_mass": "1 um"}
         types = {int(kind) for kind in model.jnt_type}

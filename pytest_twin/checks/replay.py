@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.fields import known_name, quantity, spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Structure
@@ -142,6 +149,12 @@ class Replay(Check):
         from pytest_twin.trial.one_base import on_one_base
 
         return on_one_base(max(self.trials(golden, realization), key=lambda t: t.duration))
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Nothing: ``init`` proposes one for each recording that it is given."""
+        raise NothingToProposeError(
+            "no recording was given; name some after the robot: pytest-twin init ROBOT RECORDING..."
+        )
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Read the recording and replay it."""

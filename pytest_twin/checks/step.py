@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
-from pytest_twin.checks.drive import (
-    BENCH_SCHEMA,
-    TARGET_SCHEMA,
-    command_unit,
-    drivable,
-    first_amplitude,
-    first_bench,
-    prepare,
+from pytest_twin.checks import proposals
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
 )
-from pytest_twin.checks.fields import QUANTITY_SCHEMA, quantity, spec_error
+from pytest_twin.checks.drive import BENCH_SCHEMA, TARGET_SCHEMA, command_unit, prepare
+from pytest_twin.checks.fields import POSITION_UNIT, QUANTITY_SCHEMA, quantity, spec_error
 from pytest_twin.checks.poses import keyframes_of
 from pytest_twin.checks.scalars import sample_grid, scalar_measures
 from pytest_twin.dependency import Structure
@@ -36,6 +36,12 @@ _UNDEFINED = {
     "overshoot": "the response comes to no steady state",
     "settling_time": "the response does not stay within 2 %",
     "steady_state_error": "no steady state, or a command of another quantity than the response",
+}
+_FIRST_BOUNDS = {
+    "rise_time": "5 ms",
+    "overshoot": "1 %",
+    "settling_time": "20 ms",
+    "steady_state_error": "1 %",
 }
 _STILL = 1e-9  # fraction of the step; below it nothing answered
 
@@ -168,34 +174,94 @@ class Step(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """A small step of every joint that takes a command, or of all as efforts if none does."""
-        specs: list[Mapping[str, Any]] = []
-        for joint, command in drivable(realization):
-            hinge = realization.structure.joint_type[joint] == "hinge"
-            duration = 1.0 if command == "position" else 0.5
-            tolerance = {
-                "rise_time": "5 ms",
-                "overshoot": "1 %",
-                "settling_time": "20 ms",
-                "steady_state_error": "1 %",
-            }
-            if command == "position":
-                tolerance |= {"angle": "1 mrad"} if hinge else {"position": "0.1 mm"}
-            else:
-                tolerance |= (
-                    {"angular_velocity": "0.01 rad/s"} if hinge else {"linear_velocity": "1 mm/s"}
-                )
-            specs.append(
-                {
-                    "name": joint,
-                    "title": f"Step of {joint}",
-                    "target": {"joint": joint, "command": command},
-                    "stimulus": {
-                        "amplitude": first_amplitude(realization, joint, command, duration),
-                        "duration": f"{duration:g} s",
-                        **first_bench(realization, command),
-                    },
-                    "tolerance": tolerance,
-                }
-            )
+        """A small step of every drive; of every joint as a torque where the robot has no drive."""
+        actuation = proposals.Actuation.of(realization)
+        specs = [
+            self._joint_step(realization, joint, command, actuation)
+            for joint, command in proposals.drivable(realization)
+        ]
+        specs += self._tendon_steps(realization)
+        if not specs:
+            raise NothingToProposeError("no joint takes a command")
         return specs
+
+    def _joint_step(
+        self,
+        realization: Realization,
+        joint: str,
+        command: str,
+        actuation: proposals.Actuation,
+    ) -> Mapping[str, Any]:
+        duration = 1.0 if command == "position" else 0.5
+        bench = proposals.first_bench(realization, command)
+        quantity_name = {"position": "position command", "velocity": "velocity command"}.get(
+            command, "torque" if _is_hinge(realization, joint) else "force"
+        )
+        alone = " with the other joints locked, without gravity" if "others" in bench else ""
+        spec: dict[str, Any] = {
+            "name": joint,
+            "title": f"Step of the {quantity_name} of {joint}{alone}",
+            "target": {"joint": joint, "command": command},
+            "stimulus": {
+                "amplitude": proposals.first_amplitude(realization, joint, command, duration),
+                "duration": f"{duration:g} s",
+                **bench,
+            },
+        }
+        fraction, notes = proposals.MOTION_FRACTION, []
+        if command == "effort":
+            fraction, light = proposals.torque_fraction(realization, joint)
+            if told := actuation.no_controller(realization):
+                notes.append(told)
+            if light:
+                notes.append(
+                    f"Too light to be felt in this step: {proposals.listed(light)}, less than "
+                    "0.4 % of the inertia about the joint. mass_properties checks their mass."
+                )
+        return self._bounded(realization, spec, fraction, notes)
+
+    def _tendon_steps(self, realization: Realization) -> list[Mapping[str, Any]]:
+        specs = []
+        for actuator, joint in proposals.tendon_drives(realization):
+            amplitude = proposals.tendon_amplitude(realization, actuator)
+            if amplitude is None:
+                continue
+            bench = proposals.first_bench(realization, "position")
+            spec = {
+                "name": actuator,
+                "title": f"Step of {actuator}, which drives {joint} through a tendon",
+                "target": {"joint": joint, "actuator": actuator},
+                "stimulus": {"amplitude": amplitude, "duration": "1 s", **bench},
+            }
+            specs.append(self._bounded(realization, spec, proposals.MOTION_FRACTION, []))
+        return specs
+
+    def _bounded(
+        self,
+        realization: Realization,
+        spec: dict[str, Any],
+        fraction: float,
+        notes: list[str],
+    ) -> Mapping[str, Any]:
+        """The spec with tolerances on what its response has."""
+        trial = proposals.draft(self, realization, spec)
+        found = self.observe(trial, realization, lambda _: None)
+        assert found.trace is not None
+        unit, response = next(
+            column for name, column in found.trace.columns.items() if name[:8] != "command:"
+        )
+        tolerance = {
+            name: bound for name, bound in _FIRST_BOUNDS.items() if found.values[name] is not None
+        }
+        motion = float(np.ptp(response))
+        tolerance[_TRACE[unit]] = proposals.fraction_of(motion, unit, fraction)
+        notes = [
+            f"Tolerance of {_TRACE[unit]}: {100.0 * fraction:.2g} % of the motion, "
+            f"{motion:.3g} {unit}.",
+            *notes,
+        ]
+        return {**spec, "tolerance": tolerance, "notes": notes}
+
+
+def _is_hinge(realization: Realization, joint: str) -> bool:
+    return POSITION_UNIT[realization.structure.joint_type[joint]] == "rad"

@@ -13,7 +13,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
 from pytest_twin.checks.fields import spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Structure
@@ -101,6 +108,10 @@ class Task(Check):
         # The function may ask for any variant.
         parts |= {"controller:*", "payload:*", "calibration:*", "base:calibration"}
         return parts
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Nothing: no tool can know what the robot is for."""
+        raise NothingToProposeError("a task is code of your own; docs/kinds/task.md has an example")
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Call the function and hold what it returns against what the spec declares."""

@@ -80,9 +80,10 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             roots=brought.roots,
             tcp=seen["tcp"],
             inertia_repairs=seen["inertia_repairs"],
+            motors=seen["motors"],
         )
         writing.write_schemas(folder)
-        writing.ignore_scratch(folder)
+        seen["notes"] += writing.write_git_files(folder)
         progress.begin("choosing goldens")
         found = sandbox.call(
             "pytest_twin.setup.inspection:first_specs",
@@ -105,14 +106,23 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
     atomic.write_text(folder / ".twin" / "init.json", json.dumps(summary, indent=2) + "\n")
     kinds = sorted({Path(golden).parts[1] for golden in recorded})
     show(f"{twin_file}: {len(recorded)} goldens of {len(kinds)} kinds: {', '.join(kinds)}")
-    if found["none"]:
-        show(f"nothing to propose for: {', '.join(found['none'])}")
+    for kind, why in found["none"].items():
+        show(f"nothing proposed for {kind}: {why}")
+    for note, goldens in found["notes"].items():
+        show(f"{_some(goldens)}: {note}")
     for where, why in summary["left_out"].items():
         show(f"left out: {where}: {why}")
     for where, why in failing.items():
         show(f"FAILS as it stands: {where}: {why}")
     show("next: pytest --twin-release")
     return DONE
+
+
+def _some(goldens: list[str]) -> str:
+    """Names of goldens for a line of the summary: all of two, the first of more."""
+    if len(goldens) <= 2:
+        return ", ".join(goldens)
+    return f"{goldens[0]} and {len(goldens) - 1} more"
 
 
 def _record(twin_file: Path, specs: list[Path]) -> tuple[list[str], dict[str, str], dict[str, str]]:

@@ -11,6 +11,11 @@ from pytest_twin.formats.paths import open_regular
 
 _BLOCK_BYTES = 2**20
 
+LINE_ENDINGS_ADVICE = (
+    "commit a .gitattributes with '* -text' in the twin's folder (pytest-twin init writes one) "
+    "and check the files out again"
+)
+
 
 def file_sha256(path: Path) -> str:
     """SHA-256 of a regular file's bytes, hex.
@@ -53,11 +58,5 @@ def only_line_endings(data: bytes, sha256: str) -> str | None:
         return None
     return (
         "has CR LF line endings where LF was recorded; nothing else differs. Git converts them "
-        "under core.autocrlf: " + LINE_ENDINGS_ADVICE
+        f"under core.autocrlf: {LINE_ENDINGS_ADVICE}"
     )
-
-
-LINE_ENDINGS_ADVICE = (
-    "commit a .gitattributes with '* -text' in the twin's folder (pytest-twin init writes one) "
-    "and check the files out again"
-)

@@ -11,6 +11,7 @@ from typing import Any
 from pytest_twin.checks import Check, Observation, Trace, check_of
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.trace import read_trace, trace_text
+from pytest_twin.gate.noise import without_noise
 from pytest_twin.gate.specs import load_golden
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
@@ -139,7 +140,7 @@ def record(twin: str, spec: str, realization: str, progress: Progress) -> dict[s
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
     with quiet():
         observation = check.observe(golden, loaded, progress)
-    expected, trace = check.expect(golden, observation)
+    expected, trace = without_noise(*check.expect(golden, observation))
     recorded = replace(golden, expected=expected or None)
     moved: list[Measure] = []
     if golden.provenance is not None:

@@ -233,10 +233,14 @@ def patch_actuator(
 
     ``kp``, ``kv``, ``dampratio`` and ``timeconst`` mean what MJCF's ``position`` and
     ``intvelocity`` mean by them, ``kv`` what ``velocity`` and ``damper`` mean; ``kp``, ``ki``,
-    ``kv`` what ``pid`` means. Anything else has no such gains.
+    ``kv`` what ``pid`` means. ``kp`` on a motor makes a position servo of it: its control becomes
+    a joint position within the joint's range, its force stays bounded. Anything else has no such
+    gains.
     """
     actuator = _find(spec.actuators, name, "actuator", where, refuse)
     _check_names(patch, _ACTUATOR, where, refuse)
+    if patch.get("kp") and _is_motor(actuator):
+        _make_servo(spec, actuator, float(patch["kp"]))  # type: ignore[arg-type]
     for attribute, value in patch.items():
         here = f"{where}.{attribute}"
         if attribute in ("kp", "kv", "ki", "dampratio", "timeconst"):
@@ -271,6 +275,33 @@ def _set_gain(
         actuator.gainprm[2] = -value
     else:
         raise refuse(where, "this actuator has no such gain", value=gain)
+
+
+def _is_motor(actuator: mujoco.MjsActuator) -> bool:
+    """Whether its force is its control, on one joint: what a URDF's joint gets."""
+    return bool(
+        actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+        and actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE
+        and actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
+    )
+
+
+def _make_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator, kp: float) -> None:
+    least, most = sorted(float(bound) * actuator.gainprm[0] for bound in actuator.ctrlrange)
+    bounded = actuator.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE and least < most
+    if bounded and not actuator.forcerange[0] < actuator.forcerange[1]:
+        # A motor's bound on its control is one on its force.
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.forcerange = [least, most]
+    actuator.set_to_position(kp=kp)
+    joint = spec.joint(actuator.target)
+    lower, upper = (float(bound) for bound in joint.range) if joint is not None else (0.0, 0.0)
+    if lower < upper:
+        actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.ctrlrange = [lower, upper]
+    else:
+        actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
 
 
 def _is_servo(actuator: mujoco.MjsActuator) -> bool:

@@ -6,6 +6,7 @@ import json
 from typing import Any, NoReturn
 
 from pytest_twin.errors import ReleaseError
+from pytest_twin.formats.digest import LINE_ENDINGS_ADVICE
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
 
 
@@ -51,6 +52,12 @@ def load(data: bytes, what: str, limits: ReleaseLimits = LIMITS) -> Any:
         raise ReleaseError(f"{what} is not JSON: {error}") from None
     _check_depth(value, what, limits)
     if dump(value) != data:
+        if dump(value) == data.rstrip(b"\r\n"):
+            raise ReleaseError(
+                f"{what} has line endings that were not signed; git converts them under "
+                "core.autocrlf, and some editors add one",
+                expected=LINE_ENDINGS_ADVICE,
+            )
         raise ReleaseError(
             f"{what} is not canonical",
             expected="JSON with sorted keys, no spaces and shortest numbers, as it was signed",

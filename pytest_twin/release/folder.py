@@ -9,6 +9,7 @@ import stat
 from pathlib import Path
 
 from pytest_twin.errors import LimitError, PathError
+from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.paths import open_regular, read_bytes
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
 from pytest_twin.release.verify import ENVELOPE, Found
@@ -16,6 +17,7 @@ from pytest_twin.release.verify import ENVELOPE, Found
 RELEASES = "releases"
 _NUMBER = re.compile(r"\d{4,9}")
 _BLOCK_BYTES = 2**20
+_TEXT_BYTES = 16 * 2**20  # as large as a trace may be
 
 
 def number_of(folder: Path) -> int | None:
@@ -108,4 +110,9 @@ def _found(path: Path, limits: ReleaseLimits) -> Found:
         # Not read: no statement that we accept lists a file of this size.
         return Found("file", size=facts.st_size, links=facts.st_nlink)
     sha256, size, links = digest(path)
-    return Found("file", sha256, size, links)
+    with_lf = ""
+    if size <= _TEXT_BYTES:
+        data = read_bytes(path, _TEXT_BYTES)
+        if b"\r\n" in data:
+            with_lf = bytes_sha256(data.replace(b"\r\n", b"\n"))
+    return Found("file", sha256, size, links, with_lf)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from securesystemslib.signer import Key
 
 from pytest_twin.errors import ReleaseError
+from pytest_twin.formats.digest import LINE_ENDINGS_ADVICE
 from pytest_twin.release import statement
 from pytest_twin.release.envelope import open_envelope
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
@@ -34,12 +35,14 @@ class Found:
         sha256: hex, of a file that was read, else empty.
         size: bytes, of a file.
         links: number of names that the file has on the disk.
+        sha256_with_lf: hex, of a small file with CR LF in it, as if each were LF; else empty.
     """
 
     kind: Literal["file", "folder", "link", "other"]
     sha256: str = ""
     size: int = 0
     links: int = 1
+    sha256_with_lf: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +205,12 @@ def _files(release: Release, listing: Mapping[str, Found]) -> Iterator[Problem]:
         here = listing.get(name)
         if here is None:
             yield Problem("files", f"{name}: missing")
+        elif here.kind == "file" and here.sha256_with_lf == entry.sha256:
+            yield Problem(
+                "files",
+                f"{name}: has CR LF line endings where LF was signed; nothing else differs: "
+                f"{LINE_ENDINGS_ADVICE}",
+            )
         elif here.kind == "file" and here.size != entry.size:
             yield Problem(
                 "files", f"{name}: changed, {here.size} bytes where {entry.size} were signed"

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.checks import check_of, kinds
+from pytest_twin.checks.base import NothingToProposeError
+from pytest_twin.checks.proposals import Actuation
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
@@ -47,6 +49,20 @@ def look(
             for link, values in source.inertia_repairs.items()
         },
         "tcp": _last_frame(realization),
+        "motors": _motors(realization),
+    }
+
+
+def _motors(realization: Realization) -> dict[str, str]:
+    """Actuators of a URDF with ``hinge`` or ``slide``, where none of them is a servo; else none."""
+    commands = Actuation.of(realization).commands
+    if realization.path.suffix.lower() != ".urdf" or commands != {"effort"}:
+        return {}
+    structure = realization.structure
+    return {
+        actuator: structure.joint_type[joints[0]]
+        for actuator, joints in structure.actuator_joints.items()
+        if joints
     }
 
 
@@ -69,10 +85,13 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
     realization = load(reference.file, twin=loaded, name=name)
     specs: list[dict[str, Any]] = []
     silent: dict[str, str] = {}
-    none: list[str] = []
+    none: dict[str, str] = {}
     for done, kind in enumerate(kinds()):
         try:
             found = check_of(kind).first(realization)
+        except NothingToProposeError as reason:
+            none[kind] = str(reason)
+            continue
         except TwinError as error:
             silent[kind] = str(error)
             continue
@@ -80,10 +99,16 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
             silent[kind] = f"{type(error).__name__}: {error}"
             continue
         if not found:
-            none.append(kind)
+            none[kind] = "the kind proposes nothing"
         specs += [{"kind": kind, **_plain(spec)} for spec in found]
         progress((done + 1) / len(kinds()))
-    return {"specs": specs, "silent": silent, "none": none}
+    told: dict[str, list[str]] = {}
+    for spec in specs:
+        for note in spec.get("notes", ()):
+            # What a tolerance is made of is for the golden's reader alone.
+            if not note.startswith("Tolerance"):
+                told.setdefault(note, []).append(f"{spec['kind']} of {spec['name']}")
+    return {"specs": specs, "silent": silent, "none": none, "notes": told}
 
 
 def _last_frame(realization: Realization) -> str | None:

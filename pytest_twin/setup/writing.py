@@ -24,7 +24,12 @@ from pytest_twin.twin import FILE_NAME
 _SCHEMAS = "schemas"
 _GOLDEN = "golden"
 _IGNORED = ".gitignore"
-_OWN = (FILE_NAME, ASSET, _SCHEMAS, _GOLDEN, ".twin", _IGNORED)
+_ATTRIBUTES = ".gitattributes"
+_OWN = (FILE_NAME, ASSET, _SCHEMAS, _GOLDEN, ".twin", _IGNORED, _ATTRIBUTES)
+_BYTE_EXACT = """\
+# Digests of goldens, traces, keys and releases are over bytes: git must not convert line endings.
+* -text
+"""
 _RULES = """\
 # What no file shows. Change an id when the thing changes: the goldens that it affects are stale.
 # parts:
@@ -70,8 +75,13 @@ def write_twin_file(
     roots: Mapping[str, Path],
     tcp: str | None,
     inertia_repairs: Mapping[str, Sequence[float]],
+    motors: Mapping[str, str],
 ) -> Path:
-    """``twin.yaml``, readable; returns its path."""
+    """``twin.yaml``, readable; returns its path.
+
+    Args:
+        motors: actuator -> ``hinge`` or ``slide``, of a URDF, which states no controller.
+    """
     content: dict[str, Any] = {
         "schema": 1,
         "name": name,
@@ -94,13 +104,29 @@ def write_twin_file(
     content["release"] = {"valid_days": 90}
     head = modeline(f"{_SCHEMAS}/twin.schema.json")
     path = folder / FILE_NAME
-    atomic.write_text(path, f"{head}\n{_dump(content)}{_RULES}")
+    servos = _servo_lines(motors, with_fit=bool(inertia_repairs)) if motors else ""
+    atomic.write_text(path, f"{head}\n{_dump(content)}{servos}{_RULES}")
     return path
 
 
 def _from(folder: Path, path: Path) -> str:
     """A path as ``twin.yaml`` states it: relative to its folder where it lies inside."""
     return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
+
+
+def _servo_lines(motors: Mapping[str, str], *, with_fit: bool) -> str:
+    """Lines for servo gains as comments; they do not load before the gains are filled in."""
+    head = (
+        "# No controller: the motors take torques, and nothing holds a pose. To make servos of\n"
+        "# them, take the # off these lines and put the controller's gains in place of the units:\n"
+    )
+    where = "# these lines go below fit: above\n" if with_fit else "# fit:\n#   id: servo-gains\n"
+    units = {"hinge": "kp: N*m/rad, kv: N*m*s/rad", "slide": "kp: N/m, kv: N*s/m"}
+    lines = [
+        f"#     {_dump({name: 0}).rpartition(':')[0]}: {{{units[kind]}}}\n"
+        for name, kind in motors.items()
+    ]
+    return f"{head}{where}#   actuator:\n{''.join(lines)}"
 
 
 def write_specs(folder: Path, specs: Sequence[Mapping[str, Any]]) -> list[Path]:
@@ -156,11 +182,24 @@ def write_schemas(folder: Path) -> None:
     atomic.write_text(folder / _SCHEMAS / "golden.schema.json", schema)
 
 
-def ignore_scratch(folder: Path) -> None:
-    """Keep what the gate writes for itself out of version control."""
-    path = folder / _IGNORED
+def write_git_files(folder: Path) -> list[str]:
+    """Keep the gate's own files out of git, and all others byte for byte; returns notes.
+
+    Digests of traces, assets and releases are over bytes: git must not convert line endings.
+    """
+    if not (folder / _IGNORED).exists():
+        atomic.write_text(folder / _IGNORED, ".twin/\n")
+    path = folder / _ATTRIBUTES
     if not path.exists():
-        atomic.write_text(path, ".twin/\n")
+        atomic.write_text(path, _BYTE_EXACT)
+        return []
+    lines = path.read_text("utf-8", "replace").splitlines()
+    if any(line.split() == ["*", "-text"] for line in lines):
+        return []
+    return [
+        f"{path} stays as it is: add the line '* -text', or line endings that git converts "
+        "will fail goldens and releases"
+    ]
 
 
 class _Dumper(yaml.SafeDumper):

@@ -17,6 +17,7 @@ from check_robots import (
 )
 from hypothesis import given
 
+from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.fk import ForwardKinematics
 from pytest_twin.errors import SpecError
 
@@ -167,4 +168,5 @@ def test_a_first_spec_names_tools_and_leaves(tmp_path: Path) -> None:
 
 def test_a_model_without_joints_has_no_first_spec(tmp_path: Path) -> None:
     rigid = robot(tmp_path, '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>')
-    assert CHECK.first(rigid) == []
+    with pytest.raises(NothingToProposeError, match="no joint moves a frame that has a name"):
+        CHECK.first(rigid)

@@ -117,8 +117,38 @@ def test_what_is_not_there_is_told_with_the_line_in_the_twin(
     assert words.removesuffix(" (got") in said
 
 
-def test_a_motor_has_no_position_gain(tmp_path: Path) -> None:
-    model = PENDULUM.replace("</actuator>", "<motor name='drive' joint='swing'/></actuator>")
+def test_gains_make_a_position_servo_of_a_motor(tmp_path: Path) -> None:
+    motor = "<motor name='a' joint='swing' ctrlrange='-4 4'/>"
+    model = PENDULUM.replace("</actuator>", motor + "</actuator>")
+    text = "model: model.xml\nfit: {id: gains, actuator: {a: {kp: 30, kv: 2}}}\n"
+    made = twin_of(tmp_path, text, model).model
+    np.testing.assert_array_equal(made.actuator_gainprm[1, :3], [30, 0, 0])
+    np.testing.assert_array_equal(made.actuator_biasprm[1, :3], [0, -30, -2])
+    np.testing.assert_array_equal(made.actuator_forcerange[1], [-4, 4])
+    joint = made.joint("swing").id
+    if made.jnt_limited[joint]:
+        np.testing.assert_allclose(made.actuator_ctrlrange[1], made.jnt_range[joint])
+    else:
+        assert not made.actuator_ctrllimited[1]
+
+
+def test_gains_make_a_servo_of_a_urdf_joint_within_its_range_and_effort(tmp_path: Path) -> None:
+    urdf = (
+        "<robot name='r'><link name='base'/><link name='arm'><inertial><mass value='1'/>"
+        "<inertia ixx='.01' iyy='.01' izz='.01' ixy='0' ixz='0' iyz='0'/></inertial></link>"
+        "<joint name='swing' type='revolute'><parent link='base'/><child link='arm'/>"
+        "<limit lower='-1' upper='2' effort='5' velocity='1'/></joint></robot>"
+    )
+    text = "model: model.xml\nfit: {id: gains, actuator: {swing: {kv: 2, kp: 30}}}\n"
+    made = twin_of(tmp_path, text, urdf).model
+    np.testing.assert_array_equal(made.actuator_biasprm[0, :3], [0, -30, -2])
+    np.testing.assert_allclose(made.actuator_ctrlrange[0], [-1, 2])
+    np.testing.assert_array_equal(made.actuator_forcerange[0], [-5, 5])
+
+
+def test_an_actuator_that_is_no_motor_and_no_servo_has_no_position_gain(tmp_path: Path) -> None:
+    muscle = "<muscle name='drive' joint='swing' lengthrange='0 1'/>"
+    model = PENDULUM.replace("</actuator>", muscle + "</actuator>")
     with pytest.raises(SpecError, match=r"controllers\.no_gain\.drive\.kp: .*no such gain"):
         twin_of(tmp_path, model=model).variant(controller="no_gain")
 

@@ -69,7 +69,7 @@ def test_what_has_no_name_is_said(tmp_path: Path) -> None:
     assert f"note: {folder}/robot.xml: 1 of 1 joints have no name: no golden can speak" in (
         made.stdout
     )
-    assert "nothing to propose for: " in made.stdout
+    assert "nothing proposed for fk: no joint moves a frame that has a name" in made.stdout
     assert "tcp" not in (folder / "twin.yaml").read_text()
 
 

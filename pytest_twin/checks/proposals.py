@@ -1,0 +1,277 @@
+"""What first specs have in common: what drives and holds a robot, small commands, tolerances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.checks.fields import POSITION_UNIT
+from pytest_twin.checks.poses import REFERENCE, configuration
+from pytest_twin.golden import Golden
+
+if TYPE_CHECKING:
+    from pytest_twin.checks.base import Check
+    from pytest_twin.realization import Realization
+
+MOTION_FRACTION = 5e-3
+"""Tolerance of a trace as a fraction of its motion: computations of one model on two machines agree
+to about 1e-9, and an inertia that is wrong by a percent moves a torque step by twice as much."""
+_LEAST_FRACTION = 1e-4
+_MASS_CHANGE = 0.05  # a link's mass that is wrong by this fraction should fail a torque step
+
+
+@dataclass(frozen=True, slots=True)
+class Actuation:
+    """What acts on the joints of a robot.
+
+    Attributes:
+        held: joints that a position servo drives, and those coupled to them.
+        loose: all other hinge, slide and ball joints, in model order.
+        floating: free joints.
+        commands: what actuators of joints take: position, velocity or effort.
+    """
+
+    held: frozenset[str]
+    loose: tuple[str, ...]
+    floating: tuple[str, ...]
+    commands: frozenset[str]
+
+    @classmethod
+    def of(cls, realization: Realization) -> Actuation:
+        """The actuation of a realization."""
+        from pytest_twin.realization import simulate
+
+        servoed: set[str] = set()
+        commands = set()
+        for actuator in realization.actuators:
+            joints = simulate.driven_joints(realization, actuator)
+            command = simulate.command_kind(realization.model, realization.actuator_index(actuator))
+            if command == "position":
+                servoed.update(joints)
+            if joints:
+                commands.add(command)
+        held = frozenset(
+            tied for joint in servoed for tied in simulate.coupled_joints(realization, joint)
+        )
+        types = realization.structure.joint_type
+        floating = tuple(joint for joint in realization.joints if types[joint] == "free")
+        loose = tuple(j for j in realization.joints if j not in held and j not in floating)
+        return cls(held, loose, floating, frozenset(commands))
+
+    def no_controller(self, realization: Realization) -> str | None:
+        """What to say where no servo holds any joint; None where one does."""
+        if self.commands - {"effort"} or not self.loose:
+            return None
+        what = "its motors take torques" if self.commands else "it has no actuators"
+        if realization.path.suffix.lower() != ".urdf":
+            return f"No controller: the model has no position servo, {what}."
+        return (
+            f"No controller: a URDF states none, {what}. To test with one, add servo gains to "
+            "twin.yaml; the lines are there as comments."
+        )
+
+
+def listed(names: tuple[str, ...] | list[str], most: int = 6) -> str:
+    """Names for a sentence; the first ``most`` of many."""
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def draft(check: Check, realization: Realization, spec: Mapping[str, Any]) -> Golden:
+    """A first spec as a golden without tolerances, to try before it is proposed."""
+    return Golden(
+        id=str(spec["name"]),
+        path=realization.path,
+        kind=check.kind,
+        title="",
+        realizations=(realization.name,),
+        criticality="critical",
+        target=spec["target"],
+        stimulus=spec["stimulus"],
+        tolerance={},
+    )
+
+
+def fraction_of(
+    motion: float, unit: str, fraction: float = MOTION_FRACTION, least: float = 1e-9
+) -> str:
+    """A tolerance: a fraction of a motion in SI, rounded down to two digits, with its unit."""
+    value = fraction * motion
+    value = max(value, least)
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.floor(value / step + 1e-9) * step:.2g} {unit}"
+
+
+def torque_fraction(realization: Realization, joint: str) -> tuple[float, list[str]]:
+    """Tolerance of a torque step as a fraction of its motion, and the links that it cannot weigh.
+
+    With the other joints locked, the motion goes with one over the inertia about the joint, which
+    is the sum of what each carried link adds. The tolerance is half of what a mass that is wrong
+    by 5 % in the link that adds least would change, within 0.01 % and 0.5 %.
+    """
+    import mujoco
+
+    model = realization.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = first_qpos(realization)
+    mujoco.mj_forward(model, data)
+    dof = realization.joint_dof_index(joint)
+    total = float(model.dof_armature[dof])
+    added: dict[str, float] = {}
+    linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    for body in range(1, model.nbody):
+        if model.body_mass[body] <= 0.0:
+            continue
+        mujoco.mj_jacBodyCom(model, data, linear, angular, body)
+        axes = data.ximat[body].reshape(3, 3)
+        spin = axes.T @ angular[:, dof]
+        share = float(model.body_mass[body]) * float(linear[:, dof] @ linear[:, dof])
+        share += float(spin @ (model.body_inertia[body] * spin))
+        if share > 0.0:
+            added[str(model.body(body).name)] = share
+    total += sum(added.values())
+    if not added or not total > 0.0:
+        return MOTION_FRACTION, []
+    wanted = {link: 0.5 * _MASS_CHANGE * share / total for link, share in added.items()}
+    fraction = min(MOTION_FRACTION, max(_LEAST_FRACTION, min(wanted.values())))
+    return fraction, [link for link, needed in wanted.items() if needed < fraction]
+
+
+def drivable(realization: Realization) -> list[tuple[str, str]]:
+    """(joint, command) of joints for first specs: those with an input, or all if none has.
+
+    Followers of a coupling are left out.
+    """
+    import mujoco
+
+    from pytest_twin.realization.inputs import joint_inputs
+
+    model = realization.model
+    followers = {
+        str(model.joint(int(model.eq_obj1id[i])).name)
+        for i in range(model.neq)
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]
+    }
+    types = realization.structure.joint_type
+    joints = [j for j in realization.joints if types.get(j) in POSITION_UNIT and j not in followers]
+    found: list[tuple[str, str]] = []
+    for joint in joints:
+        modes = [item.mode for item in joint_inputs(model, joint)]
+        if modes and modes.count(modes[0]) == 1:
+            found.append((joint, modes[0]))
+    return found or [
+        (joint, "effort")
+        for joint in joints
+        if not any(joint in driven for driven in realization.structure.actuator_joints.values())
+    ]
+
+
+def tendon_drives(realization: Realization) -> list[tuple[str, str]]:
+    """(actuator, joint) of actuators that drive joints through a tendon; the first such joint."""
+    import mujoco
+
+    from pytest_twin.realization import simulate
+
+    model, types = realization.model, realization.structure.joint_type
+    found = []
+    for actuator in realization.actuators:
+        index = realization.actuator_index(actuator)
+        if model.actuator_trntype[index] != mujoco.mjtTrn.mjTRN_TENDON:
+            continue
+        joints = [j for j in simulate.driven_joints(realization, actuator) if j]
+        scalar = [joint for joint in joints if types.get(joint) in POSITION_UNIT]
+        if scalar:
+            found.append((actuator, scalar[0]))
+    return found
+
+
+def tendon_amplitude(realization: Realization, actuator: str) -> float | None:
+    """A tenth of an actuator's control range, to the side with more room; None without a range."""
+    import mujoco
+
+    from pytest_twin.realization import simulate
+
+    model = realization.model
+    control = realization.control_index(actuator)
+    if not model.actuator_ctrllimited[control]:
+        return None
+    data = simulate.start(model, realization, first_qpos(realization))
+    hold = float(simulate.hold(model, data)[control])
+    mujoco.mj_forward(model, data)
+    lower, upper = (float(bound) for bound in model.actuator_ctrlrange[control])
+    sign = 1.0 if upper - hold >= hold - lower else -1.0
+    return float(f"{sign * 0.1 * (upper - lower):.3g}")
+
+
+def first_bench(realization: Realization, command: str) -> dict[str, Any]:
+    """Pose and surroundings of a first spec: alone on the bench where nothing holds the rest,
+    without contact where bodies overlap at the pose."""
+    from pytest_twin.realization import simulate
+
+    alone = command != "position" or "free" in realization.structure.joint_type.values()
+    bench: dict[str, Any] = {"pose": simulate.first_pose(realization), "gravity": not alone}
+    if alone:
+        bench["others"] = "locked"
+    if simulate.overlaps(realization, first_qpos(realization)):
+        bench["contact"] = False
+    return bench
+
+
+def first_amplitude(realization: Realization, joint: str, command: str, duration: float) -> float:
+    """A small command step, to the side with more room, in the command's unit, three digits.
+
+    Position: 5 % of the range, at most 0.1 rad or 0.02 m. Velocity: what travels that far. Effort:
+    what accelerates the joint that far in ``duration`` s, and dry friction.
+    """
+    import mujoco
+
+    from pytest_twin.realization.inputs import command_input
+
+    model = realization.model
+    index = realization.joint_index(joint)
+    travel = 0.1 if realization.structure.joint_type[joint] == "hinge" else 0.02
+    data = mujoco.MjData(model)
+    data.qpos[:] = first_qpos(realization)
+    mujoco.mj_forward(model, data)
+    sign = 1.0
+    if model.jnt_limited[index]:
+        lower, upper = (float(bound) for bound in model.jnt_range[index])
+        travel = min(travel, 0.05 * (upper - lower))
+        sign = 1.0 if data.qpos[model.jnt_qposadr[index]] <= 0.5 * (lower + upper) else -1.0
+    amplitude = travel
+    if command == "velocity":
+        amplitude = travel / duration
+    elif command == "effort":
+        dof = int(model.jnt_dofadr[index])
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, inertia)
+        amplitude = 2.0 * travel / duration**2 * float(inertia[dof, dof])
+        amplitude += 1.5 * float(model.dof_frictionloss[dof])
+    item = command_input(model, joint, command)  # type: ignore[arg-type]
+    if item is not None and model.actuator_ctrllimited[item.control]:
+        bounds = model.actuator_ctrlrange[item.control] / item.scale
+        amplitude = min(amplitude, 0.1 * float(abs(bounds[1] - bounds[0])))
+    return float(f"{sign * amplitude:.3g}")
+
+
+def first_qpos(realization: Realization) -> FloatArray:
+    """(nq,) of the pose that first specs start from."""
+    from pytest_twin.realization import simulate
+
+    pose = simulate.first_pose(realization)
+    if isinstance(pose, str):
+        model = realization.model
+        return np.array(model.qpos0 if pose == REFERENCE else model.key(pose).qpos)
+    return configuration(realization, pose["joints"])
+
+
+def first_pose(realization: Realization) -> str | dict[str, dict[str, float]]:
+    """The pose that first specs start from, as a spec states it."""
+    from pytest_twin.realization import simulate
+
+    return simulate.first_pose(realization)

@@ -1,0 +1,204 @@
+"""What ``init`` proposes for a robot: what its drives allow, and why the rest is left out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_twin.checks import check_of
+from pytest_twin.checks.base import NothingToProposeError
+from pytest_twin.golden import Golden
+from pytest_twin.realization import Realization, load
+from pytest_twin.setup import inspection
+from pytest_twin.units import parse_quantity
+
+LINK = """<link name="{name}"><inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>
+<inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+JOINT = """<joint name="{name}" type="{type}"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="20" velocity="2"/></joint>"""
+MASSES = {"upper": 2.0, "fore": 1.0, "hand": 0.3}
+
+GRIPPER = """\
+<mujoco><worldbody><body name="palm"><geom type="box" size=".03 .03 .03" mass=".5"/>
+<body name="left" pos="0 .05 .05"><joint name="left_finger" type="slide" axis="0 1 0"
+range="0 .04" damping="5"/><geom type="box" size=".01 .005 .03" mass=".05"/></body>
+<body name="right" pos="0 -.05 .05"><joint name="right_finger" type="slide" axis="0 -1 0"
+range="0 .04" damping="5"/><geom type="box" size=".01 .005 .03" mass=".05"/></body></body>
+</worldbody><tendon><fixed name="split"><joint joint="left_finger" coef=".5"/>
+<joint joint="right_finger" coef=".5"/></fixed></tendon>
+<equality><joint joint1="left_finger" joint2="right_finger"/></equality>
+<actuator><general name="grip" tendon="split" ctrlrange="0 255" gainprm=".0157" biastype="affine"
+biasprm="0 -100 -10"/></actuator></mujoco>
+"""
+QUADRUPED = """\
+<mujoco><worldbody>{floor}<body name="trunk" pos="0 0 .16"><freejoint name="root"/>
+<geom type="box" size=".2 .1 .03" mass="5"/>{legs}</body></worldbody>
+<actuator>{servos}</actuator></mujoco>
+"""
+LEGS = "".join(
+    f"<body name='leg{i}' pos='{x} {y} 0'><joint name='hip{i}' axis='0 1 0' range='-60 60' "
+    "damping='.2' armature='.01'/><geom type='capsule' fromto='0 0 0 0 0 -.13' size='.02' "
+    "mass='.4'/></body>"
+    for i, (x, y) in enumerate([(0.15, 0.13), (0.15, -0.13), (-0.15, 0.13), (-0.15, -0.13)])
+)
+SERVOS = "".join(f"<position joint='hip{i}' name='hip{i}' kp='60' kv='2'/>" for i in range(4))
+FLOOR = "<geom name='floor' type='plane' size='5 5 .1'/>"
+
+
+def arm(tmp_path: Path, masses: Mapping[str, float] = MASSES, *, name: str = "arm") -> Realization:
+    """A planar URDF arm with motors; inertias grow with their masses."""
+    links = "".join(
+        LINK.format(name=link, mass=mass, x=0.1, i=0.004 * mass) for link, mass in masses.items()
+    )
+    joints = "".join(
+        JOINT.format(name=f"joint{i}", type="revolute", parent=parent, child=child, x=0.2 * (i > 0))
+        for i, (parent, child) in enumerate(zip(["base", *masses], masses, strict=False))
+    )
+    path = tmp_path / f"{name}.urdf"
+    path.write_text(f"<robot name='arm'><link name='base'/>{links}{joints}</robot>")
+    return load(path)
+
+
+def mjcf(tmp_path: Path, text: str) -> Realization:
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    return load(path)
+
+
+def first(kind: str, realization: Realization) -> dict[str, Mapping[str, Any]]:
+    return {str(spec["name"]): spec for spec in check_of(kind).first(realization)}
+
+
+def golden(spec: Mapping[str, Any], kind: str) -> Golden:
+    units = check_of(kind).tolerances
+    return Golden(
+        id=str(spec["name"]),
+        path=Path("spec.yaml"),
+        kind=kind,
+        title=spec["title"],
+        realizations=("mujoco",),
+        criticality="critical",
+        target=spec["target"],
+        stimulus=spec["stimulus"],
+        tolerance={
+            name: parse_quantity(text, (units[name],)) for name, text in spec["tolerance"].items()
+        },
+    )
+
+
+def passes(spec: Mapping[str, Any], kind: str, then: Realization, now: Realization) -> bool:
+    """Whether a golden that was recorded on one robot passes on the other."""
+    check, proposed = check_of(kind), golden(spec, kind)
+    values, trace = check.expect(proposed, check.observe(proposed, then, lambda _: None))
+    kept = Golden(
+        **{name: getattr(proposed, name) for name in Golden.__slots__} | {"expected": values}
+    )
+    measures = check.compare(kept, check.observe(kept, now, lambda _: None), trace)
+    assert measures
+    return all(measure.passed for measure in measures)
+
+
+@pytest.mark.parametrize("link", MASSES)
+def test_a_mass_that_is_off_by_7_percent_fails_a_torque_step(link: str, tmp_path: Path) -> None:
+    robot = arm(tmp_path)
+    heavier = arm(tmp_path, {**MASSES, link: 1.07 * MASSES[link]}, name="heavier")
+    steps = first("step", robot)
+    assert list(steps) == ["joint0", "joint1", "joint2"]
+    carrying = [f"joint{i}" for i in range(list(MASSES).index(link) + 1)]
+    failing = [name for name, spec in steps.items() if not passes(spec, "step", robot, heavier)]
+    assert failing == carrying
+    assert all(passes(spec, "step", robot, robot) for spec in steps.values())
+
+
+def test_a_link_that_is_too_light_to_be_felt_is_named(tmp_path: Path) -> None:
+    robot = arm(tmp_path, {**MASSES, "cover": 1e-5})
+    notes = " ".join(first("step", robot)["joint0"]["notes"])
+    assert "Too light to be felt in this step: cover, less than 0.4 % of the inertia" in notes
+
+
+def test_a_robot_without_servos_falls_and_is_told_so(tmp_path: Path) -> None:
+    specs = first("settling", arm(tmp_path))
+    assert list(specs) == ["gravity"]
+    assert specs["gravity"]["title"] == "Fall from the pose under gravity; nothing holds the joints"
+    notes = " ".join(specs["gravity"]["notes"])
+    assert "No controller: a URDF states none, its motors take torques." in notes
+    assert "Left out: motion without gravity, because no servo would move the joints." in notes
+
+
+def test_no_title_speaks_of_servos_where_there_are_none(tmp_path: Path) -> None:
+    robot = arm(tmp_path)
+    for kind in ("step", "settling", "frequency_response", "limits", "joint_direction"):
+        for spec in check_of(kind).first(robot):
+            assert "servo" not in spec["title"]
+
+
+def test_a_robot_that_servos_hold_is_let_go_beside_its_pose(tmp_path: Path) -> None:
+    robot = mjcf(
+        tmp_path,
+        "<mujoco><worldbody><body name='link'><joint name='hinge' axis='0 1 0' range='-90 90'/>"
+        "<geom type='capsule' fromto='0 0 0 0 0 .3' size='.02'/></body></worldbody>"
+        "<actuator><position name='hinge' joint='hinge' kp='50' kv='2'/></actuator></mujoco>",
+    )
+    specs = first("settling", robot)
+    assert specs["gravity"]["title"] == "Servos hold the pose under gravity"
+    assert specs["no_gravity"]["stimulus"]["displacement"] == {"hinge": 0.05}
+    assert specs["gravity"]["notes"] == []
+
+
+def test_a_floating_base_comes_to_rest_on_its_floor(tmp_path: Path) -> None:
+    robot = mjcf(tmp_path, QUADRUPED.format(floor=FLOOR, legs=LEGS, servos=SERVOS))
+    specs = first("settling", robot)
+    assert specs["gravity"]["title"].startswith("Come to rest on the floor under gravity")
+    assert passes(specs["gravity"], "settling", robot, robot)
+
+
+def test_a_floating_base_without_a_floor_does_not_fall_for_ever(tmp_path: Path) -> None:
+    robot = mjcf(tmp_path, QUADRUPED.format(floor="", legs=LEGS, servos=SERVOS))
+    specs = first("settling", robot)
+    assert list(specs) == ["no_gravity"]
+    assert "the base floats" in specs["no_gravity"]["title"]
+    assert "because the base floats and nothing is under it" in " ".join(
+        specs["no_gravity"]["notes"]
+    )
+
+
+def test_a_floating_base_without_servos_and_floor_has_no_settling(tmp_path: Path) -> None:
+    robot = mjcf(tmp_path, QUADRUPED.format(floor="", legs=LEGS, servos=""))
+    with pytest.raises(NothingToProposeError, match=r"nothing is under it.*no servo would move"):
+        check_of("settling").first(robot)
+
+
+def test_a_gripper_on_a_tendon_gets_a_step_of_its_drive(tmp_path: Path) -> None:
+    robot = mjcf(tmp_path, GRIPPER)
+    spec = first("step", robot)["grip"]
+    assert spec["target"] == {"joint": "left_finger", "actuator": "grip"}
+    assert abs(spec["stimulus"]["amplitude"]) == 25.5
+    found = check_of("step").observe(golden(spec, "step"), robot, lambda _: None)
+    assert found.trace is not None
+    assert found.trace.columns["command:left_finger"][0] == "1"
+    moved = found.trace.columns["position:left_finger"][1]
+    assert abs(moved[-1] - moved[0]) > 1e-3
+    assert passes(spec, "step", robot, robot)
+
+
+def test_a_robot_with_no_moving_joint_gets_reasons(tmp_path: Path) -> None:
+    path = tmp_path / "stand.urdf"
+    path.write_text(
+        "<robot name='stand'><link name='base'/>"
+        + LINK.format(name="post", mass=2, x=0.1, i=0.01)
+        + "<joint name='weld' type='fixed'><parent link='base'/><child link='post'/></joint>"
+        + "</robot>"
+    )
+    (tmp_path / "twin.yaml").write_text("schema: 1\nname: stand\nmodel: stand.urdf\n")
+    found = inspection.first_specs(str(tmp_path / "twin.yaml"), lambda _: None)
+    assert found["silent"] == {}
+    assert found["none"]["step"] == "no joint takes a command"
+    assert found["none"]["limits"] == "no joint with a name states a limit"
+    assert found["none"]["settling"] == "no joint has a name"
+    assert all(why for why in found["none"].values())
+    assert json.dumps(found)
