@@ -24,7 +24,7 @@ from rich.terminal_theme import DIMMED_MONOKAI
 from rich.text import Text
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.formats.mcap import read_recording
+from pytest_twin.formats.recordings import read_one
 from pytest_twin.report.plot_style import DIM, FAIL, PASS, STYLE, finish
 
 mpl.use("svg")
@@ -94,7 +94,7 @@ def page(name: str, path: Path, height: int) -> None:
 
 def states(path: Path, joint: str) -> tuple[FloatArray, FloatArray]:
     """Time from the first state, s, and position of a joint, rad or m."""
-    series = read_recording(path).series["state"]
+    series = read_one(path).series["state"]
     assert series.position is not None
     time = (series.stamp - series.stamp[0]) * 1e-9
     return time, series.position[:, series.names.index(joint)]

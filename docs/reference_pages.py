@@ -223,11 +223,13 @@ def _type(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
     lines = [header, tuple("---" for _ in header), *rows]
-    text = [
-        "| " + " | ".join(c.replace("|", "\\|").replace("\n", " ") for c in row) + " |"
-        for row in lines
-    ]
+    text = ["| " + " | ".join(_cell(c) for c in row) + " |" for row in lines]
     return [*text, ""]
+
+
+def _cell(text: str) -> str:
+    # A bar would end the cell, and <twin> would be a tag.
+    return text.replace("|", "\\|").replace("<", "\\<").replace("\n", " ")
 
 
 def _first_line(thing: Any) -> str:

@@ -26,10 +26,7 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
 
-HELP = (
-    "name the physics that a model lacks, fit it, and show the error that is gone on held-out "
-    "recordings"
-)
+HELP = "name the physics that a model lacks, fit it, and measure the gain on held-out recordings"
 EXAMPLES = (
     "pytest-twin diagnose twin.yaml moves.mcap sines.mcap --held-out check.mcap --out diagnosis",
     "pytest-twin replay diagnosis check.mcap --out predicted.mcap",

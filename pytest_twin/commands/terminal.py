@@ -11,7 +11,7 @@ _RULES = (
     (r"(?m)^(?:(X|FAILS|Unexplained|does not hold)\b.*)$", "bold red"),
     (r"(?m)^\s*(?:(!|Improved|left out)(?=[ :]).*)$", "yellow"),
     (r"(?m)^(?:(Explained|No mismatch|holds)\b.*)$", "bold green"),
-    (r"(?m)^\s*(?:(note|report|next):)", "cyan"),
+    (r"(?im)^\s*(?:note|report|next):", "cyan"),
 )
 
 
