@@ -48,8 +48,9 @@ class McapLimits:
     """Bounds on a recording: an hour of a humanoid at 1 kHz fits.
 
     Compressed content is bounded by the file's size too, so that a small file cannot cost minutes.
-    Joint states that never change pack about 60 to 1, and a message takes at least 8 bytes: the
-    log time and the stamp of each differ from the last.
+    Joint states that never change pack 64 to 1 in Zstandard and take 23 bytes a message: the log
+    times and stamps differ. The ratio and the bytes here leave a factor of ten, and what is free
+    leaves room for images and maps of zeros.
     """
 
     file_bytes: int = 8 * 2**30

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from bag_files import write_bag
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
@@ -14,6 +16,10 @@ from mcap_files import BARE, mcap, sines
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import schema, xml, yaml
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.formats.recordings.base import Asked
+from pytest_twin.formats.recordings.csv import CsvFile
+from pytest_twin.formats.recordings.rosbag2 import Rosbag2Folder
+from pytest_twin.formats.recordings.sqlite import SqliteFile
 from pytest_twin.formats.trace import read_trace
 
 SPEC = b"""\
@@ -57,6 +63,46 @@ def read_xml(path: Path) -> None:
             xml.vector_attribute(element, name, path, default=(0.0,))
 
 
+CSV = b"time,a.position,b.command,note\n0.0,1,2e-3,x\n0.01,-1.5,nan,y\n0.02,,3,z\n"
+METADATA = b"""\
+rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: mcap
+  relative_file_paths:
+    - a.mcap
+  topics_with_message_count:
+    - topic_metadata: {name: /joint_states, type: sensor_msgs/msg/JointState}
+      message_count: 5
+  custom_data: {role: fit}
+"""
+
+
+def read_csv(path: Path) -> object:
+    return CsvFile().read(path, Asked())
+
+
+def read_sqlite(path: Path) -> object:
+    return SqliteFile().read(path, Asked())
+
+
+def read_metadata(path: Path) -> object:
+    folder = path.with_name("bag")
+    folder.mkdir(exist_ok=True)
+    (folder / "a.mcap").write_bytes(mcap(sines(5)))
+    path.replace(folder / "metadata.yaml")
+    try:
+        return Rosbag2Folder().read(folder, Asked())
+    except TwinError as error:
+        if error.path in (folder / "metadata.yaml", folder):
+            error.path = path
+        raise
+
+
+def sqlite_bag() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        return (write_bag(Path(folder) / "bag", sines(5)) / "bag.db3").read_bytes()
+
+
 READERS: dict[str, tuple[Callable[[Path], object], list[bytes]]] = {
     "yaml": (read_yaml, [SPEC]),
     "xml": (
@@ -68,6 +114,9 @@ READERS: dict[str, tuple[Callable[[Path], object], list[bytes]]] = {
         ],
     ),
     "trace": (read_trace, [TRACE]),
+    "csv": (read_csv, [CSV]),
+    "rosbag2": (read_metadata, [METADATA]),
+    "sqlite": (read_sqlite, [sqlite_bag()]),
     "mcap": (
         read_recording,
         [
