@@ -1,0 +1,148 @@
+"""From recordings of other kinds to trials: episodes, values without names, topics to choose."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from replay_trials import ARM, series
+
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import TOPICS, Recording, Topic
+from pytest_twin.formats.recordings.candidates import pairs, topics_option, what_to_do
+from pytest_twin.realization import Realization, load
+from pytest_twin.recording_options import JointNames, RecordingOptions
+from pytest_twin.trial import make_trial, recordings_at
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
+from lerobot_files import episode, write_dataset
+
+JOINTS = ("shoulder", "elbow")
+NAMES = ["shoulder.pos", "elbow.pos"]
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Realization:
+    (tmp_path / "arm.xml").write_text(ARM)
+    return load(tmp_path / "arm.xml")
+
+
+def small(number: int, frames: int = 120) -> dict[str, np.ndarray]:
+    """Motion within the arm's range."""
+    found = episode(number, frames)
+    return {**found, "state": 0.1 * found["state"], "action": 0.1 * found["action"]}
+
+
+def test_episodes_are_trials_and_whole_ones_are_held_out(tmp_path: Path, arm: Realization) -> None:
+    dataset = write_dataset(tmp_path / "set", [small(n) for n in range(5)], names=NAMES)
+    found = read_trials([dataset], [], TOPICS, arm.structure)
+    assert len(found.fit) + len(found.held_out) == 5
+    assert len(found.held_out) == 1
+    names = {trial.path.name for trial in (*found.fit, *found.held_out)}
+    assert names == {f"episode_00000{n}" for n in range(5)}
+    assert {trial.command_mode for trial in found.fit} == {"position"}
+
+
+def test_an_episode_that_cannot_be_used_leaves_the_others(tmp_path: Path, arm: Realization) -> None:
+    episodes = [small(0), small(1), small(2)]
+    episodes[1]["state"] = np.full_like(episodes[1]["state"], np.inf)
+    dataset = write_dataset(tmp_path / "set", episodes, names=NAMES)
+    found = read_trials([dataset], [], TOPICS, arm.structure)
+    assert len(found.fit) + len(found.held_out) == 2
+    assert any(note.startswith("left out: ") and "episode_000001" in note for note in found.notes)
+
+
+def test_values_without_names_are_in_the_order_of_the_actuators(
+    tmp_path: Path, arm: Realization
+) -> None:
+    dataset = write_dataset(tmp_path / "set", [small(0)], names=None)
+    (recording,) = recordings_at(dataset, TOPICS)
+    trial = make_trial(recording, arm.structure)
+    assert trial.joints == trial.command_joints == JOINTS
+    assert any(
+        "taken in the order of the model's actuators: shoulder, elbow" in n for n in trial.notes
+    )
+    turned = RecordingOptions(joints=JointNames(names={"0": "elbow", "1": "shoulder"}))
+    assert make_trial(recording, arm.structure, turned).joints == ("elbow", "shoulder")
+
+
+def test_more_values_than_actuators_need_a_mapping(tmp_path: Path, arm: Realization) -> None:
+    wide = {key: np.tile(v, 2) if v.ndim == 2 else v for key, v in small(0).items()}
+    dataset = write_dataset(tmp_path / "set", [wide], names=None)
+    (recording,) = recordings_at(dataset, TOPICS)
+    with pytest.raises(RecordingError, match="the model has none of these joints"):
+        make_trial(recording, arm.structure)
+
+
+def test_commands_of_any_quantity_are_what_the_actuators_take(
+    tmp_path: Path, arm: Realization
+) -> None:
+    rows = "".join(f"{k / 100},{k / 1000},0,{k / 900},0\n" for k in range(100))
+    heads = "time,shoulder.position,elbow.position,shoulder.command,elbow.command\n"
+    (tmp_path / "log.csv").write_text(heads + rows)
+    (recording,) = recordings_at(tmp_path / "log.csv", TOPICS)
+    trial = make_trial(recording, arm.structure)
+    inputs = [arm.structure.joint_inputs[joint][0] for joint in trial.command_joints]
+    assert list(trial.command_modes) == inputs
+
+
+# -- topics to choose from ---------------------------------------------------------------------
+
+STATE = "sensor_msgs/msg/JointState"
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
+BOTH = ("state", "command")
+
+
+def recording(*topics: Topic, **read: str) -> Recording:
+    time = np.arange(5) * 0.1
+    found = {
+        role: series(topic, JOINTS, time, position=np.zeros((5, 2))) for role, topic in read.items()
+    }
+    return Recording(Path("bag"), found, {}, (), (), topics)
+
+
+def options(given: Recording) -> list[str]:
+    return [topics_option(*pair) for pair in pairs(given)]
+
+
+def test_the_likeliest_pair_comes_first() -> None:
+    given = recording(
+        Topic("/arm/commands", "std_msgs/msg/Float64MultiArray", 9, ("command",), ("0", "1"), ()),
+        Topic("/arm/controller_state", CONTROLLER, 9, BOTH, JOINTS, ("position",)),
+        Topic("/arm/joint_states", STATE, 9, BOTH, JOINTS, ("position", "velocity")),
+        Topic("/wheels/joint_states", STATE, 9, BOTH, ("left", "right"), ("position",)),
+    )
+    found = options(given)
+    assert found[0] == "--topics state=/arm/joint_states,command=/arm/commands"
+    assert "--topics state=/arm/controller_state,command=/arm/controller_state" in found
+    assert "--topics state=/arm/joint_states,command=/arm/controller_state" in found
+    assert not any("/wheels" in option and "/arm/joint" in option for option in found)
+
+
+def test_a_topic_that_was_read_stays() -> None:
+    given = recording(
+        Topic("/joint_states", STATE, 9, BOTH, JOINTS, ("position",)),
+        Topic("/left/joint_states", STATE, 9, BOTH, JOINTS, ("position",)),
+        Topic("/goal", "trajectory_msgs/msg/JointTrajectory", 2, ("command",), JOINTS, ()),
+        state="/joint_states",
+    )
+    assert options(given)[0] == "--topics state=/joint_states,command=/goal"
+    assert all("state=/joint_states" in option for option in options(given))
+
+
+@pytest.mark.parametrize(
+    ("topics", "words"),
+    [
+        ((), "commands in the file: a topic, or columns NAME.command of a CSV file"),
+        ((Topic("/tf", "tf2_msgs/msg/TFMessage", 3),), "a topic with joints; it has /tf"),
+        (
+            (Topic("/c", STATE, 3, BOTH, tuple("abcdefgh"), ("position",)),),
+            "one of /c (3 sensor_msgs/msg/JointState of a, b, c, d, e, f and 2 more)",
+        ),
+    ],
+)
+def test_what_to_do_without_commands(topics: tuple[Topic, ...], words: str) -> None:
+    assert what_to_do(recording(*topics), "command") == words
