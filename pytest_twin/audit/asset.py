@@ -1,4 +1,4 @@
-"""A robot as its file states it, faults and all, whatever the format: what every layer looks at."""
+"""A robot as its file states it, faults included, in one form for every format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Command semantics: what the number that is sent to a joint means."""
+"""Command semantics: the quantity, unit and sign of what is sent to a joint."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _INTERFACES = {
 
 
 def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
-    """What each command means, where anything declares it."""
+    """The meaning of each command, as far as anything declares it."""
     interfaces = {item.joint: item for item in asset.controlled if item.commands}
     for name in evidence.commands:
         if name not in asset.joint and name not in {a.name for a in asset.actuators}:
@@ -25,12 +25,12 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
                 "warning",
                 None if evidence.path is None else asset.place,
                 f"command '{name}'",
-                "the evidence names what the asset lacks",
+                "the evidence names a joint or actuator that the asset does not have",
                 name,
                 None,
                 "the name of a joint or actuator",
-                "evidence under another name proves nothing",
-                "the name in the asset",
+                "evidence under a wrong name is not used",
+                "correct the name in the evidence file",
             )
     told: set[str] = set()
     for actuator in asset.actuators:
@@ -46,12 +46,13 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
             if actuator.means is not None and declared is None
             else f"its command is declared: {declared}"
             if declared is not None
-            else "what its command means is not plain from its gain and bias",
+            else "gain and bias do not tell what its command means",
             None,
             None,
             None,
-            "a position sent where a torque is expected is a runaway",
-            "one small step at rest: the state settles at it, moves on, or speeds up",
+            "a position sent where a torque is expected makes the joint run away",
+            "command a small step at rest: the joint settles at it (position), moves on (velocity) "
+            "or accelerates (effort)",
         )
     followers = {mimic.follower for mimic in asset.mimics}
     for joint in asset.joints:
@@ -67,12 +68,12 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
                 "info",
                 item.place,
                 element,
-                f"ros2_control takes: {', '.join(known)}",
+                f"ros2_control accepts: {', '.join(known)}",
                 " ".join(item.commands),
                 None,
                 None,
-                "gains, filters and limits of the driver still stand between it and the motor",
-                "the driver's documentation",
+                "gains, filters and limits of the driver act between the command and the motor",
+                "read the driver's documentation",
             )
         elif declared is None:
             yield Finding(
@@ -80,14 +81,14 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
                 "unknown",
                 joint.place,
                 element,
-                "what its command means (position, velocity, torque; whose unit, sign and zero) "
-                "is not declared",
+                "the meaning of its command is not declared: position, velocity or effort, unit, "
+                "sign and zero",
                 None,
                 None,
                 None,
-                "a position sent where a torque is expected is a runaway",
-                "the SDK's manual; or one small step at rest: the state settles at it, moves on, "
-                "or speeds up",
+                "a position sent where a torque is expected makes the joint run away",
+                "look it up in the manual of the SDK, or command a small step at rest: the joint "
+                "settles at it (position), moves on (velocity) or accelerates (effort)",
             )
         else:
             yield Finding(
@@ -99,6 +100,6 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
                 None,
                 None,
                 None,
-                "replay and goldens rest on it",
-                "a replay of one recorded step",
+                "replay and goldens use this declaration",
+                "confirm it by a replay of one recorded step",
             )

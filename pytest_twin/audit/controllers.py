@@ -1,4 +1,4 @@
-"""Controllers and sensors: soft limits, interfaces, what bears a sensor and how often it speaks."""
+"""Controllers and sensors: soft limits, interfaces, where a sensor is mounted, its rate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pytest_twin.audit.finding import Finding
 
 
 def check(asset: Asset) -> Iterator[Finding]:
-    """What is wrong with, or unknown of, controllers and sensors."""
+    """Faults and unknown properties of controllers and sensors."""
     yield from _safety(asset)
     yield from _interfaces(asset)
     yield from _sensors(asset)
@@ -91,12 +91,12 @@ def _interfaces(asset: Asset) -> Iterator[Finding]:
                 "critical",
                 item.place,
                 f"joint '{item.joint}'",
-                f"ros2_control '{item.system}' names a joint that is not there or does not move",
+                f"ros2_control '{item.system}' names a joint that does not exist or is fixed",
                 item.joint,
                 None,
                 "the name of a moving joint",
                 "the controller manager refuses to start",
-                "the source macro: a misspelt name, or a joint that was renamed",
+                "correct the name in the <ros2_control> element",
             )
         elif not item.states:
             yield Finding(
@@ -104,12 +104,12 @@ def _interfaces(asset: Asset) -> Iterator[Finding]:
                 "unknown",
                 item.place,
                 f"joint '{item.joint}'",
-                f"ros2_control '{item.system}' reads no state of it",
+                f"ros2_control '{item.system}' has no state interface for it",
                 None,
                 None,
                 "a state interface",
-                "a joint that is not sensed cannot be compared with a recording",
-                "the driver's documentation: whether it has an encoder, and on which side",
+                "a joint without a measured state cannot be compared with a recording",
+                "look up whether it has an encoder, and on which side of the gear",
             )
     actuated = bool(asset.actuators or asset.controlled)
     if not actuated and asset.joints:
@@ -118,12 +118,13 @@ def _interfaces(asset: Asset) -> Iterator[Finding]:
             "unknown",
             asset.place,
             f"robot '{asset.name}'",
-            "no controller is declared: gains, rates, filters, saturation, watchdogs",
+            "the controller is not described: gains, rates, filters, saturation, watchdogs",
             None,
             None,
             None,
-            "most of what a joint does under a command is its controller",
-            "the controller's configuration files; steps and chirps where there are none",
+            "the controller shapes most of the response to a command",
+            "state the controller in twin.yaml from its configuration files, or identify it from "
+            "steps and chirps",
         )
 
 
@@ -138,12 +139,12 @@ def _sensors(asset: Asset) -> Iterator[Finding]:
                 "critical",
                 sensor.place,
                 element,
-                "what bears it is not there",
+                "the link or joint that carries it does not exist",
                 sensor.bearer,
                 None,
                 "the name of a link or joint",
-                "its readings are of nowhere",
-                "the source macro: a misspelt name, or a link that was renamed",
+                "its readings belong to no frame",
+                "correct the name of the link or joint",
             )
         if sensor.rate is not None and not 0 <= sensor.rate <= 1e5:
             yield Finding(
@@ -151,12 +152,12 @@ def _sensors(asset: Asset) -> Iterator[Finding]:
                 "warning",
                 sensor.place,
                 element,
-                "its rate is implausible",
+                "its update rate is implausible",
                 sensor.rate,
                 "Hz",
                 "0 .. 1e5 Hz",
-                "a simulated sensor then floods or starves its readers",
-                "the sensor's datasheet",
+                "a simulated sensor sends far too much or too little",
+                "state the rate from the sensor's data sheet",
             )
     if not asset.sensors and asset.joints and not any(i.states for i in asset.controlled):
         yield Finding(
@@ -164,11 +165,10 @@ def _sensors(asset: Asset) -> Iterator[Finding]:
             "unknown",
             asset.place,
             f"robot '{asset.name}'",
-            "no sensor is declared: encoders on which side of the gear, their resolution, torque "
-            "sensing",
+            "no sensor is described: side and resolution of the encoders, torque sensing",
             None,
             None,
             None,
-            "motor-side encoders do not see what the gear and the link give way",
-            "the datasheet; or the link pushed by hand with the motor held: does the reading move?",
+            "an encoder on the motor side does not see the deflection of gear and link",
+            "look it up in the data sheet, or hold the motor, push the link and watch the reading",
         )

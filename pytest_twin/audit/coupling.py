@@ -1,4 +1,4 @@
-"""Coupling: which degrees of freedom are independent, follow, are passive, are sensed."""
+"""Coupling: independent, following, passive and sensed degrees of freedom."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pytest_twin.audit.asset import Asset, Mimic
 from pytest_twin.audit.finding import Finding
 
-_WHY_MIMIC = "every tool that follows the chain gets another robot, or refuses the file"
+_WHY_MIMIC = "tools resolve the mimic differently, or refuse the file"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def freedom(asset: Asset) -> Freedom:
 
 
 def check(asset: Asset) -> Iterator[Finding]:
-    """What is wrong with, or unknown of, couplings."""
+    """Faults and unknown properties of couplings."""
     yield from _chains(asset)
     for mimic in asset.mimics:
         yield from _mimic(asset, mimic)
@@ -64,18 +64,18 @@ def check(asset: Asset) -> Iterator[Finding]:
             "unknown" if asset.kind == "urdf" else "info",
             joint.place,
             f"joint '{name}'",
-            "nothing drives it and it follows no other",
+            "nothing drives it, and it follows no other joint",
             None,
             None,
             None,
-            "a passive joint swings under gravity; a driven one holds",
-            "whether it has a motor: the manual, or the joint moved by hand with the power off",
+            "a passive joint swings under gravity, a driven one holds its position",
+            "look up in the manual whether it has a motor, or move it by hand with the power off",
         )
     yield from _closures(asset)
 
 
 def _chains(asset: Asset) -> Iterator[Finding]:
-    """Joints that follow followers, and circles of them; each joint is passed once."""
+    """Chains and loops of joints that follow each other; each joint is visited once."""
     leader_of: dict[str, Mimic] = {}
     for mimic in asset.mimics:
         leader_of.setdefault(mimic.follower, mimic)
@@ -94,12 +94,12 @@ def _chains(asset: Asset) -> Iterator[Finding]:
                 "critical",
                 leader_of[at].place,
                 f"joint '{at}'",
-                "joints follow each other in a circle",
+                "joints follow each other in a loop",
                 _arrows([*circle, at]),
                 None,
-                "one joint of the circle that follows none",
+                "one joint of the loop without <mimic>",
                 _WHY_MIMIC,
-                "the mechanism's drawing: which joint has the motor",
+                "remove the <mimic> of the joint that has the motor",
             )
     for mimic in leader_of.values():
         if mimic.leader in leader_of and mimic.leader != mimic.follower:
@@ -109,12 +109,12 @@ def _chains(asset: Asset) -> Iterator[Finding]:
                 "warning",
                 mimic.place,
                 f"joint '{mimic.follower}'",
-                "it follows a joint that follows another",
+                "it follows a joint that itself follows another",
                 _arrows([mimic.follower, mimic.leader, further]),
                 None,
-                "following the first of the chain itself",
-                "some parsers follow one step only and leave it behind",
-                "the products of the multipliers along the chain, from the mechanism",
+                "a <mimic> of the first joint of the chain",
+                "some parsers resolve one step only",
+                "let it follow the first joint, with the product of the multipliers",
             )
 
 
@@ -134,12 +134,12 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
             element,
             "it follows a joint that does not move"
             if fixed
-            else "it follows a joint that is not there",
+            else "it follows a joint that does not exist",
             mimic.leader,
             None,
             "the name of a moving joint",
             _WHY_MIMIC,
-            "the source macro: a misspelt name, or a joint that was renamed",
+            "correct the name, or remove the <mimic>",
         )
         return
     follower, leader = asset.joint.get(mimic.follower), asset.joint[mimic.leader]
@@ -151,12 +151,12 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
             "warning",
             mimic.place,
             element,
-            "it follows with a multiplier of 0, and so stands still",
+            "its multiplier is 0, so it does not move",
             0.0,
             "1",
-            "the gear ratio, or a fixed joint",
-            "the mechanism does not move as it does",
-            "the gear ratio from the mechanism's drawing",
+            "the gear ratio, or type 'fixed'",
+            "the simulated mechanism does not move like the real one",
+            "state the gear ratio from the mechanism's drawing",
         )
     yield from _ranges(asset, mimic)
     yield Finding(
@@ -164,14 +164,18 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
         "unknown",
         mimic.place,
         element,
-        f"it follows '{mimic.leader}' by "
-        + ("geometry alone" if asset.kind == "urdf" else "a constraint as stiff as the solver's")
-        + ": what force passes, how stiffly, with what play, is not said",
+        f"it follows '{mimic.leader}' "
+        + (
+            "kinematically"
+            if asset.kind == "urdf"
+            else "by a constraint with the solver's stiffness"
+        )
+        + ": force, stiffness and backlash of the coupling are not stated",
         f"{mimic.multiplier:g} x + {mimic.offset:g}",
         follower.unit,
         None,
-        "a mimic is no force model: a simulator invents the stiffness, or the force is lost",
-        "load the follower by a known force with the leader held, and measure how far it gives",
+        "a simulator chooses the stiffness itself, or transmits no force",
+        "hold the leader, load the follower with a known force, and measure its deflection",
     )
 
 
@@ -189,12 +193,12 @@ def _ranges(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
             "warning",
             mimic.place,
             f"joint '{mimic.follower}'",
-            f"following '{leader.name}' takes it beyond its own range",
+            f"following '{leader.name}', it leaves its own range",
             f"{reached[0]:.5g} .. {reached[1]:.5g}",
             follower.unit,
             f"within {lower:.5g} .. {upper:.5g}",
-            "the limit and the coupling fight each other in a simulator",
-            "both ranges from the mechanism's drawing",
+            "in a simulator, limit and coupling work against each other",
+            "state both ranges as in the mechanism's drawing",
         )
 
 
@@ -211,12 +215,12 @@ def _closures(asset: Asset) -> Iterator[Finding]:
                 item.place,
                 f"transmission '{item.name}'",
                 f"one transmission ({item.kind or 'no type'}) of {len(item.joints)} joints and "
-                f"{len(item.actuators)} actuators: URDF cannot say how they share the force",
+                f"{len(item.actuators)} actuators: URDF cannot state how they share the force",
                 " ".join(item.joints),
                 None,
                 None,
-                "limits of the motors are not limits of the joints, and friction is shared",
-                "the transmission's matrix from the mechanism, and one motor moved at a time",
+                "the limits of the motors are not those of the joints, and friction is shared",
+                "derive the transmission matrix from the drawing, and check it one motor at a time",
             )
     for joint, names in shared.items():
         if len(names) > 1:
@@ -225,12 +229,12 @@ def _closures(asset: Asset) -> Iterator[Finding]:
                 "unknown",
                 next(item.place for item in asset.transmissions if joint in item.joints),
                 f"joint '{joint}'",
-                f"{len(names)} transmissions drive it",
+                f"it is driven by {len(names)} transmissions",
                 " ".join(names),
                 None,
                 None,
-                "motors that pull on one joint share its load in a way that URDF cannot say",
-                "the transmission's matrix from the mechanism",
+                "URDF cannot state how several motors share the load of one joint",
+                "derive the transmission matrix from the drawing",
             )
     for tie in asset.couplings:
         yield Finding(
@@ -238,12 +242,12 @@ def _closures(asset: Asset) -> Iterator[Finding]:
             "info",
             tie.place,
             f"{tie.kind} '{tie.name}'",
-            f"a {tie.kind} ties {len(tie.ties)} elements",
+            f"a {tie.kind} connects {len(tie.ties)} elements",
             " ".join(tie.ties[:12]),
             None,
             None,
-            "URDF cannot carry it: a conversion loses it or states it otherwise",
-            "the same constraint in every realization",
+            "a URDF cannot carry it: a conversion loses or replaces it",
+            "state the same constraint in every realization",
         )
     if asset.kind == "urdf":
         yield Finding(
@@ -251,11 +255,11 @@ def _closures(asset: Asset) -> Iterator[Finding]:
             "unknown",
             asset.place,
             f"robot '{asset.name}'",
-            "closed chains, differentials and tendons have no place in URDF: whether the robot has "
-            "any, this file does not say",
+            "URDF cannot state closed chains, differentials or tendons: it is unknown whether the "
+            "robot has any",
             None,
             None,
             None,
-            "a loop that is left open carries no force",
-            "the mechanism's drawing; parallel rods, belts and cables on a photograph",
+            "an open loop transmits no force",
+            "look for parallel rods, belts and cables in the mechanism's drawing",
         )

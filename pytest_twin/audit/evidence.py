@@ -1,4 +1,4 @@
-"""What is known of a robot from elsewhere, and whether its file agrees with it."""
+"""Declared evidence about a robot, and whether its file agrees with it."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from pytest_twin.formats import yaml
 from pytest_twin.formats.schema import load_schema, validate
 
 _STEP = 1e-5
-"""rad or m: of the difference quotient that says which way a frame moves."""
+"""rad or m: step of the difference quotient that gives the direction of a frame."""
 _PLAIN = 0.3
-"""Cosine below which a declared direction says nothing about the sign."""
+"""Cosine below which a declared direction does not decide the sign."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointEvidence:
-    """What is declared of one joint.
+    """What is declared about one joint.
 
     Attributes:
         limits: (lower, upper) in rad or m; velocity: rad/s or m/s; effort: N*m or N.
-        direction: frame, (3,) along in the base, and name of the pose at which it holds.
-        zero: who says where its encoder reads zero.
+        direction: frame, (3,) direction in the base, and name of the pose at which it holds.
+        zero: the pose at which its encoder reads 0, in words.
     """
 
     place: Place
@@ -42,7 +42,7 @@ class JointEvidence:
 
 @dataclass(frozen=True, slots=True)
 class FrameEvidence:
-    """A measured place of a frame: (3,) position in the base, tolerance, m."""
+    """A measured position of a frame: (3,) in the base, and its tolerance, m."""
 
     place: Place
     source: str
@@ -57,7 +57,7 @@ class Evidence:
     """Everything that is declared; empty where nothing is.
 
     Attributes:
-        mass: kg, tolerance in kg, where it stands, source.
+        mass: kg, tolerance in kg, place, source.
         commands: joint or actuator -> what its command means, with unit and source.
         poses: name -> joint -> rad or m.
     """
@@ -155,7 +155,7 @@ def load(path: Path) -> Evidence:
 
 
 def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
-    """Where the file and the declared evidence disagree."""
+    """Contradictions between the file and the declared evidence."""
     for name, known in evidence.joints.items():
         joint = asset.joint.get(name)
         if joint is None:
@@ -197,12 +197,12 @@ def _unknown_name(code: str, place: Place, element: str) -> Finding:
         "warning",
         place,
         element,
-        "the evidence names what the asset lacks",
+        "the evidence names something that the asset does not have",
         None,
         None,
         "a name of the asset",
-        "evidence under another name proves nothing",
-        "the name in the asset",
+        "evidence under a wrong name is not used",
+        "correct the name in the evidence file",
     )
 
 
@@ -218,14 +218,16 @@ def _numbers(joint: Joint, known: JointEvidence) -> Iterator[Finding]:
                 "critical" if beyond else "warning",
                 joint.place,
                 element,
-                "its range goes beyond the real one"
+                "its range is wider than the declared one"
                 if beyond
-                else "its range is narrower than the real one",
+                else "its range is narrower than the declared one",
                 f"{joint.lower:.5g} .. {joint.upper:.5g}",
                 joint.unit,
                 f"{known.limits[0]:.5g} .. {known.limits[1]:.5g}, {said}",
-                "plans pass in simulation and hit a stop",
-                "the two stops, approached slowly",
+                "a motion that passes in simulation hits a stop of the real robot"
+                if beyond
+                else "motions that the robot can make are refused",
+                "move the joint slowly to both stops, and correct the range",
             )
     for name, value, declared, unit in (
         ("velocity", joint.velocity, known.velocity, f"{joint.unit}/s"),
@@ -237,12 +239,12 @@ def _numbers(joint: Joint, known: JointEvidence) -> Iterator[Finding]:
                 "critical" if value > declared else "warning",
                 joint.place,
                 element,
-                f"its largest {name} is not the declared one",
+                f"its {name} limit differs from the declared one",
                 value,
                 unit,
                 f"{declared:g}, {said}",
-                "a simulated drive that can do more than the real one makes every plan optimistic",
-                "the datasheet of the drive",
+                "plans are too optimistic where the simulated drive is stronger than the real one",
+                "state the limit from the drive's data sheet",
             )
 
 
@@ -268,12 +270,12 @@ def _direction(
             "unknown",
             known.place,
             element,
-            f"'{frame}' does not move along the declared direction, one way or the other",
+            f"the declared direction does not decide the sign: '{frame}' moves almost across it",
             cosine,
             "1",
-            "a frame and a direction that the joint moves plainly",
-            "the declared evidence does not settle the sign",
-            "the direction in which another frame moves, or another pose",
+            f"a cosine of at least {_PLAIN:g} between motion and declared direction",
+            "the sign of the joint stays unknown",
+            "declare the direction of another frame, or at another pose",
         )
     elif cosine < 0:
         yield Finding(
@@ -285,8 +287,8 @@ def _direction(
             cosine,
             "1",
             f"a positive cosine, as declared by {known.source}",
-            "a flipped axis looks right at zero and runs away under feedback",
-            "jog the joint by +0.05 rad (or 10 mm) and watch which way it goes",
+            "a flipped axis looks right at 0 and makes a feedback loop unstable",
+            "jog the joint by +0.05 rad or +10 mm, and flip its axis if the evidence is right",
         )
 
 
@@ -306,14 +308,14 @@ def _frame(asset: Asset, measured: FrameEvidence, evidence: Evidence) -> Iterato
             "critical",
             place,
             element,
-            f"{pose} it is not where it was measured",
+            f"{pose}, it is not at its measured position",
             off,
             "m",
             f"within {measured.tolerance:g} m of "
             + " ".join(f"{v:.5g}" for v in measured.position)
             + f", {measured.source}",
-            "an origin, an axis, or the zero of a joint on the way to it is wrong",
-            "the same frame measured at poses that move one joint at a time",
+            "an origin, an axis or the zero of a joint before it is wrong",
+            "measure the frame at poses that move one joint at a time",
         )
 
 
@@ -327,10 +329,10 @@ def _mass(
             "critical",
             asset.place,
             f"robot '{asset.name}'",
-            "its links do not weigh together what the robot weighs",
+            "the total mass of its links differs from the declared mass",
             total,
             "kg",
             f"{value:g} kg within {tolerance:g} kg, {source}",
-            "gravity torque and every acceleration are off by as much",
-            "the robot on a scale",
+            "gravity torques and accelerations are wrong by the same ratio",
+            "weigh the robot, and correct the masses of its links",
         )

@@ -1,4 +1,4 @@
-"""Frames: links that only mark a place, the base, the tool."""
+"""Frames: links without mass and shape, the base, the tool."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WORLD = re.compile(r"(^|_)(world|map|odom)$", re.IGNORECASE)
 
 
 def marks(asset: Asset) -> list[str]:
-    """Bodies without mass and without shape: they mark a place and are no fault."""
+    """Bodies without mass and shape: frames, which are no fault."""
     return [
         body.name
         for body in asset.body.values()
@@ -30,7 +30,7 @@ def marks(asset: Asset) -> list[str]:
 
 
 def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
-    """What is odd with, or unknown of, frames."""
+    """Faults and unknown properties of frames."""
     yield from _names(asset)
     yield from _base(asset)
     yield from _tool(asset, evidence)
@@ -45,12 +45,12 @@ def _names(asset: Asset) -> Iterator[Finding]:
                 "info",
                 place,
                 f"{kind} '{name}'",
-                "its name is no identifier",
+                "its name is not an identifier",
                 name,
                 None,
-                "letters, digits and _, no digit first",
-                "USD and code generators rename it, and names no longer match across realizations",
-                "a stable name, chosen once, in the normalized asset",
+                "letters, digits and _, not starting with a digit",
+                "USD and code generators rename it, and names differ between realizations",
+                "choose a portable name in the normalized asset",
             )
 
 
@@ -64,12 +64,12 @@ def _base(asset: Asset) -> Iterator[Finding]:
             "info",
             root.inertial or root.place,
             f"link '{root.name}'",
-            "the base itself has mass: tools that read URDF through KDL leave it out",
+            "the base link has mass: tools that read URDF by KDL ignore it",
             root.mass,
             "kg",
-            "a massless base frame with the body fixed to it",
-            "a floating base then weighs less",
-            "the same total mass in every realization",
+            "a massless base link, with this link fixed to it",
+            "a floating base weighs less in those tools",
+            "compare the total mass of every realization",
         )
     if not _WORLD.search(root.name):
         yield Finding(
@@ -77,12 +77,12 @@ def _base(asset: Asset) -> Iterator[Finding]:
             "unknown",
             root.place,
             f"link '{root.name}'",
-            "how the base stands in the world (fixed, where, which way is up) is not said",
+            "how the base is mounted (fixed or not, where, which way is up) is not stated",
             None,
             None,
             None,
-            "a tilted base turns gravity in every joint",
-            "a level on the base; or gravity torques at three poses, fitted for tilt",
+            "a tilted base changes the gravity torque of every joint",
+            "put a level on the base, or fit the tilt to gravity torques at three poses",
         )
 
 
@@ -95,12 +95,12 @@ def _tool(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
                 "critical",
                 None if evidence.path is None else asset.place,
                 f"frame '{evidence.tcp}'",
-                "the declared tool centre point is no frame of the asset",
+                "the declared tool centre point is not a frame of the asset",
                 evidence.tcp,
                 None,
                 "the name of a link or site",
-                "every Cartesian comparison rests on it",
-                "the name in the asset, or the frame added with its measured place",
+                "every Cartesian comparison needs it",
+                "correct `tcp:` in the evidence, or add the frame at its measured pose",
             )
         return
     candidates = [name for name in names if _TOOL.search(name)]
@@ -111,14 +111,14 @@ def _tool(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
         "unknown",
         asset.place,
         f"robot '{asset.name}'",
-        "which frame is the tool centre point is not said"
+        "the tool centre point is not named"
         if not candidates
         else f"{len(candidates)} frames could be the tool centre point",
         " ".join(candidates[:8]) or None,
         None,
-        "one frame, declared as `tcp:` in the evidence or the twin",
-        "poses compared at different points differ by the tool's length",
-        "the controller's own tool frame, read from its setup",
+        "`tcp: FRAME` in the evidence file or in twin.yaml",
+        "poses of different points differ by the length of the tool",
+        "read the tool frame from the controller's setup, and declare it",
     )
 
 
@@ -139,10 +139,10 @@ def _far(asset: Asset) -> Iterator[Finding]:
                 "warning",
                 edge.place,
                 f"link '{name}'",
-                "it lies far outside the rest of the robot",
+                "it lies far from the rest of the robot",
                 float(away),
                 "m",
-                f"within a few times {usual:.3g} m",
-                "a misplaced unit or origin",
-                "its place in the drawing, with the unit",
+                f"a distance of a few times {usual:.3g} m",
+                "every frame after it is displaced, if its unit or origin is wrong",
+                "compare its position with the drawing, and correct the unit",
             )

@@ -1,4 +1,4 @@
-"""Mass and inertia: what no body can have, what few have, and what nobody measured."""
+"""Mass and inertia: impossible, implausible and default values."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pytest_twin.audit.geometry import Geometry, Solid
 from pytest_twin.realization.inertia import MASS_FLOOR, ROUNDING, of_point, violation
 
 _DENSITY = (20.0, 12_000.0)
-"""kg/m^3: of the hull, from a hollow cover to solid lead."""
+"""kg/m^3: mass over hull volume, from a hollow cover to solid lead."""
 _FACTOR = 30.0
-"""Between stated and geometry-derived moments: beyond, one of the two is of something else."""
-_CAD = "the CAD model's mass properties about the centre of mass, with their units"
+"""Ratio of stated to geometric moments, beyond which one of the two is wrong."""
+_CAD = "copy mass properties about the centre of mass from CAD, and check their units"
 
 
 def principal(inertia: Vector) -> Vector:
@@ -25,7 +25,7 @@ def principal(inertia: Vector) -> Vector:
 
 
 def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
-    """What is wrong with, or doubtful in, masses and inertias."""
+    """Faults of masses and inertias."""
     seen: dict[tuple[float, ...], Body] = {}
     for body in asset.body.values():
         if not _finite(body):
@@ -49,8 +49,8 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "it has an inertia and no mass",
                 None,
                 "kg",
-                "a mass",
-                "readers make it massless, or refuse it",
+                "a mass above 0",
+                "parsers make it massless, or refuse it",
                 _CAD,
             )
     yield from _moving(asset, geometry)
@@ -58,7 +58,7 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A body beside the hull of its shape, of uniform density.
+    """A body compared with the convex hull of its shape at uniform density.
 
     Attributes:
         mass: kg; density: mass over the hull's volume, kg/m^3.
@@ -77,7 +77,7 @@ class Comparison:
 
 
 def comparisons(asset: Asset, geometry: Geometry) -> list[Comparison]:
-    """Every body with mass beside its shape; None where it has no shape with a volume."""
+    """Every body with mass compared with its shape; None where its shape has no volume."""
     found = []
     for body in asset.body.values():
         if not body.mass or body.inertia is None or not _finite(body):
@@ -118,11 +118,11 @@ def _not_finite(body: Body) -> Finding:
         "critical",
         body.inertial or body.place,
         _element(body),
-        "its mass or inertia is beyond any number",
+        "its mass or inertia is not finite",
         None if body.mass is None else f"{body.mass:g}",
         "kg",
-        "a finite mass and inertia, stated or of shapes of a finite size",
-        "nothing that the robot does can be computed",
+        "a finite mass and inertia",
+        "no motion can be computed",
         _CAD,
     )
 
@@ -138,8 +138,8 @@ def _possible(body: Body) -> Iterator[Finding]:
             body.mass,
             "kg",
             "more than 0",
-            "it falls upwards, and the equations of motion have no solution",
-            "the part on a scale",
+            "it falls upwards, and the equations of motion may have no solution",
+            "weigh the part",
         )
     if body.inertia is None or np.abs(body.inertia).max() < MASS_FLOOR:
         return
@@ -156,8 +156,8 @@ def _possible(body: Body) -> Iterator[Finding]:
             "a principal moment of its inertia is negative",
             float(moments[0]),
             "kg*m^2",
-            f"three positive moments; its own are {text}",
-            "no mass distribution has it; turned about that axis it gains energy from nothing",
+            f"three positive moments (they are {text})",
+            "no body has it: turning about that axis gains energy",
             _CAD,
         )
         return
@@ -170,7 +170,7 @@ def _possible(body: Body) -> Iterator[Finding]:
             "critical",
             body.inertial,
             _element(body),
-            "a principal moment of its inertia is zero: it is not positive definite"
+            "a principal moment of its inertia is 0: it is not positive definite"
             + (", and breaks the triangle inequality" if share > ROUNDING else "")
             + (" (products of inertia equal to the moments)" if equal else ""),
             text,
@@ -193,7 +193,7 @@ def _possible(body: Body) -> Iterator[Finding]:
             text,
             "kg*m^2",
             "no moment above the sum of the other two",
-            "mass would have to be negative somewhere; simulators refuse it or change it silently",
+            "no mass distribution has it; simulators refuse it or change it silently",
             _CAD,
         )
     elif share > 1e-9:
@@ -207,7 +207,7 @@ def _possible(body: Body) -> Iterator[Finding]:
             "kg*m^2",
             "no moment above the sum of the other two",
             "a strict simulator refuses it",
-            "the same numbers with more digits",
+            "state the same values with more digits",
         )
 
 
@@ -224,11 +224,11 @@ def _default(body: Body) -> Iterator[Finding]:
             "warning",
             body.inertial,
             _element(body),
-            f"three equal round moments beside {mass:g} kg: a default value, not a measured one",
+            f"three equal round moments with {mass:g} kg: a default value, not a measured one",
             float(diagonal[0]),
             "kg*m^2",
-            "three moments of the body itself",
-            "its dynamics are those of a ball that is not there",
+            "the moments of the real body",
+            "it accelerates like a ball of another size",
             _CAD,
         )
 
@@ -255,17 +255,17 @@ def _copied(
         "warning",
         body.inertial,
         _element(body),
-        f"mass, centre of mass and inertia are those of link '{first.name}', its shape is not",
+        f"it has mass, centre of mass and inertia of link '{first.name}', and another shape",
         float(body.mass or 0.0),
         "kg",
-        "values of its own",
-        "two different bodies do not weigh the same to the last digit",
+        "values of this link",
+        "two different bodies do not have the same mass to the last digit",
         _CAD,
     )
 
 
 def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator[Finding]:
-    """Held against the hull of its shapes, of uniform density."""
+    """Comparison with the convex hull of its shapes at uniform density."""
     element = _element(body)
     outside = solid.outside(body.com)
     if outside > 0.1 * solid.size:
@@ -277,9 +277,9 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
             "its centre of mass lies outside its shape",
             outside,
             "m",
-            f"in or near a box of {solid.size:.3g} m",
-            "gravity pulls with a lever that the body does not have",
-            "the body balanced on an edge in two directions; the drawing, with its unit",
+            f"a point inside its shape, {solid.size:.3g} m in size",
+            "gravity acts with a lever arm that the body does not have",
+            "balance the part on an edge in two directions, or copy the value from CAD",
         )
     density = mass / solid.volume
     plausible = _DENSITY[0] <= density <= _DENSITY[1]
@@ -289,13 +289,13 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
             "warning",
             body.inertial,
             element,
-            "its mass over the hull of its shape is "
-            + ("lighter than a foam" if density < _DENSITY[0] else "heavier than lead"),
+            "its mass / hull volume is "
+            + ("below that of foam" if density < _DENSITY[0] else "above that of lead"),
             density,
             "kg/m^3",
             f"{_DENSITY[0]:g} .. {_DENSITY[1]:g} kg/m^3",
-            "the mass or the size is of another body or another unit",
-            "the part on a scale; one length of it",
+            "mass or size is that of another body, or in another unit",
+            "weigh the part, and measure one length",
         )
     stated = float(np.trace(inertia)) / 2
     uniform = mass * float(np.trace(solid.inertia)) / 2
@@ -312,12 +312,12 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
             "warning",
             body.inertial,
             element,
-            "its inertia seems to be about the link's origin, not about the centre of mass",
+            "its inertia seems to be about the link's origin, not about its centre of mass",
             stated,
             "kg*m^2",
-            f"half the trace near {uniform:.3g} kg*m^2, as its shape has it; less by "
+            f"half the trace near {uniform:.3g} kg*m^2, by its shape; reduced by "
             f"{float(np.trace(shifted)) / 2:.3g} kg*m^2 it fits",
-            "the lever of the centre of mass then counts twice",
+            "the offset of the centre of mass counts twice",
             _CAD,
         )
     elif stated > most * 1.05:
@@ -327,11 +327,11 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
             "critical" if ratio > 2e5 and plausible else "warning",
             body.inertial,
             element,
-            "its inertia is larger than its mass could have anywhere in its shape"
+            "its inertia is larger than its mass can have anywhere in its shape"
             + _unit_guess(ratio),
             stated,
             "kg*m^2",
-            f"half the trace at most {most:.3g}, about {uniform:.3g} kg*m^2",
+            f"half the trace near {uniform:.3g} and at most {most:.3g} kg*m^2",
             "the joint accelerates too slowly under every torque",
             _CAD,
         )
@@ -342,17 +342,17 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
             "warning",
             body.inertial,
             element,
-            "its inertia is that of a far smaller body" + _unit_guess(ratio),
+            "its inertia is far smaller than its shape has" + _unit_guess(ratio),
             stated,
             "kg*m^2",
-            f"half the trace about {uniform:.3g} kg*m^2",
-            "the joint accelerates too fast under every torque, and small steps are needed",
+            f"half the trace near {uniform:.3g} kg*m^2",
+            "the joint accelerates too fast under every torque, and simulation needs small steps",
             _CAD,
         )
 
 
 def _about_origin(stated: Vector, shifted_back: Vector, uniform: Vector, shift: Vector) -> bool:
-    """Whether moving the inertia to the centre of mass makes it fit its shape, and only that."""
+    """Whether the inertia fits its shape only after a shift to the centre of mass."""
     size = float(np.linalg.norm(uniform))
     # Of a mass near the smallest number nothing is left of its square.
     if size <= 0 or float(np.linalg.norm(shift)) < size or violation(shifted_back) > 0.05:
@@ -365,12 +365,12 @@ def _about_origin(stated: Vector, shifted_back: Vector, uniform: Vector, shift: 
 def _unit_guess(ratio: float) -> str:
     for factor, unit in ((1e6, "kg*mm^2"), (1e9, "g*mm^2"), (1e4, "kg*cm^2"), (1e7, "g*cm^2")):
         if factor / 5 < ratio < factor * 5:
-            return f" by about {ratio:.0e}: {unit} taken for kg*m^2?"
+            return f", by a factor near {ratio:.0e}: {unit} taken for kg*m^2?"
     return ""
 
 
 def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
-    """Bodies that move and have nothing to move."""
+    """Moving bodies without mass or inertia."""
     members: dict[str, list[Body]] = {}
     for name, top in asset.group.items():
         if name not in asset.drawn:
@@ -399,12 +399,11 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 place,
                 _element(body),
                 f"joint '{joint.name}' moves it, and it has no mass"
-                + (": a joint of two axes told as two, perhaps" if virtual else ""),
+                + ("; it may be one axis of a joint with several" if virtual else ""),
                 mass,
                 "kg",
-                "mass and inertia, of its own or of what is fixed to it",
-                "its acceleration is a force over nothing: simulators refuse it, invent a mass, "
-                "or blow up",
+                "mass and inertia, its own or of a link fixed to it",
+                "its acceleration is undefined: simulators refuse it, invent a mass, or diverge",
                 _CAD,
             )
         elif not any(_flat(b) for b in bodies):
@@ -414,12 +413,12 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "critical",
                 place,
                 _element(body),
-                f"joint '{joint.name}' moves it, and a principal moment of its inertia is zero: "
+                f"joint '{joint.name}' moves it, and a principal moment of its inertia is 0: "
                 "it is not positive definite",
                 ", ".join(f"{value:.6g}" for value in moments),
                 "kg*m^2",
                 "three positive moments",
-                "about that axis its acceleration is a torque over nothing",
+                "about that axis its acceleration is undefined",
                 _CAD,
             )
 

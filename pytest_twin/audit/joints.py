@@ -1,4 +1,4 @@
-"""Joints: axis, origin, range, velocity, effort, damping, and degrees that stand for radians."""
+"""Joints: axis, origin, range, velocity, effort, damping; degrees in place of radians."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.finding import Finding
 
 _TURNS = 4 * math.pi
-"""rad: two turns either way; few robot joints go farther."""
+"""rad: two turns to either side; few robot joints go farther."""
 _ROUNDED = (1e-6, 2e-3)
-"""rad: how far a right angle stands off where its digits were cut, 1.57 say."""
+"""rad: the error of a right angle with few digits, 1.57 for example."""
 _LONG = 100.0
-"""m: no robot is larger."""
+"""m: no robot has a larger distance between two links."""
 _FAST = 100.0
-"""rad/s or m/s: no output shaft of a robot's joint is faster."""
-_DATASHEET = "the datasheet or manual of this joint"
+"""rad/s or m/s: no robot joint is faster."""
+_DATASHEET = "the data sheet or manual of this joint"
 
 
 def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
-    """What is wrong with, or unknown of, each joint."""
+    """Faults and unknown properties of each joint."""
     followers = {mimic.follower for mimic in asset.mimics}
     for edge in asset.edges:
         yield from _origin(asset, edge)
@@ -53,12 +53,12 @@ def _axis(joint: Joint) -> Iterator[Finding]:
                 "warning",
                 joint.place,
                 _element(joint),
-                "no axis is stated: it is x of the joint's frame by default",
+                "its axis is not stated: x of the joint's frame by default",
                 "1 0 0",
                 None,
-                "an axis that is stated",
-                "a forgotten axis moves the joint about x without a word",
-                "the kinematic drawing, or a photograph of this joint moved by hand",
+                '<axis xyz="..."/>',
+                "a forgotten axis makes the joint turn about x",
+                "state the axis as in the kinematic drawing",
             )
         return
     length = float(np.linalg.norm(joint.axis_stated))
@@ -68,12 +68,12 @@ def _axis(joint: Joint) -> Iterator[Finding]:
             "critical",
             joint.place,
             _element(joint),
-            "its axis is no unit vector",
+            "its axis is not a unit vector",
             length,
             "1",
             "length 1",
-            "a parser that does not normalize it scales every angle, torque and speed by it",
-            "the kinematic drawing: the direction alone counts, or a factor was meant",
+            "a parser that does not normalize it scales angles, torques and speeds by its length",
+            "normalize the axis; if the length is a gear ratio, state it in a transmission",
         )
     elif abs(length - 1.0) > 1e-6:
         yield Finding(
@@ -85,8 +85,8 @@ def _axis(joint: Joint) -> Iterator[Finding]:
             length,
             "1",
             "length 1 to 1e-6",
-            "normalized or not, the joint moves a little otherwise",
-            "the exact angle from CAD",
+            "parsers that do not normalize it move the joint by a slightly different amount",
+            "state the axis with 9 digits",
         )
 
 
@@ -101,12 +101,12 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
             "warning" if in_scene else "critical",
             edge.place,
             element,
-            "its origin is farther off than any robot is long: millimetres taken for metres?",
+            "its distance to its parent is larger than any robot; millimetres taken for metres?",
             distance,
             "m",
             f"less than {_LONG:g} m",
-            "every frame beyond it is displaced",
-            "one length from the kinematic drawing, with its unit",
+            "every frame after it is displaced",
+            "compare one length with the kinematic drawing, and correct the unit",
         )
     if edge.rpy is None:
         return
@@ -118,14 +118,14 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
             "critical" if degrees else "warning",
             edge.place,
             element,
-            "its roll, pitch, yaw look like degrees"
+            "its roll, pitch and yaw look like degrees"
             if degrees
-            else "its roll, pitch, yaw go beyond a turn",
+            else "its roll, pitch or yaw exceeds one turn",
             " ".join(f"{value:g}" for value in edge.rpy),
             "rad",
-            f"{_radians(edge.rpy)} rad" if degrees else "angles within a turn",
-            "read as radians the frame points somewhere else",
-            "the kinematic drawing, or the frame shown in a viewer",
+            f"{_radians(edge.rpy)} rad" if degrees else "angles between -6.28 and 6.28 rad",
+            "read as radians, the frame has another orientation",
+            "convert the angles to radians, and look at the frame in a viewer",
         )
         return
     off = edge.rpy - np.round(edge.rpy / (math.pi / 2)) * (math.pi / 2)
@@ -142,12 +142,12 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
             "warning" if effect > 5e-4 else "info",
             edge.place,
             element,
-            f"a right angle with few digits: {effect * 1e3:.2g} mm at the farthest frame beyond",
+            f"a right angle has few digits: {effect * 1e3:.2g} mm at the farthest frame after it",
             max(cut),
             "rad",
             "pi/2 to 1e-6 rad",
-            "an error of the frame that calibration will later find as bias of a joint",
-            "the exact angle from CAD; pi/2 if it is a right angle",
+            "a calibration later finds this error as the offset of a joint",
+            "state the exact angle: 1.5707963267948966 for a right angle",
         )
 
 
@@ -188,12 +188,12 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
                 "warning",
                 joint.place,
                 element,
-                "no range is stated",
+                "its range is not stated",
                 None,
                 unit,
                 "lower and upper",
-                "some tools lock the joint at 0, others let it turn without end",
-                f"{_DATASHEET}, or the two hard stops found by hand with the power off",
+                "some tools lock the joint at 0, others let it turn without limit",
+                f"state lower and upper from {_DATASHEET}, or move the joint to both stops by hand",
             )
         return
     lower, upper = joint.lower, joint.upper
@@ -204,12 +204,12 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
             "warning",
             joint.place,
             element,
-            "its range is empty: it cannot move",
+            "its range is empty, so the joint cannot move",
             text,
             unit,
-            "lower below upper, or a fixed joint",
-            "a joint that is held by a limit is stiff in one simulator and springy in another",
-            f"{_DATASHEET}; a fixed joint if it is one",
+            "lower below upper, or type 'fixed'",
+            "a joint held by its limit is stiff in one simulator and springy in another",
+            f"state the range from {_DATASHEET}, or make the joint fixed",
         )
     if joint.kind == "hinge" and max(abs(lower), abs(upper)) > _TURNS and upper < 1e6:
         degrees = _like_degrees(np.array([lower, upper]))
@@ -218,12 +218,16 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
             "critical" if degrees else "warning",
             joint.place,
             element,
-            "its range looks like degrees" if degrees else "its range is of many turns",
+            "its range looks like degrees"
+            if degrees
+            else "its range exceeds two turns to one side",
             text,
             unit,
-            f"{_radians(np.array([lower, upper]))} rad" if degrees else "a few turns",
-            "planners and simulators let it turn past every stop",
-            f"{_DATASHEET}, with its unit",
+            f"{_radians(np.array([lower, upper]))} rad"
+            if degrees
+            else "a range within two turns to either side",
+            "planners and simulators let it turn past its stops",
+            f"state the range from {_DATASHEET} in rad",
         )
     if joint.kind == "slide" and max(abs(lower), abs(upper)) > 10.0 and upper < 1e6:
         yield Finding(
@@ -231,12 +235,12 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
             "warning",
             joint.place,
             element,
-            "its travel is longer than a robot: millimetres taken for metres?",
+            "its travel is longer than a robot; millimetres taken for metres?",
             text,
             unit,
-            "metres",
-            "planners and simulators let it slide past every stop",
-            f"{_DATASHEET}, with its unit",
+            "a travel within 10 m",
+            "planners and simulators let it slide past its stops",
+            f"state the range from {_DATASHEET} in m",
         )
     if not lower - 1e-9 <= 0.0 <= upper + 1e-9:
         yield Finding(
@@ -244,18 +248,18 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
             "info",
             joint.place,
             element,
-            "zero is outside its range",
+            "0 is outside its range",
             text,
             unit,
-            "a start pose other than all zeros",
-            "simulators start at zero and push the joint back in the first step",
-            "the home pose from the manual",
+            "a start pose within the ranges",
+            "simulators start at 0 and push the joint into its range in the first step",
+            "give the simulator a keyframe with the home pose of the manual",
         )
 
 
 def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
     if asset.kind != "urdf":
-        # The others have no place for a speed, and state forces at actuators.
+        # MJCF and USD state no speed limit, and state forces at actuators.
         return
     element = _element(joint)
     for name, value, unit in (
@@ -271,12 +275,12 @@ def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
                 "warning",
                 joint.place,
                 element,
-                f"its largest {name} is {said}",
+                f"its {name} limit is {said}",
                 value,
                 unit,
-                f"the largest {name} in {unit}",
-                "taken literally it cannot move; left out, nothing bounds a command",
-                f"{_DATASHEET}; 0 if it is passive, and then a passive joint declared so",
+                f"a {name} limit above 0 {unit}",
+                "with a limit of 0 the joint cannot move; without a limit nothing bounds a command",
+                f"state the limit from {_DATASHEET}; a joint without a motor keeps 0",
             )
     if joint.velocity is not None and _FAST < joint.velocity < 1e4:
         degrees = joint.kind == "hinge" and _like_degrees(np.array([joint.velocity]))
@@ -285,18 +289,20 @@ def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
             "warning",
             joint.place,
             element,
-            "its speed looks like degrees per second" if degrees else "it is implausibly fast",
+            "its velocity limit looks like degrees per second"
+            if degrees
+            else "its velocity limit is implausibly high",
             joint.velocity,
             f"{joint.unit}/s",
             f"{math.radians(joint.velocity):.4g} rad/s" if degrees else f"less than {_FAST:g}",
             "nothing bounds a command",
-            f"{_DATASHEET}, with its unit",
+            f"state the limit from {_DATASHEET} in {joint.unit}/s",
         )
 
 
 def _friction(joint: Joint) -> Iterator[Finding]:
     if not joint.damping and not joint.friction:
-        said = "stated as none" if joint.damping == 0.0 else "not stated"
+        said = "0" if joint.damping == 0.0 else "not stated"
         yield Finding(
             "joints.friction_unknown",
             "unknown",
@@ -306,8 +312,8 @@ def _friction(joint: Joint) -> Iterator[Finding]:
             None,
             joint.effort_unit,
             None,
-            "no drive is without friction: simulated motion needs less force than the real one",
-            "slow reversals at several speeds, effort recorded: `pytest-twin diagnose` fits both",
+            "every real drive has friction: simulated motion needs less force than the real one",
+            "record slow reversals at several speeds; `pytest-twin diagnose` fits both",
         )
 
 
@@ -319,12 +325,12 @@ def _sign_and_zero(joint: Joint, evidence: Evidence) -> Iterator[Finding]:
             "unknown",
             joint.place,
             _element(joint),
-            "which way is positive is not declared by anything but this file",
+            "no second source confirms its positive direction",
             " ".join(f"{value:.4g}" for value in joint.axis),
             None,
             None,
-            "a flipped axis looks right at zero and runs away under feedback",
-            "jog it by +0.05 rad (or 10 mm) slowly and watch; or the manual's figure of the axes",
+            "a flipped axis looks right at 0 and makes a feedback loop unstable",
+            "jog the joint by +0.05 rad or +10 mm, and declare the direction in the evidence file",
         )
     if known is None or not known.zero:
         yield Finding(
@@ -332,17 +338,17 @@ def _sign_and_zero(joint: Joint, evidence: Evidence) -> Iterator[Finding]:
             "unknown",
             joint.place,
             _element(joint),
-            "where the encoder reads zero is not declared by anything but this file",
+            "no second source confirms the pose at which its encoder reads 0",
             None,
             joint.unit,
             None,
-            "an offset of the zero displaces every pose and the gravity torque",
-            "the manual's zero pose, or a calibration of the joint offsets",
+            "a zero offset displaces every pose and changes the gravity torque",
+            "compare the zero pose with the manual, or calibrate the joint offsets",
         )
 
 
 def _like_degrees(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
-    """Whether numbers are whole or half degrees of at most two turns."""
+    """Whether numbers are multiples of half a degree, up to two turns."""
     rounded = np.round(values * 2) / 2
     return bool(
         np.all(np.abs(values - rounded) < 1e-9)

@@ -1,4 +1,4 @@
-"""Visual and collision shapes: there, of the right size, closed, convex, and what they cost."""
+"""Visual and collision shapes: present, of the right size, closed, convex, and their cost."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.shapes import polyhedron
 
 _MANY_FACES = 20_000
-"""Triangles of one collision mesh beyond which loading and contact take their time."""
+"""Triangles of one collision mesh, above which loading and contact become slow."""
 _HOLLOW = 1.5
-"""Hull over mesh: beyond, the hull that simulators collide with fills what is hollow."""
+"""Hull volume over mesh volume, above which the hull fills holes that matter."""
 _REACH = "the robot's reach"
 _OTHER = "the link's other shape"
 _GYRATION = "the size that the link's inertia implies"
@@ -26,17 +26,17 @@ _BULK = "the size that the link's mass implies"
 _DENSITY = 2000.0
 """kg/m^3: of links, between plastic and steel; the cube root forgives a factor of 10 by 2.2."""
 _TOO_LARGE, _TOO_SMALL = 100.0, 0.01
-"""Against another length of the same body: beyond, one of them is in another unit."""
+"""Ratio to another length of the same link, beyond which one of them is in another unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeshFacts:
-    """One mesh file as it is used.
+    """One mesh file at one scale.
 
     Attributes:
         extents: (3,) sides of the box around it, scaled, m.
-        watertight: every edge has two faces.
-        volume: m^3, None where it is not watertight; hull: of its convex hull, m^3.
+        watertight: whether every edge has two faces.
+        volume: m^3, None where it is not watertight; hull: volume of its convex hull, m^3.
     """
 
     file: Path
@@ -49,12 +49,12 @@ class MeshFacts:
 
     @property
     def convexity(self) -> float | None:
-        """Volume over that of the hull, 1 for a convex mesh; None where it is not closed."""
+        """Volume over hull volume, 1 for a convex mesh; None where it is not closed."""
         return None if self.volume is None or self.hull <= 0 else self.volume / self.hull
 
 
 def facts(asset: Asset, geometry: Geometry) -> list[MeshFacts]:
-    """Every mesh, each file and scale once."""
+    """Facts of each mesh file at each of its scales."""
     found: dict[tuple[Path, tuple[float, ...]], list[Shape]] = {}
     for shape in asset.shapes:
         if shape.file is not None and shape.triangles is not None:
@@ -92,7 +92,7 @@ def watertight(mesh: Triangles) -> bool:
 
 
 def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
-    """What is wrong with, or costly in, shapes."""
+    """Faults and costs of shapes."""
     for shape in asset.shapes:
         yield from _size(shape)
     yield from _units(asset, geometry)
@@ -147,7 +147,7 @@ def _size(shape: Shape) -> Iterator[Finding]:
             "m",
             "sizes above 0",
             "it collides with nothing, or the simulator refuses it",
-            "the size from the drawing",
+            "state the size from the drawing",
         )
     if (shape.scale < 0).any():
         yield Finding(
@@ -159,8 +159,8 @@ def _size(shape: Shape) -> Iterator[Finding]:
             " ".join(f"{value:g}" for value in shape.scale),
             "1",
             None,
-            "some loaders turn its faces inside out, others take the absolute value",
-            "a mirrored copy of the mesh in its own file",
+            "some loaders turn its faces inside out, others use the absolute value",
+            "mirror the mesh in a file of its own",
         )
     scale = np.abs(shape.scale)
     if scale.min() > 0 and scale.max() / scale.min() > 1.001:
@@ -169,12 +169,12 @@ def _size(shape: Shape) -> Iterator[Finding]:
             "info",
             shape.place,
             _element(shape),
-            "its mesh is scaled differently along its axes",
+            "its scale differs between axes",
             " ".join(f"{value:g}" for value in shape.scale),
             "1",
             "one factor for all axes",
-            "right for a stretched primitive, wrong for a scanned or drawn part",
-            "one length of the part along each axis",
+            "it distorts a part that was scanned or exported from CAD",
+            "compare one length along each axis with the part",
         )
 
 
@@ -254,12 +254,12 @@ def _roles(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "info",
                 body.place,
                 f"link '{name}'",
-                "it is seen and has mass, and nothing collides with it",
+                "it has mass and a visual shape, and no collision shape",
                 None,
                 None,
                 "a collision shape",
-                "it passes through the world and through the robot",
-                "whether it can touch anything",
+                "it passes through other bodies",
+                "add a collision shape, if it can touch anything",
             )
         seen, felt = geometry.body(name, "visual"), geometry.body(name, "collision")
         if seen is None or felt is None:
@@ -271,12 +271,12 @@ def _roles(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "warning",
                 body.place,
                 f"link '{name}'",
-                "what is seen and what collides lie apart",
+                "its visual and its collision shape lie apart",
                 off,
                 "m",
-                "one within the other",
-                "contact happens where nothing is seen",
-                "both shapes drawn together",
+                "shapes at the same place",
+                "contact happens where nothing is visible",
+                "draw both shapes in one viewer, and correct an origin",
             )
 
 
@@ -291,12 +291,12 @@ def _quality(fact: MeshFacts, shape: Shape, uses: list[Shape]) -> Iterator[Findi
             "info",
             shape.place,
             element,
-            f"a collision mesh of {fact.faces} triangles",
+            f"the collision mesh has {fact.faces} triangles",
             float(fact.faces),
             "triangles",
             f"at most {_MANY_FACES}",
-            "loading, convex hulls and contact take their time with each",
-            "a decimated mesh, and its largest distance from this one",
+            "loading, convex hulls and contact become slow",
+            "decimate the mesh, and check its largest distance from this one",
         )
     if not fact.watertight:
         yield Finding(
@@ -304,12 +304,12 @@ def _quality(fact: MeshFacts, shape: Shape, uses: list[Shape]) -> Iterator[Findi
             "info",
             shape.place,
             element,
-            "a collision mesh that is not closed",
+            "the collision mesh is not closed",
             None,
             None,
-            "two faces at each edge",
-            "its volume and its inside are undefined; simulators take its convex hull",
-            "a closed export from CAD",
+            "two faces at every edge",
+            "its volume and inside are undefined; simulators use its convex hull",
+            "export a closed mesh from CAD",
         )
     elif fact.convexity is not None and 0 < fact.convexity < 1 / _HOLLOW:
         yield Finding(
@@ -317,11 +317,11 @@ def _quality(fact: MeshFacts, shape: Shape, uses: list[Shape]) -> Iterator[Findi
             "info",
             shape.place,
             element,
-            "a collision mesh that is not convex: its hull is "
-            f"{1 / fact.convexity:.2g} times as large",
+            "the collision mesh is not convex: its hull has "
+            f"{1 / fact.convexity:.2g} times its volume",
             fact.convexity,
             "1",
-            "volume over hull near 1, or several convex pieces",
-            "simulators collide with the hull: holes and notches are filled",
-            "a convex decomposition, and the distances of both at the poses that matter",
+            "volume / hull volume near 1, or several convex pieces",
+            "simulators collide with the hull, which fills holes and notches",
+            "decompose it into convex pieces, and compare distances at the poses that matter",
         )

@@ -1,4 +1,4 @@
-"""An MJCF as the audit sees it: from the compiled model, or from its text where none compiles."""
+"""An MJCF for the audit: the compiled model, or the text where it does not compile."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def read(path: Path, located: Located, *, limits: ModelLimits = LIMITS) -> Asset
     Raises:
         FormatError: not well-formed, or beyond a bound.
         PathError: a reference that leaves the roots or leads nowhere.
-        ModelError: MuJoCo's parser refuses it, and not for a name that stands twice.
+        ModelError: MuJoCo's parser refuses it for another reason than a duplicate name.
     """
     try:
         document = mjcf.read(path, located.roots, limits=limits)
@@ -99,8 +99,8 @@ def read(path: Path, located: Located, *, limits: ModelLimits = LIMITS) -> Asset
                 out.place,
                 f"robot '{out.name}'",
                 f"MuJoCo warns: {words}",
-                why="the compiler changed or doubted something",
-                settle="the place that it names",
+                why="the compiler may have changed a value",
+                settle="correct the element that it names",
             )
         )
     _Compiled(spec, model, nodes, document.asset_paths, out).read()
@@ -115,7 +115,7 @@ def _named_asset(path: Path, root: Node, nodes: _Nodes) -> Asset:
 
 
 def _of_text(path: Path, root: Node, nodes: _Nodes) -> Asset:
-    """The tree alone, of a model that no parser takes because a name stands in it twice."""
+    """The tree alone, of a model that MuJoCo refuses for a duplicate name."""
     out = _named_asset(path, root, nodes)
     _bodies_of_text(root, out)
     out.unseen = dict.fromkeys(LAYERS[1:], "MuJoCo refuses a model with two elements of one name")
@@ -165,7 +165,7 @@ class _Nodes:
 
 
 def _bodies_of_text(root: Node, out: Asset) -> None:
-    """The tree alone, of a model that the parser refuses."""
+    """Bodies and edges, from the text."""
     out.bodies.append(Body("world", out.place, stated=False))
     world = root.find("worldbody")
     waiting = [("world", node) for node in (world.all("body") if world else [])]
@@ -274,9 +274,9 @@ class _Compiled:
                     "warning",
                     self.out.place,
                     f"robot '{self.out.name}'",
-                    "balanceinertia changes inertias that no body can have, without a word",
-                    why="what is simulated is not what is stated",
-                    settle="the file compiled without it: it names the body",
+                    "balanceinertia is on: the compiler changes impossible inertias silently",
+                    why="the simulated inertia differs from the stated one",
+                    settle="compile without it, and correct the body that the compiler names",
                 )
             )
 
@@ -354,7 +354,7 @@ class _Compiled:
         shape.triangles = self.meshes[mesh]
         named = self.spec.mesh(model.mesh(mesh).name)
         if named is not None:
-            # What stands in memory alone still has a name.
+            # A mesh without a file still has a name.
             shape.file = self.assets.get(named.file, Path(named.file or named.name))
             shape.scale = np.array(named.scale, dtype=np.float64)
 
@@ -502,9 +502,9 @@ class _Compiled:
                     f"the ranges of all {len(limited)} hinges are tiny: radians read as degrees?",
                     largest,
                     "rad",
-                    "<compiler angle='radian'/> where the numbers are radians",
+                    "<compiler angle='radian'/>, if the numbers are radians",
                     "no joint can move",
-                    "the datasheet of one joint, with its unit",
+                    "compare one range with the data sheet of its joint",
                 )
             )
 

@@ -1,4 +1,4 @@
-"""A URDF as the audit sees it: what cannot be read is a finding, the rest is still looked at."""
+"""A URDF for the audit: what cannot be read is a finding, and the rest is still audited."""
 
 from __future__ import annotations
 
@@ -210,8 +210,8 @@ class _Reader:
                     None if error.value is None else str(error.value),
                     error.unit,
                     error.expected,
-                    "a shape that cannot be read is not what any simulator will use",
-                    f"a file that opens, from the same CAD as {shape.file.name}",
+                    "simulators leave the shape out, or refuse the robot",
+                    f"export {shape.file.name} again from CAD",
                 )
             )
 
@@ -273,7 +273,7 @@ class _Reader:
             )
 
     def _edge_alone(self, node: Node, name: str, place: Place) -> None:
-        """The tree of a joint whose numbers cannot be read."""
+        """The edge of a joint whose numbers cannot be read."""
         ends = [node.find(end) for end in ("parent", "child")]
         links = ["" if end is None else end.attributes.get("link", "") for end in ends]
         if all(links):

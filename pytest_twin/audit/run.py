@@ -1,4 +1,4 @@
-"""The whole audit of one file: what the child process is asked for."""
+"""The whole audit of one file, run in the child process."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ def _unseen(asset: Asset, layer: str, why: str) -> Finding:
         "unknown",
         asset.place,
         f"robot '{asset.name}'",
-        f"this layer could not be looked at: {why}",
-        why="what is not looked at is not sound",
-        settle="the same audit once the critical findings are mended",
+        f"this layer was not audited: {why}",
+        why="it may hide further faults",
+        settle="correct the critical findings, and run the audit again",
     )
 
 
@@ -77,10 +77,10 @@ def audit_file(
     roots: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Read and audit a file; what stands in its JSON, and renders as base64 under ``renders``.
+    """The content of the JSON report of a file, and PNG pictures as base64 under ``renders``.
 
     Raises:
-        TwinError: no robot that can be looked at.
+        TwinError: the file holds no robot that can be read.
     """
     say = progress or (lambda fraction: None)
     known = Evidence() if evidence_path is None else evidence.load(Path(evidence_path))
@@ -102,10 +102,10 @@ def audit_file(
 
 
 def criticals(path: str) -> list[str]:
-    """What of a file no robot can have, one line each: file, line, element and why.
+    """Critical findings of a file, one line each: file, line, element and fault.
 
     Raises:
-        TwinError: no robot that can be looked at.
+        TwinError: the file holds no robot that can be read.
     """
     with quiet():
         asset = read(Path(path))
@@ -135,7 +135,7 @@ def _finite(data: Any) -> Any:
 
 
 def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:
-    """Collision shapes at each pose, as drawn where no distance is known; PNG as base64."""
+    """Collision shapes at each pose, or as drawn where no pose was measured; PNG as base64."""
     shown = results or [PoseResult("as drawn", {}, (), 0, 0)]
     made = []
     for result in shown[:_MOST_PICTURES]:
@@ -143,9 +143,9 @@ def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:
         if png is None:
             continue
         overlaps = sorted(result.overlapping)
-        caption = "Collision shapes only, each body in a shade of its own."
+        caption = "Collision shapes, one colour for each body."
         if overlaps:
-            caption += f" Red: bodies that overlap with another ({', '.join(overlaps[:12])})."
+            caption += f" Red: bodies that overlap another ({', '.join(overlaps[:12])})."
         elif result.near:
             nearest = result.near[0]
             caption += (
@@ -163,7 +163,7 @@ def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:
 
 
 def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[str, Any]:
-    """What an audit says, as plain data."""
+    """The report as plain data."""
     rows = finding.to_json(findings)
     counts = Counter(row["severity"] for row in rows)
     free = coupling.freedom(asset)

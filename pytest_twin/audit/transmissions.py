@@ -1,4 +1,4 @@
-"""Transmissions and hardware interfaces: what stands between a motor and its joint."""
+"""Transmissions and hardware interfaces: what is between a motor and its joint."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pytest_twin.audit.asset import Asset, Transmission
 from pytest_twin.audit.finding import Finding
 
 INTERFACES = ("PositionJointInterface", "VelocityJointInterface", "EffortJointInterface")
-"""Command interfaces of ros_control; state interfaces and names of packages may stand in front."""
+"""Command interfaces of ros_control; a package name may be in front of them."""
 
 
 def check(asset: Asset) -> Iterator[Finding]:
-    """What is wrong with, or unknown of, transmissions."""
+    """Faults and unknown properties of transmissions."""
     for item in asset.transmissions:
         yield from _one(asset, item)
     driven = {joint for item in asset.transmissions for joint in item.joints}
@@ -28,12 +28,12 @@ def check(asset: Asset) -> Iterator[Finding]:
             "unknown",
             joint.place,
             f"joint '{joint.name}'",
-            "nothing says how a motor drives it: gear ratio, rotor inertia, efficiency, play",
+            "its drive is not described: gear ratio, rotor inertia, efficiency, backlash",
             None,
             None,
             None,
-            "reflected rotor inertia (ratio squared) can exceed the link's own, and gears rub",
-            "the drive's datasheet: ratio and rotor inertia; or chirps of effort with the arm free",
+            "reflected rotor inertia (times ratio squared) can exceed the inertia of the link",
+            "take ratio and rotor inertia from the data sheet, or identify them from effort chirps",
         )
     for actuator in asset.actuators:
         if not actuator.joints:
@@ -46,8 +46,8 @@ def check(asset: Asset) -> Iterator[Finding]:
                 None,
                 None,
                 None,
-                "its command moves a body, a tendon or nothing",
-                "the model's documentation",
+                "its command acts on a body, a tendon or nothing",
+                "check in the model's documentation that this is intended",
             )
         if actuator.gear == 0.0:
             yield Finding(
@@ -55,12 +55,12 @@ def check(asset: Asset) -> Iterator[Finding]:
                 "critical",
                 actuator.place,
                 f"actuator '{actuator.name}'",
-                "its gear is 0: no command moves anything",
+                "its gear is 0: commands have no effect",
                 0.0,
                 "1",
                 "the gear ratio",
-                "the joint is passive and looks driven",
-                "the drive's datasheet",
+                "the joint looks driven and is passive",
+                "state the gear from the drive's data sheet",
             )
 
 
@@ -74,12 +74,12 @@ def _one(asset: Asset, item: Transmission) -> Iterator[Finding]:
                 "warning" if fixed else "critical",
                 item.place,
                 element,
-                "it drives a fixed joint" if fixed else "it drives a joint that is not there",
+                "it drives a fixed joint" if fixed else "it drives a joint that does not exist",
                 joint,
                 None,
                 "the name of a moving joint",
-                "a controller that loads it fails, or drives another joint",
-                "the source macro: a misspelt name, or a joint that was renamed",
+                "a controller that loads it fails, or drives the wrong joint",
+                "correct the name, or remove the transmission",
             )
     if not item.joints:
         yield Finding(
@@ -91,8 +91,8 @@ def _one(asset: Asset, item: Transmission) -> Iterator[Finding]:
             None,
             None,
             "<joint name='...'/>",
-            "nothing is driven by it",
-            "the source macro",
+            "it drives nothing",
+            "name the joint that it drives",
         )
     for reduction in item.reductions:
         if reduction == 0.0:
@@ -105,8 +105,8 @@ def _one(asset: Asset, item: Transmission) -> Iterator[Finding]:
                 0.0,
                 "1",
                 "the gear ratio",
-                "a division by it makes every command infinite",
-                "the gear's datasheet",
+                "a controller that divides by it sends infinite commands",
+                "state the gear ratio from the data sheet",
             )
     if item.reductions and all(reduction == 1.0 for reduction in item.reductions):
         yield Finding(
@@ -114,12 +114,12 @@ def _one(asset: Asset, item: Transmission) -> Iterator[Finding]:
             "unknown",
             item.place,
             element,
-            "its reduction is 1: a direct drive, or a placeholder",
+            "its reduction is 1: direct drive or placeholder",
             1.0,
             "1",
             "the gear ratio",
-            "reflected rotor inertia goes with the ratio squared",
-            "the gear's datasheet, or marks on motor and output after one turn",
+            "the reflected rotor inertia grows with the ratio squared",
+            "state the ratio from the data sheet, or count motor turns for one turn of the joint",
         )
     for interface in item.interfaces:
         if not any(known in interface for known in (*INTERFACES, "StateInterface")):
@@ -128,10 +128,10 @@ def _one(asset: Asset, item: Transmission) -> Iterator[Finding]:
                 "info",
                 item.place,
                 element,
-                "its hardware interface is none of ros_control's own",
+                "its hardware interface is not one of ros_control",
                 interface,
                 None,
                 ", ".join(INTERFACES),
-                "what the command means rests on that interface's driver",
-                "the driver's documentation",
+                "the driver of that interface defines what the command means",
+                "read the driver's documentation",
             )

@@ -1,4 +1,4 @@
-"""The tree: one base, every body reached once, no loop, no name twice."""
+"""The tree of links: one base, every link reached once, no loop, unique names."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
 
-_WHY_TREE = (
-    "a tree is all that the format can say: parsers refuse the file, or each keeps another part"
-)
+_WHY_TREE = "URDF describes a tree: parsers refuse the file, or each keeps a different part of it"
 
 
 def check(asset: Asset) -> Iterator[Finding]:
-    """What is wrong with the tree of bodies."""
+    """Faults of the tree of links."""
     yield from _duplicates(asset)
     yield from _ends(asset)
     yield from _parents(asset)
@@ -31,12 +29,12 @@ def _duplicates(asset: Asset) -> Iterator[Finding]:
                 "critical",
                 place,
                 f"{kind} '{name}'",
-                f"a second {kind} of this name",
+                f"a second {kind} with this name",
                 name,
                 None,
-                f"a name unlike that in line {before.line}",
-                "what refers to it by name reaches one of the two, and tools choose differently",
-                "the supplier's drawing or source macro: which element each of the two is",
+                f"another name than in line {before.line}",
+                "references by name reach one of the two, and tools choose differently",
+                "rename one of them, and check what refers to the name",
             )
             continue
         alike = folded.setdefault((kind, name.casefold()), name)
@@ -46,12 +44,12 @@ def _duplicates(asset: Asset) -> Iterator[Finding]:
                 "warning",
                 place,
                 f"{kind} '{name}'",
-                f"only case tells it from '{alike}'",
+                f"its name differs from '{alike}' in upper and lower case alone",
                 name,
                 None,
-                "names that differ by more than case",
-                "file systems and some formats take the two for one",
-                "renaming one of them in the source",
+                "names that differ without regard to case",
+                "some file systems and formats treat the two as one name",
+                "rename one of them",
             )
 
 
@@ -64,12 +62,12 @@ def _ends(asset: Asset) -> Iterator[Finding]:
                     "critical",
                     edge.place,
                     f"joint '{edge.name}'",
-                    f"its {end} is no link of this robot",
+                    f"its {end} link does not exist",
                     name,
                     None,
-                    "the name of a link",
+                    "the name of a link of this robot",
                     _WHY_TREE,
-                    "the source macro: a misspelt name, or a link that was left out",
+                    "correct the name, or add the link",
                 )
 
 
@@ -82,12 +80,12 @@ def _parents(asset: Asset) -> Iterator[Finding]:
                 "critical",
                 edge.place,
                 f"joint '{edge.name}'",
-                "it ties a link to itself",
+                "it joins a link to itself",
                 edge.child,
                 None,
-                "two links",
+                "two different links",
                 _WHY_TREE,
-                "the drawing: which link carries which",
+                "look up in the drawing which link carries which",
             )
         elif edge is not above:
             yield Finding(
@@ -95,13 +93,13 @@ def _parents(asset: Asset) -> Iterator[Finding]:
                 "critical",
                 edge.place,
                 f"joint '{edge.name}'",
-                f"link '{edge.child}' already hangs on joint '{above.name}' "
+                f"link '{edge.child}' already has a parent, by joint '{above.name}' "
                 f"(line {above.place.line})",
                 edge.child,
                 None,
-                "one parent for each link",
-                "a closed chain: " + _WHY_TREE,
-                "the drawing: where a loop is real, cut it and state the closure to the simulator",
+                "one parent joint for each link",
+                _WHY_TREE,
+                "cut a real loop at one joint, and close it in the simulator's model",
             )
 
 
@@ -116,12 +114,12 @@ def _roots(asset: Asset) -> Iterator[Finding]:
             "critical",
             lost[0].place,
             f"link '{lost[0].name}'",
-            f"links that carry each other in a circle, apart from any base: {names}",
+            f"links form a loop that no base carries: {names}",
             float(len(lost)),
             "links",
-            "a way from the base to every link",
+            "a chain of joints from the base to every link",
             _WHY_TREE,
-            "the drawing: which of these links is nearest to the base",
+            "join one of these links to the base",
         )
     if len(asset.roots) < 2:
         return
@@ -139,10 +137,10 @@ def _roots(asset: Asset) -> Iterator[Finding]:
                 "critical" if asset.kind == "urdf" else "warning",
                 asset.body[root].place,
                 f"link '{root}'",
-                f"no joint ties it to the base '{base}'",
+                f"no chain of joints connects it to the base '{base}'",
                 float(sizes[root]),
                 "links",
-                "one base",
+                "one base link",
                 _WHY_TREE,
-                "the drawing: the joint that carries it, or its removal",
+                "add the joint that carries it, or remove it",
             )
