@@ -30,6 +30,8 @@ RESULTS = {
     "replay": "the JSON file beside a prediction, and `replay --json -`",
     "audit": "`NAME.audit.json` and `audit --json -`",
     "init": "`.twin/init.json` and `init --json -`",
+    "convert": "the JSON file beside a converted recording, and `convert --json -`",
+    "show": "`show --json -`",
     "verify": "`verify --json -`",
 }
 

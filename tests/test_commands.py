@@ -130,7 +130,7 @@ def test_a_command_loads_no_other_but_what_it_builds_on(name: str) -> None:
     assert loaded == {name, *(["replay"] if name == "diagnose" else [])}
 
 
-RESULT_SCHEMAS = ("init", "audit", "replay")
+RESULT_SCHEMAS = ("init", "audit", "replay", "convert", "show")
 JSON_COMMANDS = {
     "init": (["{golden}/arm.xml", "--out", "twin"], "goldens"),
     "intake": (["{golden}", "--out", "arm"], "states"),

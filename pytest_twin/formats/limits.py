@@ -56,7 +56,7 @@ class McapLimits:
     file_bytes: int = 8 * 2**30
     chunk_bytes: int = 128 * 2**20
     uncompressed_bytes: int = 16 * 2**30
-    uncompressed_free_bytes: int = 2**30
+    uncompressed_free_bytes: int = 512 * 2**20
     uncompressed_ratio: int = 1000
     records_count: int = 5_000_000
     messages_count: int = 20_000_000

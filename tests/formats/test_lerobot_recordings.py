@@ -214,3 +214,18 @@ def test_info_json_may_be_anything(tmp_path: Path) -> None:
         info.write_text(text)
         with pytest.raises(FormatError):
             read_recordings(folder)
+
+
+@pytest.mark.parametrize(("units", "scale"), [(["deg", "deg"], DEGREES), (["rad", "rad"], 1.0)])
+def test_a_unit_may_be_declared_for_each_joint(
+    tmp_path: Path, units: list[str], scale: float
+) -> None:
+    folder = write_dataset(tmp_path / "set", EPISODES[:1], scale=scale, units=units)
+    position = read_one(folder).series["state"].position
+    np.testing.assert_allclose(position, EPISODES[0]["state"], rtol=1e-14)
+
+
+def test_units_that_differ_between_joints_are_refused(tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / "set", EPISODES[:1], units=["deg", "m"])
+    with pytest.raises(FormatError, match="one for all joints"):
+        read_one(folder)

@@ -66,6 +66,16 @@ def unit_of(
         return _named(asked, file, "units")
     for declared in (*features, info):
         unit = declared.get("units", declared.get("unit")) if isinstance(declared, dict) else None
+        if isinstance(unit, list) and unit and all(one == unit[0] for one in unit):
+            unit = unit[0]
+        if unit is not None and not isinstance(unit, str):
+            raise FormatError(
+                "no unit of joint angles",
+                path=file,
+                where="units",
+                value=str(unit),
+                expected="deg or rad, one for all joints",
+            )
         if isinstance(unit, str):
             return _named(unit, file, "units")
     finite = [np.abs(v[np.isfinite(v)]) for v in values.values()]
