@@ -99,7 +99,7 @@ def test_replay_of_the_folder_is_what_the_diagnosis_predicted(late: Path) -> Non
 
 def test_the_report_needs_nothing_but_itself(late: Path) -> None:
     page = (late / "out" / "report.html").read_text()
-    assert "command delay at right" in page
+    assert "command delay at joint right" in page
     assert page.count("data:image/svg+xml;base64,") == 2
     assert not re.search(r"(src|href)=\"(?!data:)", page)
     assert "<script" not in page

@@ -133,7 +133,7 @@ def assert_attached(root: Path, text: str) -> None:
     assert said["trials"] == {"fit": ["fit1.mcap"], "held_out": ["held_out3.mcap"]}
     assert text.count("diagnosing mujoco over 2 recordings") == 1
     assert text.count("--- diagnosis ---") == 2
-    assert text.count("Command delay at elbow: delay 0.0") == 1
+    assert text.count("The command delay of joint elbow is ") == 1
     assert "see golden/replay/fit1@mujoco" in text
     assert "diagnosis of mujoco: Explained" in text
     assert str(folder / "report.html") in text
