@@ -259,7 +259,7 @@ def _known(noise: FloatArray) -> FloatArray:
 def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
     """Whether windows are too long, and half of one is long enough."""
     enough = float(np.median([len(s.time) for s in segments])) >= 2 * _FEWEST
-    return segments[0].amid and enough and bool((steps > allowed).any())
+    return all(s.amid for s in segments) and enough and bool((steps > allowed).any())
 
 
 def discretization(problem: Problem) -> FloatArray:

@@ -88,7 +88,7 @@ class Searched:
     @property
     def astray(self) -> bool:
         """Whether whole motions were simulated and did not come to what was recorded."""
-        whole = not self.prepared.problem.simulator.segments[0].amid
+        whole = not all(s.amid for s in self.prepared.problem.simulator.segments)
         return whole and self.verdict in ("improved", "unexplained")
 
     @property
@@ -97,7 +97,7 @@ class Searched:
         the model as it came does not stay near it.
         """
         problem = self.prepared.problem
-        amid = problem.simulator.segments[0].amid
+        amid = all(s.amid for s in problem.simulator.segments)
         lost = self.verdict in ("improved", "unexplained")
         return amid and lost and not stays_near(problem, self.before)
 

@@ -35,7 +35,7 @@ _FAR = 8.0 * np.pi
 # States, each at a time of its own, from which sensor noise can be told at all.
 _FEWEST = 8
 # s; in less than that a part of a recording shows little beside its start.
-_SHORTEST_PART = 0.5
+_SHORTEST_PART = 1.0
 # Share of messages with the very same greatest speed.
 _CLIPPED = 0.02
 

@@ -20,6 +20,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
 from pytest_twin.diagnosis.unrecorded import Around
 from pytest_twin.effects.contact_geoms import ContactGeoms, in_the_air
+from pytest_twin.effects.roll_in import LEAD
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
@@ -61,7 +62,7 @@ def segments_of(
         moving: whether a whole trial without velocities begins with what its first samples say, and
             not at rest.
         commanded: whether what lies well before the first command is left out: what the robot was
-            told until then is in no recording.
+            told until then is in no recording. A part after a hole begins amid a motion.
         contact: what the robot meets, if its windows are to lie where it is far from that; a trial
             may have none.
         creeps: whether dry friction does, as MuJoCo's default constraint has it.
@@ -71,9 +72,15 @@ def segments_of(
     """
     recorded = replace(_recorded(realization, trial, index, joints, coldness), creeps=creeps)
     first = _first_commanded(recorded) if commanded else 0
-    if window is None and recorded.mode != "effort":
-        return [_whole(recorded, joints, first, moving)]
+    after_hole = commanded and trial.offset > 0.0
     clear = np.arange(len(recorded.time)) >= first
+    if after_hole:
+        # What the robot was told in the hole acts on for a while.
+        clear &= recorded.time >= LEAD
+    if window is None and recorded.mode != "effort":
+        if after_hole:
+            return _windows(recorded, joints, clear, trial.duration, whole=True)
+        return [_whole(recorded, joints, first, moving)]
     if contact is not None:
         ids = np.array([recorded.model.joint(j).id for j in joints])
         clear &= in_the_air(recorded.model, ids, contact, recorded.position)

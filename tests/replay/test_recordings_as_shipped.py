@@ -1,0 +1,442 @@
+"""Recordings as drivers and recorders write them: each is read by a rule that the notes state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from replay_trials import START_NS, recording, series
+
+from pytest_twin.dependency import Structure
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import JointSeries, Recording
+from pytest_twin.recording_options import JointNames, RecordingOptions
+from pytest_twin.trial import Trial, make_trial, make_trials
+from pytest_twin.trial.one_base import on_one_base
+
+COUNT = 400
+TIME = 0.01 * np.arange(COUNT)
+MOTION = np.column_stack([0.8 * np.sin(3.0 * TIME), 0.5 * np.cos(2.0 * TIME)])
+
+
+def structure(
+    inputs: Mapping[str, tuple[str, ...]] | None = None, joints: tuple[str, ...] = ("j1", "j2")
+) -> Structure:
+    """An arm with position servos, unless ``inputs`` says otherwise."""
+    return Structure(
+        realization="mujoco",
+        body_parent=dict.fromkeys(joints, "world"),
+        joint_body={j: j for j in joints},
+        joint_range=dict.fromkeys(joints),
+        joint_type=dict.fromkeys(joints, "hinge"),
+        frame_body={},
+        actuator_joints={},
+        collision_bodies=frozenset(),
+        couplings={},
+        part_ids=frozenset(),
+        joint_inputs=inputs or dict.fromkeys(joints, ("position",)),
+    )
+
+
+def states(names: tuple[str, ...] = ("j1", "j2"), **fields: np.ndarray) -> JointSeries:
+    return series("/joint_states", names, TIME, **({"position": MOTION} | fields))
+
+
+def commands(names: tuple[str, ...] = ("j1", "j2"), **fields: np.ndarray) -> JointSeries:
+    return series("/joint_commands", names, TIME, **(fields or {"position": MOTION}))
+
+
+def separate(one: JointSeries, late: float) -> JointSeries:
+    """Every message as two: the first joint, and ``late`` s after it the second."""
+    position = np.full((2 * len(one.stamp), 2), np.nan)
+    assert one.position is not None
+    position[::2, 0], position[1::2, 1] = one.position.T
+    stamp = np.repeat(one.stamp, 2)
+    stamp[1::2] += round(late * 1e9)
+    return replace(one, stamp=stamp, log_time=stamp, position=position)
+
+
+def shifted(one: JointSeries, stamp: np.ndarray) -> JointSeries:
+    return replace(one, stamp=stamp.astype(np.int64))
+
+
+def note(trial: Trial, words: str) -> str:
+    (found,) = [n for n in trial.notes if words in n]
+    return found
+
+
+# -- joints
+
+
+def test_wheels_beside_an_arm_are_left_out() -> None:
+    names = ("wheel_l", "j1", "j2", "wheel_r")
+    wide = np.column_stack([TIME, MOTION, TIME])
+    made = make_trial(recording(states(names, position=wide), commands()), structure())
+    assert made.joints == ("j1", "j2")
+    assert np.array_equal(made.position, MOTION)
+    assert made.notes == ("/joint_states: left out, not in the model: wheel_l, wheel_r",)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        JointNames(prefix="left_"),
+        JointNames.of({"prefix": "left_"}),
+        JointNames.of({"left_j1": "j1", "left_j2": "j2"}),
+    ],
+)
+def test_names_with_a_prefix_are_mapped(names: JointNames) -> None:
+    made = make_trial(
+        recording(states(("left_j1", "left_j2")), commands(("left_j1", "left_j2"))),
+        structure(),
+        RecordingOptions(joints=names),
+    )
+    assert (made.joints, made.command_joints) == (("j1", "j2"), ("j1", "j2"))
+
+
+def test_a_suffix_that_the_model_has_is_mapped_as_well() -> None:
+    made = make_trial(
+        recording(states(), commands()),
+        structure(joints=("j1_joint", "j2_joint")),
+        RecordingOptions(joints=JointNames(suffix="_joint")),
+    )
+    assert made.joints == ("j1_joint", "j2_joint")
+
+
+def test_a_prefix_is_offered_where_no_joint_fits() -> None:
+    names = ("left_j1", "left_j2")
+    with pytest.raises(RecordingError) as refusal:
+        make_trial(recording(states(names), commands(names)), structure())
+    assert str(refusal.value) == (
+        "made.mcap: /joint_states: the model has none of these joints (got 'left_j1, left_j2'; "
+        "expected one of j1, j2; in twin.yaml joints: {prefix: left_}, or --joints prefix=left_)"
+    )
+
+
+def test_two_recorded_joints_cannot_become_one() -> None:
+    names = ("j1", "left_j1")
+    with pytest.raises(RecordingError, match="two recorded joints become 'j1' of the model"):
+        make_trial(
+            recording(states(names), commands()),
+            structure(),
+            RecordingOptions(joints=JointNames(prefix="left_")),
+        )
+
+
+# -- separate messages
+
+
+def test_joints_of_one_stamp_in_separate_messages_are_taken_together() -> None:
+    made = make_trial(recording(separate(states(), 0.0), separate(commands(), 0.0)), structure())
+    assert np.array_equal(made.position, MOTION)
+    assert made.dense
+    assert "800 messages of different joints and one stamp taken together" in note(made, "together")
+    assert np.array_equal(made.setpoint.at(made.time), MOTION)
+
+
+def test_joints_at_stamps_of_their_own_keep_their_samples() -> None:
+    made = make_trial(recording(separate(states(), 0.005), commands()), structure())
+    # The first state is the first by which both were measured.
+    assert made.time[:3] == pytest.approx([0.0, 0.005, 0.01])
+    assert made.position[0] == pytest.approx([MOTION[0, 0], MOTION[0, 1]])
+    assert np.isnan(made.position[1, 1])
+    assert made.position[2, 1] == MOTION[1, 1]
+    assert np.isnan(made.position[2, 0])
+    assert not any(m.kind == "gap" for m in made.marks)
+    assert "joints come in separate messages (j1 in 400, j2 in 400 of 800)" in note(
+        made, "separate"
+    )
+
+
+def test_a_diagnosis_has_them_at_one_joints_stamps_and_says_so() -> None:
+    whole = make_trial(recording(separate(states(), 0.005), commands()), structure())
+    made = on_one_base(whole)
+    assert made.dense
+    at = made.time + 0.005
+    assert np.abs(made.position[1:-1, 0] - 0.8 * np.sin(3.0 * at[1:-1])).max() < 2e-5
+    assert "interpolated there, from samples at most 5 ms away" in made.notes[-1]
+
+
+def test_a_dense_trial_is_taken_as_it_is() -> None:
+    made = make_trial(recording(states(), commands()), structure())
+    assert on_one_base(made) is made
+
+
+def test_a_command_message_for_each_joint_leaves_the_other_as_it_was() -> None:
+    made = make_trial(recording(states(), separate(commands(), 0.004)), structure())
+    for at in (0.5, 1.234, 3.7):
+        (sent,) = made.commands_before(np.array([at]))
+        assert sent[0] == MOTION[int(np.floor(at / 0.01 + 1e-6)), 0]
+        assert sent[1] == MOTION[int(np.floor((at - 0.004) / 0.01 + 1e-6)), 1]
+    assert not any(m.kind == "gap" for m in made.marks)
+
+
+def test_a_slow_gripper_of_the_model_is_measured_at_its_own_rate() -> None:
+    names = ("j1", "j2", "gripper")
+    position = np.column_stack([MOTION, np.where(np.arange(COUNT) % 5 == 0, 0.1 * TIME, np.nan)])
+    made = make_trial(
+        recording(states(names, position=position), commands()), structure(joints=names)
+    )
+    assert made.position[5, 2] == pytest.approx(0.005)
+    assert np.isnan(made.position[6, 2])
+    slow = on_one_base(made)
+    assert len(slow.time) == COUNT // 5
+    assert np.array_equal(slow.position[:, :2], MOTION[::5])
+
+
+def test_states_that_begin_with_nan_begin_later() -> None:
+    position = MOTION.copy()
+    position[:12] = np.nan
+    made = make_trial(recording(states(position=position), commands()), structure())
+    assert made.start == START_NS + 120_000_000
+    assert len(made.time) == COUNT - 12
+    assert "12 messages without a position of these joints left out" in note(made, "without")
+
+
+def test_a_nan_in_the_middle_is_no_sample_and_is_marked() -> None:
+    position = MOTION.copy()
+    position[70, 1] = np.nan
+    made = make_trial(recording(states(position=position), commands()), structure())
+    assert [(m.kind, m.joint, m.text) for m in made.marks] == [
+        ("unavailable", "j2", "position is not filled in 1 message")
+    ]
+    assert len(on_one_base(made).time) == COUNT - 1
+
+
+def test_two_publishers_that_contradict_are_refused() -> None:
+    position = MOTION.copy()
+    position[::2] += 1.0
+    with pytest.raises(RecordingError, match="two publishers send different positions"):
+        make_trial(recording(states(position=position), commands()), structure())
+
+
+# -- fields
+
+
+@pytest.mark.parametrize(
+    ("takes", "mode"), [("position", "position"), ("velocity", "velocity"), ("effort", "effort")]
+)
+def test_of_several_fields_the_models_actuator_decides(takes: str, mode: str) -> None:
+    both = commands(position=MOTION, velocity=2.0 * MOTION, effort=3.0 * MOTION)
+    made = make_trial(recording(states(), both), structure(dict.fromkeys(("j1", "j2"), (takes,))))
+    assert made.command_mode == mode
+    factor = {"position": 1.0, "velocity": 2.0, "effort": 3.0}[mode]
+    assert np.array_equal(made.command, factor * MOTION)
+    assert f"{mode} commands count at j1, j2" in note(made, "count")
+
+
+def test_each_joint_can_have_a_mode_of_its_own() -> None:
+    nan = np.full(COUNT, np.nan)
+    mixed = commands(
+        position=np.column_stack([nan, MOTION[:, 1]]), effort=np.column_stack([MOTION[:, 0], nan])
+    )
+    made = make_trial(
+        recording(states(), mixed), structure({"j1": ("effort",), "j2": ("position",)})
+    )
+    assert (made.command_mode, made.command_modes) == ("mixed", ("effort", "position"))
+    assert np.array_equal(made.command, MOTION)
+    assert made.notes == ()
+
+
+def test_an_effort_that_no_actuator_takes_is_not_used_beside_positions() -> None:
+    nan = np.full(COUNT, np.nan)
+    mixed = commands(
+        position=np.column_stack([nan, MOTION[:, 1]]), effort=np.column_stack([MOTION[:, 0], nan])
+    )
+    made = make_trial(recording(states(), mixed), structure())
+    assert (made.command_joints, made.command_modes) == (("j2",), ("position",))
+    assert made.notes == (
+        "/joint_commands: effort commands of 'j1' are not used, the model has a position servo "
+        "there, which is taken to hold the joint",
+    )
+
+
+def test_a_declared_mode_goes_before_the_model() -> None:
+    both = commands(position=MOTION, velocity=MOTION)
+    made = make_trial(
+        recording(states(), both), structure(), RecordingOptions(command_mode={"j1": "velocity"})
+    )
+    assert made.command_modes == ("velocity", "position")
+    with pytest.raises(RecordingError, match="effort commands of joint 'j1' are empty"):
+        make_trial(recording(states(), both), structure(), RecordingOptions(command_mode="effort"))
+    with pytest.raises(RecordingError, match="command_mode names a joint that is not commanded"):
+        make_trial(
+            recording(states(), both), structure(), RecordingOptions(command_mode={"hip": "effort"})
+        )
+
+
+def test_without_a_model_zeros_tell_what_is_not_used() -> None:
+    zero = np.zeros_like(MOTION)
+    made = make_trial(recording(states(), commands(position=MOTION, velocity=zero, effort=zero)))
+    assert made.command_mode == "position"
+    assert "the others are zero; not used: velocity and effort" in made.notes[0]
+
+
+# -- clocks
+
+
+def test_log_times_count_where_one_topic_has_no_stamps() -> None:
+    sent = commands()
+    simulated = (sent.stamp - START_NS) + 12_000_000_000
+    made = make_trial(
+        recording(shifted(states(), simulated), shifted(sent, np.zeros(COUNT))), structure()
+    )
+    assert made.command_time == pytest.approx(TIME)
+    assert note(made, "stamp") == (
+        "/joint_commands: no message has a stamp: log times are used for both topics (--clock "
+        "stamp to refuse)"
+    )
+
+
+def test_a_simulation_at_half_speed_keeps_its_own_time() -> None:
+    sent = commands()
+    simulated = (sent.stamp - START_NS) // 2 + 12_000_000_000
+    made = make_trial(
+        recording(shifted(states(), simulated), shifted(sent, np.zeros(COUNT))), structure()
+    )
+    assert made.time == pytest.approx(0.5 * TIME)
+    assert made.command_time == pytest.approx(0.5 * TIME, abs=1e-6)
+    assert "runs at 0.5 times the recorder's" in note(made, "recorder's")
+
+
+def test_log_times_count_where_stamps_do_not_overlap() -> None:
+    uptime = states().stamp - START_NS + 77_000_000_000
+    sent = commands()
+    sent = replace(sent, stamp=sent.stamp + 1_000_000)
+    made = make_trial(recording(shifted(states(), uptime), sent), structure())
+    assert made.command_time == pytest.approx(TIME)
+    assert "stamps of states and commands do not overlap" in note(made, "overlap")
+    with pytest.raises(RecordingError, match="--clock log takes the recorder's times"):
+        make_trial(
+            recording(shifted(states(), uptime), sent), structure(), RecordingOptions(clock="stamp")
+        )
+
+
+def test_stamps_count_where_both_topics_have_them() -> None:
+    late = replace(states(), log_time=states().log_time + 30_000_000)
+    made = make_trial(recording(late, commands()), structure())
+    assert made.command_time == pytest.approx(TIME)
+    logged = make_trial(recording(late, commands()), structure(), RecordingOptions(clock="log"))
+    assert logged.command_time == pytest.approx(TIME - 0.03)
+
+
+def test_messages_without_a_stamp_at_the_start_are_left_out() -> None:
+    stamp = states().stamp.copy()
+    stamp[:20] = 0
+    made = make_trial(recording(shifted(states(), stamp), shifted(commands(), stamp)), structure())
+    assert made.start == START_NS + 200_000_000
+    assert made.duration == pytest.approx(3.79)
+    assert made.command_time[0] == pytest.approx(0.0)
+    assert "/joint_states: 20 of 400 messages are left out, they have no stamp" in made.notes[0]
+
+
+def test_a_simulation_may_begin_at_time_zero() -> None:
+    stamp = states().stamp - START_NS
+    made = make_trial(recording(shifted(states(), stamp), shifted(commands(), stamp)), structure())
+    assert len(made.time) == COUNT
+    assert made.notes == ()
+
+
+def stepping(by: float, at: int = 200) -> np.ndarray:
+    stamp = states().stamp.copy()
+    stamp[at:] += round(by * 1e9)
+    return stamp
+
+
+@pytest.mark.parametrize("by", [-1.2, -0.1, 0.7])
+def test_log_times_count_where_the_clock_of_the_stamps_steps(by: float) -> None:
+    made = make_trial(
+        recording(shifted(states(), stepping(by)), shifted(commands(), stepping(by))), structure()
+    )
+    assert np.array_equal(made.position, MOTION)
+    assert made.time == pytest.approx(TIME)
+    assert f"stamps step by {by + 0.01:.4g} s at message 200: log times" in note(made, "step")
+
+
+def test_without_log_times_the_parts_on_either_side_of_a_step_are_apart() -> None:
+    frozen = np.full(COUNT, START_NS)
+    read = recording(
+        replace(states(), stamp=stepping(-1.2), log_time=frozen),
+        replace(commands(), stamp=stepping(-1.2), log_time=frozen),
+    )
+    first, second = make_trials(read, structure())
+    assert np.array_equal(first.position, MOTION[:200])
+    assert np.array_equal(second.position, MOTION[200:])
+    assert second.command_time == pytest.approx(TIME[:200])
+    with pytest.raises(RecordingError, match="the clock steps back"):
+        make_trial(read, structure())
+
+
+def test_messages_that_arrive_in_another_order_are_sorted() -> None:
+    order = np.arange(COUNT)
+    order[[50, 51, 52]] = [52, 50, 51]
+    made = make_trial(
+        recording(replace(states(position=MOTION[order]), stamp=states().stamp[order]), commands()),
+        structure(),
+    )
+    assert np.array_equal(made.position, MOTION)
+    assert [m.kind for m in made.marks] == ["unordered_stamp"]
+    assert made.notes == ()
+
+
+# -- holes
+
+
+def without(one: JointSeries, first: int, end: int) -> JointSeries:
+    keep = np.ones(len(one.stamp), dtype=bool)
+    keep[first:end] = False
+    return replace(
+        one,
+        stamp=one.stamp[keep],
+        log_time=one.log_time[keep],
+        position=None if one.position is None else one.position[keep],
+    )
+
+
+@pytest.mark.parametrize("missing", [5, 30, 150])
+def test_a_hole_in_both_topics_cuts_the_recording(missing: int) -> None:
+    read = recording(without(states(), 150, 150 + missing), without(commands(), 150, 150 + missing))
+    first, second = make_trials(read, structure())
+    assert first.duration == pytest.approx(1.49)
+    assert second.offset == pytest.approx(0.01 * (150 + missing))
+    assert second.time[0] == 0.0
+    assert second.command_time[0] == pytest.approx(0.0)
+    assert np.array_equal(second.position[0], MOTION[150 + missing])
+    assert (first.name, second.name) == (
+        "made.mcap from 0 s", f"made.mcap from {second.offset:.4g} s"
+    )  # fmt: skip
+    assert f"missing from 1.49 to {second.offset:.4g} s" in note(first, "cut into 2 parts")
+    assert not [m for m in (*first.marks, *second.marks) if m.kind == "gap"]
+
+
+@pytest.mark.parametrize("topic", ["states", "commands"])
+def test_a_hole_in_one_topic_is_a_gap_and_cuts_nothing(topic: str) -> None:
+    read = recording(
+        without(states(), 150, 250) if topic == "states" else states(),
+        without(commands(), 150, 250) if topic == "commands" else commands(),
+    )
+    (made,) = make_trials(read, structure())
+    assert [m.kind for m in made.marks] == ["gap"]
+
+
+def test_slow_commands_are_missing_where_the_hole_of_fast_states_is() -> None:
+    sent = commands()
+    slow = replace(sent, stamp=sent.stamp[::10], log_time=sent.stamp[::10], position=MOTION[::10])
+    # 0.3 s of states at 100 Hz, three commands at 10 Hz.
+    read = recording(without(states(), 151, 181), without(slow, 16, 19))
+    assert len(make_trials(read, structure())) == 2
+
+
+def test_steps_that_are_sent_now_and_then_are_no_holes() -> None:
+    sent = np.array([0, 7, 60, 200, 213, 300, 380])
+    one = commands()
+    rare = replace(one, stamp=one.stamp[sent], log_time=one.stamp[sent], position=MOTION[sent])
+    assert len(make_trials(recording(states(), rare), structure())) == 1
+
+
+def test_one_state_is_enough() -> None:
+    read: Recording = recording(without(states(), 1, COUNT), commands())
+    (made,) = make_trials(read, structure())
+    assert len(made.time) == 1
