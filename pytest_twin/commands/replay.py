@@ -63,6 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "says how far it is from the recording, joint by joint",
     )
     add_recording_arguments(parser)
+    parser.add_argument(
+        "--episode",
+        metavar="N",
+        type=int,
+        help="which episode of a data set, from 0",
+    )
     model_files.add_arguments(parser)
 
 
@@ -84,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
                 "out": str(out.absolute()),
                 "topics": args.topics,
                 "options": recording_options(args),
+                "episode": args.episode,
                 **model_files.search_folders(args),
             },
             progress=progress,
@@ -122,6 +129,7 @@ def replay_file(
     out: str,
     topics: Mapping[str, str],
     options: Mapping[str, Any],
+    episode: int | None = None,
     packages: Mapping[str, str] | None = None,
     roots: Sequence[str] = (),
     progress: Callable[[float], None] = lambda fraction: None,
@@ -136,7 +144,7 @@ def replay_file(
     loaded = load_model(Path(model), SearchFolders.of(roots, packages))
     realization = loaded.realization
     chosen = RecordingOptions.from_json(options).over(loaded.options)
-    read = recording_at(Path(recording), {**loaded.topics, **topics}, chosen)
+    read = recording_at(Path(recording), {**loaded.topics, **topics}, chosen, episode)
     trials = make_trials(read, realization.structure, chosen)
     # One state says where the robot starts: the motion is predicted at the commands.
     replayed = [t if len(t.time) > 1 else at_command_stamps(t) for t in trials]

@@ -41,7 +41,9 @@ class HeldCommands:
         first: dict[tuple[object, ...], int] = {}
         bounds = np.concatenate([idle, least, greatest], axis=1)
         self._alike = np.array([
-            first.setdefault((id(s.command_time), id(s.command), s.moving, s.start, of.tobytes()), i)
+            first.setdefault(
+                (id(s.command_time), id(s.command), s.moving, s.start, of.tobytes()), i
+            )
             for i, (s, of) in enumerate(zip(segments, bounds, strict=True))
         ])  # fmt: skip
 

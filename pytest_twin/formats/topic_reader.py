@@ -335,7 +335,9 @@ class TopicReader:
     ) -> None:
         if table is None:
             return
-        bad = carried & ~np.isfinite(table)
+        # A joint that is NaN throughout does not use this field: so mixed modes are written.
+        used = ~np.isnan(table).all(axis=0)
+        bad = carried & used & ~np.isfinite(table)
         if not bad.any():
             return
         # A whole row of NaN is how an empty field reads.

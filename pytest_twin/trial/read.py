@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from pytest_twin.errors import FormatError
 from pytest_twin.formats.recording import Recording
 from pytest_twin.formats.recordings import read_one, read_recordings
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
@@ -27,12 +28,27 @@ def recordings_at(
 
 
 def recording_at(
-    path: Path, topics: Mapping[str, str], options: RecordingOptions = NO_OPTIONS
+    path: Path,
+    topics: Mapping[str, str],
+    options: RecordingOptions = NO_OPTIONS,
+    episode: int | None = None,
 ) -> Recording:
-    """The only recording of a file or folder.
+    """The only recording of a file or folder, or one episode of a data set.
+
+    Args:
+        path: the file or folder.
+        topics: role -> topic.
+        options: what is declared about it.
+        episode: which episode, from 0.
 
     Raises:
-        FormatError: a data set of several episodes.
+        FormatError: a data set of several episodes and none is chosen, or no such episode.
         TwinError: it cannot be read.
     """
-    return read_one(path, topics, columns=options.columns, units=options.units)
+    if episode is None:
+        return read_one(path, topics, columns=options.columns, units=options.units)
+    found = recordings_at(path, topics, options)
+    if not 0 <= episode < len(found):
+        last = len(found) - 1
+        raise FormatError("no such episode", path=path, value=episode, expected=f"0 to {last}")
+    return found[episode]

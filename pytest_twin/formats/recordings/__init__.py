@@ -73,7 +73,7 @@ def read_one(
             "holds several recordings",
             path=path,
             value=f"{len(found)} episodes",
-            expected="one: pytest-twin convert writes each episode as a file",
+            expected="one: --episode N, or a file that pytest-twin convert writes of an episode",
         )
     return found[0]
 
