@@ -204,7 +204,7 @@ class TopicReader:
         tables = {name: self._table(name, names, order) for name in QUANTITIES}
         carried = self._carried(names, order)
         for name in QUANTITIES:
-            self._note_not_finite(name, tables[name], names, carried)
+            self._note_not_finite(name, tables, names, carried)
         if self.schema in TRAJECTORIES:
             stamp, log_time, tables = self._followed(stamp, log_time, order, tables)
         if self.schema in ANY_QUANTITY:
@@ -329,15 +329,18 @@ class TopicReader:
     def _note_not_finite(
         self,
         name: str,
-        table: Floats | None,
+        tables: dict[str, Floats | None],
         names: tuple[str, ...],
         carried: NDArray[np.bool_],
     ) -> None:
+        table = tables[name]
         if table is None:
             return
-        # A joint that is NaN throughout does not use this field: so mixed modes are written.
-        used = ~np.isnan(table).all(axis=0)
-        bad = carried & used & ~np.isfinite(table)
+        # Of joints with different modes each fills one field and has NaN throughout in the others.
+        others = [t for key, t in tables.items() if key != name and t is not None]
+        elsewhere = [np.isfinite(t).any(axis=0) for t in others]
+        unused = np.isnan(table).all(axis=0) & np.any([np.zeros(len(names), bool), *elsewhere], 0)
+        bad = carried & ~unused & ~np.isfinite(table)
         if not bad.any():
             return
         # A whole row of NaN is how an empty field reads.
