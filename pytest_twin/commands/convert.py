@@ -88,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
         )
     atomic.write_text(out.with_suffix(".json"), json.dumps(summary, indent=2) + "\n")
     json_output.give(args, summary)
-    show("\n".join(_words(one) for one in summary["written"]))
+    # Names come from files and may carry terminal escapes.
+    show("\n".join(printable(line) for line in _words(summary["written"])))
     return DONE
 
 
@@ -231,18 +232,22 @@ def _summary(
     }
 
 
-def _words(one: Mapping[str, Any]) -> str:
-    counts = " and ".join(f"{topic['messages']} {role}s" for role, topic in one["topics"].items())
-    joints = {name for topic in one["topics"].values() for name in topic["joints"]}
-    noun = "joint" if len(joints) == 1 else "joints"
-    lines = [
-        f"{one['file']}: {counts} of {len(joints)} {noun} over {one['duration']['value']:.4g} s, "
-        f"from {one['recording']}"
-    ]
-    lines += [f"  damaged: {text}" for text in one["damage"]]
-    lines += [f"  note: {text}" for text in one["notes"]]
-    # Names come from files and may carry terminal escapes.
-    return "\n".join(printable(line) for line in lines)
+def _words(written: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A line for each file, with its notes; what is noted of all comes once, last."""
+    several = len(written) > 1
+    of_all = [n for n in written[0]["notes"] if several and all(n in w["notes"] for w in written)]
+    lines = []
+    for one in written:
+        topics = one["topics"]
+        counts = " and ".join(f"{topic['messages']} {role}s" for role, topic in topics.items())
+        joints = {name for topic in topics.values() for name in topic["joints"]}
+        lines.append(
+            f"{one['file']}: {counts} of {len(joints)} {'joint' if len(joints) == 1 else 'joints'} "
+            f"over {one['duration']['value']:.4g} s, from {one['recording']}"
+        )
+        lines += [f"  damaged: {text}" for text in one["damage"]]
+        lines += [f"  note: {text}" for text in one["notes"] if text not in of_all]
+    return lines + [f"note: {text}" for text in of_all]
 
 
 def _check_out(out: Path, inputs: Sequence[Path]) -> None:

@@ -250,13 +250,11 @@ class TopicReader:
     def _of_one_quantity(self, tables: dict[str, Floats | None]) -> dict[str, Floats | None]:
         """What the values are, where the topic's name says it."""
         named = [name for name in QUANTITIES if name in self.topic.lower()]
-        said = f"{self.schema} does not say what its values are"
+        said = f"{self.schema} does not say whether it holds positions, velocities or efforts"
         if len(named) == 1:
             self.remarks.add(self.topic, f"{said}; the topic's name says {named[0]}")
             return {name: tables[name] if name in named else None for name in QUANTITIES}
-        self.remarks.add(
-            self.topic, f"{said}; position, velocity and effort all hold them, the model decides"
-        )
+        self.remarks.add(self.topic, f"{said}: the model's actuators decide, or command_mode")
         return tables
 
     def _note_places(self, names: tuple[str, ...]) -> None:

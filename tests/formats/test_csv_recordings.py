@@ -42,8 +42,8 @@ def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
     for name in ("position", "velocity", "effort"):
         np.testing.assert_array_equal(getattr(command, name), [[0.5], [0.25], [0.125]])
     assert recording.notes == (
-        "NAME.command does not say what it is: position, velocity and effort all hold it, the "
-        "model's actuators or command_mode decide",
+        "NAME.command does not say whether it is a position, velocity or effort: the model's "
+        "actuators decide, or command_mode",
     )
 
 

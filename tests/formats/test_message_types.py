@@ -121,7 +121,7 @@ def test_arrays_are_named_by_labels_or_places_and_say_what_is_open(
         else:
             assert table is None
     said = " ".join(recording.notes)
-    assert "does not say what its values are" in said
+    assert "positions, velocities or efforts" in said
     assert ("named by their place" in said) == (names == ("0", "1"))
 
 

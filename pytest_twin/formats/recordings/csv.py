@@ -180,8 +180,8 @@ class _Table:
                 damage += _time_damage(one)
         if "command" in series:
             notes.append(
-                "NAME.command does not say what it is: position, velocity and effort all hold it, "
-                "the model's actuators or command_mode decide"
+                "NAME.command does not say whether it is a position, velocity or effort: the "
+                "model's actuators decide, or command_mode"
             )
         return Recording(self.path, series, {}, tuple(damage), tuple(notes))
 
