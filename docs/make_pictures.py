@@ -46,7 +46,6 @@ target:
 tolerance:
   position_rms: 5 mm
 """
-SO101_FIT = ("prbs_excitation", "reach_and_return", "single_joint_wrist_pitch")
 
 
 def run(folder: Path, program: str, *words: str) -> str:
@@ -184,9 +183,12 @@ def diagnosis(work: Path) -> None:
 
 
 def so101(work: Path) -> None:
-    """One motion of the small arm that no fit has seen, before and after."""
+    """One motion of the small arm that no fit has seen, before and after.
+
+    The diagnosis is that of ``benchmarks/real/so101.py --out WORK/so101``, which takes an hour.
+    """
     folder, source = work / "so101", RECORDINGS / "so101"
-    recording = source / "recordings" / "chirp_sweep.mcap"
+    recording = source / "recordings" / "symmetric_motion.mcap"
     model = source / "model.xml"
     for given, out in ((model, "nominal.mcap"), (folder / "why", "patched.mcap")):
         run(folder, "pytest-twin", "replay", str(given), str(recording), "--out", out)
