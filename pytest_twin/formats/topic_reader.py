@@ -298,7 +298,12 @@ class TopicReader:
         unset = int((stamp == 0).sum())
         if (log_time < 0).any():
             self.notes.add(self.topic, "log times beyond the year 2262 read as negative")
-        if unset == len(stamp) and len(stamp) > 1:
+        if self.schema in ANY_QUANTITY:
+            self.remarks.add(
+                self.topic, f"{self.schema} has no stamp: the recorder's log time is used"
+            )
+            stamp = log_time
+        elif unset == len(stamp) and len(stamp) > 1:
             self.notes.add(
                 self.topic, "no message has a header.stamp: the recorder's log time is used"
             )

@@ -120,7 +120,9 @@ def test_arrays_are_named_by_labels_or_places_and_say_what_is_open(
             np.testing.assert_array_equal(table, [[0, 1], [1, 2], [2, 3]])
         else:
             assert table is None
+    assert recording.damage == ()
     said = " ".join(recording.notes)
+    assert "has no stamp: the recorder's log time is used" in said
     assert "positions, velocities or efforts" in said
     assert ("named by their place" in said) == (names == ("0", "1"))
 

@@ -97,6 +97,16 @@ def test_a_bag_of_several_files_is_one_recording(tmp_path: Path, expected: Recor
     assert str(recording.damage[0]).startswith("metadata.yaml: missing: the recorder was killed")
 
 
+def test_a_folder_of_several_recordings_is_no_bag(tmp_path: Path) -> None:
+    for name in ("fit.mcap", "held_out.mcap"):
+        (tmp_path / name).write_bytes(mcap(sines(3)))
+    with pytest.raises(FormatError) as caught:
+        read_one(tmp_path)
+    assert "holds files of several recordings and no metadata.yaml (got 'fit.mcap, held_out" in str(
+        caught.value
+    )
+
+
 def test_old_metadata_puts_the_folder_before_the_file(tmp_path: Path, expected: Recording) -> None:
     folder = write_bag(tmp_path / "bag", MESSAGES)
     metadata = folder / "metadata.yaml"

@@ -18,6 +18,8 @@ from pytest_twin.formats.recordings.base import Asked
 from pytest_twin.formats.sqlite_bag import gather_sqlite
 
 METADATA = "metadata.yaml"
+# How rosbag2 names the files of one bag.
+_PART = re.compile(r"(?P<bag>.*)_\d+\.(mcap|db3)(\.zstd?)?", re.IGNORECASE)
 _INFORMATION = "rosbag2_bagfile_information"
 
 
@@ -44,6 +46,7 @@ class Rosbag2Folder:
         else:
             information = {}
             files = _bag_files(path)
+            _refuse_several(path, files)
             gatherer.notes.add(
                 METADATA, "missing: the recorder was killed; the folder's files are read by name"
             )
@@ -96,6 +99,18 @@ def _bag_files(folder: Path) -> list[Path]:
     except OSError as error:
         raise PathError(f"cannot be read: {error.strerror}", path=folder) from None
     return sorted((p for p in found if p.is_file()), key=_by_number)
+
+
+def _refuse_several(folder: Path, files: Sequence[Path]) -> None:
+    """A folder of recordings, each for itself, is no bag."""
+    parts = [_PART.fullmatch(file.name) for file in files]
+    if len(files) > 1 and (not all(parts) or len({p and p["bag"] for p in parts}) > 1):
+        raise FormatError(
+            f"holds files of several recordings and no {METADATA}",
+            path=folder,
+            value=", ".join(file.name for file in files[:4]) + (", ..." if len(files) > 4 else ""),
+            expected="the recordings one by one, or the folder of one bag",
+        )
 
 
 def _by_number(path: Path) -> tuple[list[tuple[int, int | str]]]:
