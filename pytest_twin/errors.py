@@ -84,6 +84,10 @@ class SpecError(TwinError):
     """A ``twin.yaml`` or a golden spec that is well-formed but means nothing."""
 
 
+class UnwrittenToleranceError(SpecError):
+    """A golden whose tolerance is still a blank: nobody has said what its task allows."""
+
+
 class ModelError(TwinError):
     """A robot model that no simulator should be asked to step."""
 

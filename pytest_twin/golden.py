@@ -54,6 +54,8 @@ class Golden:
         expected: recorded values, None until ``--twin-update``.
         trace: recorded series, None where the kind has none or before ``--twin-update``.
         provenance: None until ``--twin-update``: such a golden is unproven.
+        unwritten: which tolerance is still a blank that a person has to fill, and where, in one
+            line; None where all are written. Such a golden neither runs nor is recorded.
         lines: dotted field -> 1-based line in ``path``.
     """
 
@@ -69,4 +71,5 @@ class Golden:
     expected: Mapping[str, Any] | None = None
     trace: TraceRef | None = None
     provenance: Provenance | None = None
+    unwritten: str | None = None
     lines: Mapping[str, int] = field(default_factory=dict)

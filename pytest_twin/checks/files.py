@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pytest_twin.checks.fields import spec_error
 from pytest_twin.errors import PathError
 from pytest_twin.formats.paths import Roots
 from pytest_twin.golden import Golden
@@ -12,7 +11,7 @@ from pytest_twin.twin import Twin
 
 
 def find_file(golden: Golden, field: str, reference: str, twin: Twin) -> Path:
-    """The file that ``reference`` names: below the twin's folder, else below one of its roots.
+    """The file or folder that ``reference`` names: below the twin's folder, else one of its roots.
 
     Paths in a spec are relative to the twin's folder, as those in ``twin.yaml`` are; the declared
     ``roots:`` are looked through in their order after it, so that a spec does not have to say
@@ -21,23 +20,37 @@ def find_file(golden: Golden, field: str, reference: str, twin: Twin) -> Path:
     Raises:
         PathError: no such file, or one outside these folders.
     """
-    line = golden.lines.get(field)
+    place = field
+    while place not in golden.lines and "." in place:
+        place = place.rpartition(".")[0]
+    return _find(reference, twin, at=golden.path, line=golden.lines.get(place), where=field)
+
+
+def find_recording(reference: str, twin: Twin) -> Path:
+    """The recording that ``reference`` names, found as :func:`find_file` finds a golden's.
+
+    Raises:
+        PathError: as :func:`find_file`.
+    """
+    return _find(reference, twin, at=twin.path, line=None, where=None)
+
+
+def _find(reference: str, twin: Twin, *, at: Path, line: int | None, where: str | None) -> Path:
     folders = (twin.root, *twin.roots.values())
     if not Path(reference).is_absolute():
         for folder in folders:
             candidate = folder / reference
             if candidate.exists():
                 inside = Roots(twin.root, tuple(twin.roots.values()))
-                return inside.resolve(str(candidate), at=golden.path, line=line, where=field)
+                return inside.resolve(
+                    str(candidate), at=at, line=line, where=where, folder=candidate.is_dir()
+                )
     places = " or ".join(str(folder) for folder in folders)
-    error = spec_error(
-        golden, field, "no such file", value=reference, expected=f"a file below {places}"
-    )
     raise PathError(
-        error.problem,
-        path=error.path,
-        line=error.line,
-        where=error.where,
-        value=error.value,
-        expected=error.expected,
+        "no such file",
+        path=at,
+        line=line,
+        where=where,
+        value=reference,
+        expected=f"a file or folder below {places}",
     )

@@ -5,10 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.recording_arguments import (
+    RECORDING_HELP,
+    add_recording_arguments,
+    recording_options,
+)
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
@@ -17,10 +24,15 @@ from pytest_twin.gate.runner import Runner
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.setup import writing
 from pytest_twin.setup.asset_files import RobotFiles, bring_in
+from pytest_twin.setup.recordings import ROOT, TaskTolerance, parse_tolerance, place_recordings
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
 
 HELP = "set up a twin for a robot's URDF or MJCF file: twin.yaml and recorded golden specs"
-EXAMPLES = ("pytest-twin init arm.urdf", "pytest-twin init vendor/arm.xml --out arm_twin")
+EXAMPLES = (
+    "pytest-twin init arm.urdf",
+    "pytest-twin init vendor/arm.xml --out arm_twin",
+    "pytest-twin init arm.urdf moves.mcap --tolerance 5mrad,wrist=2mrad",
+)
 EXIT_STATUS = {0: "the twin stands and its goldens are recorded"}
 DONE = 0
 
@@ -28,6 +40,22 @@ DONE = 0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT", type=Path, help="URDF (.urdf) or MJCF (.xml)")
+    parser.add_argument(
+        "recordings",
+        metavar="RECORDING",
+        type=Path,
+        nargs="*",
+        help=f"of the robot, for a replay golden each: {RECORDING_HELP}",
+    )
+    parser.add_argument(
+        "--tolerance",
+        metavar="5mrad,0.2mm,JOINT=2mrad",
+        type=_tolerance,
+        default=TaskTolerance(),
+        help="the largest difference between replay and recording that the task allows: of all "
+        "hinge joints in rad, mrad or deg, of all slides in m, mm or um, or of one joint (default: "
+        "a blank in each replay golden, which fails until it is written)",
+    )
     parser.add_argument(
         "--out",
         metavar="DIR",
@@ -37,6 +65,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "copied to DIR/asset",
     )
     model_files.add_arguments(parser)
+    add_recording_arguments(parser)
+
+
+def _tolerance(text: str) -> TaskTolerance:
+    try:
+        return parse_tolerance(text)
+    except SpecError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,15 +108,20 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             ),
             folder,
         )
+        references, root = place_recordings(args.recordings, folder)
+        roots = dict(brought.roots)
+        if root is not None:
+            roots[ROOT if ROOT not in roots else f"{ROOT}_of_{folder.name}"] = root
         twin_file = writing.write_twin_file(
             folder,
             name=re.sub(r"[^A-Za-z0-9_.-]", "_", robot.stem),
             model=brought.model,
             source=brought.files,
-            roots=brought.roots,
+            roots=roots,
             tcp=seen["tcp"],
             inertia_repairs=seen["inertia_repairs"],
             motors=seen["motors"],
+            reading=_reading(args),
         )
         writing.write_schemas(folder)
         seen["notes"] += writing.write_git_files(folder)
@@ -90,14 +131,29 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             {"twin": str(twin_file)},
             progress=progress,
         )
+        if references:
+            replays = sandbox.call(
+                "pytest_twin.setup.replays:first_replays",
+                {
+                    "twin": str(twin_file),
+                    "recordings": references,
+                    "tolerance": args.tolerance.to_json(),
+                },
+                progress=progress,
+            )
+            found["none"].pop("replay", None)
+            found["specs"] += [{"kind": "replay", **spec} for spec in replays["specs"]]
+            found["silent"] |= replays["silent"]
+    found["notes"] = _notes(found["specs"])
     for note in seen["notes"]:
         show(f"note: {note}")
     specs = writing.write_specs(folder, found["specs"])
-    recorded, failing, left_out = _record(twin_file, specs)
+    recorded, failing, left_out, unwritten = _record(twin_file, specs)
     summary = {
         "twin": str(twin_file),
         "goldens": recorded,
         "failing": failing,
+        "unwritten": unwritten,
         "left_out": left_out | found["silent"],
         "nothing_to_propose": found["none"],
         "notes": seen["notes"],
@@ -112,6 +168,8 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
         show(f"{_some(goldens)}: {note}")
     for where, why in summary["left_out"].items():
         show(f"left out: {where}: {why}")
+    for why in unwritten:
+        show(f"to write: {why}")
     for where, why in failing.items():
         show(f"FAILS as it stands: {where}: {why}")
     show("next: pytest --twin-release")
@@ -125,17 +183,45 @@ def _some(goldens: list[str]) -> str:
     return f"{goldens[0]} and {len(goldens) - 1} more"
 
 
-def _record(twin_file: Path, specs: list[Path]) -> tuple[list[str], dict[str, str], dict[str, str]]:
-    """Record every first golden; one that cannot run on this robot is taken out again."""
+def _reading(args: argparse.Namespace) -> dict[str, Any]:
+    """What the command line says of how recordings are read, as ``twin.yaml`` states it."""
+    topics = {"topics": args.topics} if args.topics else {}
+    return topics | recording_options(args)
+
+
+def _notes(specs: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
+    """What goldens say of themselves: note -> the goldens."""
+    told: dict[str, list[str]] = {}
+    for spec in specs:
+        for note in spec.get("notes", ()):
+            # What a tolerance is made of, and what is to write, is for the golden's reader alone.
+            if not note.startswith(("Tolerance", "To write")):
+                told.setdefault(note, []).append(f"{spec['kind']} of {spec['name']}")
+    return told
+
+
+def _record(
+    twin_file: Path, specs: list[Path]
+) -> tuple[list[str], dict[str, str], dict[str, str], list[str]]:
+    """Record every first golden; one that cannot run on this robot is taken out again.
+
+    Returns:
+        ids of what was recorded, what of it fails and why, what was taken out and why, and which
+        tolerances are to write.
+    """
     recorded: list[str] = []
     failing: dict[str, str] = {}
     left_out: dict[str, str] = {}
+    unwritten: list[str] = []
     with Runner() as runner, Progress("recording goldens") as progress:
         gate = Gate(twin_file, runner)
         for done, path in enumerate(specs):
             progress(done / len(specs))
             try:
                 golden = gate.golden(path)
+                if golden.unwritten is not None:
+                    unwritten.append(golden.unwritten)
+                    continue
                 outcome, _ = gate.record(golden, None)
             except TwinError as error:
                 left_out[path.relative_to(twin_file.parent).as_posix()] = str(error)
@@ -152,4 +238,4 @@ def _record(twin_file: Path, specs: list[Path]) -> tuple[list[str], dict[str, st
                     f"{worst.name} of {worst.subject}: {worst.error:.3g} {worst.unit}, "
                     f"tolerance {worst.tolerance:.3g} {worst.unit}"
                 )
-    return recorded, failing, left_out
+    return recorded, failing, left_out, unwritten

@@ -161,15 +161,15 @@ class Gate:
         reasons: tuple[Reason, ...],
         progress: Progress | None,
     ) -> Outcome:
-        """Run one golden, unless nobody has ever recorded it."""
-        if golden.provenance is None:
+        """Run one golden, unless a tolerance is to write or nobody has ever recorded it."""
+        if golden.unwritten is not None or golden.provenance is None:
             return Outcome(
                 golden=golden.id,
                 kind=golden.kind,
                 realization=realization,
                 criticality=golden.criticality,
                 status="error",
-                error=NEVER_PROVEN,
+                error=golden.unwritten or NEVER_PROVEN,
                 reasons=reasons,
             )
         return self.runner.prove(

@@ -11,7 +11,7 @@ from pytest_twin.checks import Check, check_of, kinds
 from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import TwinError
-from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.digest import bytes_sha256, file_sha256
 from pytest_twin.gate.source import changed_sources
 from pytest_twin.golden import Golden
 from pytest_twin.realization.features.cache import Features, features_of
@@ -71,11 +71,20 @@ def look_around(
             digests[path] = file_sha256(path)
         return digests[path]
 
+    def digest_of_folder(folder: Path) -> str:
+        """Of a recording that is a folder: names and digests of all its files."""
+        inside = sorted(path for path in folder.rglob("*") if path.is_file())
+        listed = "".join(
+            f"{digest(path)} {path.relative_to(folder).as_posix()}\n" for path in inside
+        )
+        return bytes_sha256(listed.encode())
+
     def file_digest(golden: Golden | None, reference: str) -> str | None:
         try:
             if golden is None:
                 return digest(Path(reference))
-            return digest(find_file(golden, "target", reference, twin))
+            found = find_file(golden, "target", reference, twin)
+            return digest_of_folder(found) if found.is_dir() else digest(found)
         except TwinError:
             return None
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.checks import check_of, kinds
-from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.errors import SpecError, TwinError, UnwrittenToleranceError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.schema import validate
 from pytest_twin.gate.schema import schema_of
@@ -17,6 +17,8 @@ from pytest_twin.twin import FILE_NAME, Twin
 from pytest_twin.units import Quantity, parse_quantity
 
 GOLDEN_FOLDER = "golden"
+UNWRITTEN = "<write what the task allows, such as"
+"""How a tolerance begins that ``init`` leaves blank; an example and ``>`` follow."""
 RESERVED_FOLDERS = ("releases", "keys", ".twin")
 # What pytest does not descend into either.
 _SKIPPED_FOLDERS = ("build", "dist", "node_modules", "venv")
@@ -89,6 +91,7 @@ def load_golden(path: Path, twin: Twin) -> Golden:
     except SpecError as error:
         raise _placed(error, path, lines, "kind") from error.__cause__
     validate(document, schema, path)
+    tolerance, unwritten = _tolerance(data.get("tolerance", {}), kind, path, lines)
     provenance = data.get("provenance")
     trace = data.get("trace")
     return Golden(
@@ -100,10 +103,11 @@ def load_golden(path: Path, twin: Twin) -> Golden:
         criticality=data.get("criticality", "critical"),
         target=data.get("target", {}),
         stimulus=data.get("stimulus", {}),
-        tolerance=_tolerance(data.get("tolerance", {}), kind, path, lines),
+        tolerance=tolerance,
         expected=data.get("expected"),
         trace=None if trace is None else TraceRef(trace["file"], trace["sha256"]),
         provenance=None if provenance is None else Provenance(**provenance),
+        unwritten=unwritten,
         lines=lines,
     )
 
@@ -127,11 +131,25 @@ def _realizations(
 
 def _tolerance(
     data: Mapping[str, str], kind: str, path: Path, lines: Mapping[str, int]
-) -> dict[str, Quantity]:
+) -> tuple[dict[str, Quantity], str | None]:
+    """The tolerances that are written, and what to say of the first that is a blank."""
     units = check_of(kind).tolerances
     tolerance = {}
+    unwritten: str | None = None
     for name, text in data.items():
         where = f"tolerance.{name}"
+        if text.startswith(UNWRITTEN):
+            example = text.removeprefix(UNWRITTEN).strip(" >")
+            unwritten = unwritten or str(
+                UnwrittenToleranceError(
+                    "not written yet",
+                    path=path,
+                    line=lines.get(where),
+                    where=where,
+                    expected=f"what the task allows, in {units[name]}, such as '{example}'",
+                )
+            )
+            continue
         try:
             quantity = parse_quantity(text, (units[name],))
         except SpecError as error:
@@ -146,7 +164,7 @@ def _tolerance(
                 expected="zero or more",
             )
         tolerance[name] = quantity
-    return tolerance
+    return tolerance, unwritten
 
 
 def _placed(error: TwinError, path: Path, lines: Mapping[str, int], where: str) -> SpecError:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.dependency import Part, canonical
+from pytest_twin.errors import UnwrittenToleranceError
 from pytest_twin.formats import atomic, yaml
 from pytest_twin.gate.runner import Runner
 from pytest_twin.golden import Golden
@@ -101,6 +102,8 @@ def record(
     Raises:
         TwinError: the check, the model or a file is at fault; nothing was written.
     """
+    if golden.unwritten is not None:
+        raise UnwrittenToleranceError(golden.unwritten)
     realization = golden.realizations[0]
     result = runner.record(twin, golden, realization, progress=progress)
     recorded: dict[str, Any] = {}

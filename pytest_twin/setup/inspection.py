@@ -102,13 +102,7 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
             none[kind] = "the kind proposes nothing"
         specs += [{"kind": kind, **_plain(spec)} for spec in found]
         progress((done + 1) / len(kinds()))
-    told: dict[str, list[str]] = {}
-    for spec in specs:
-        for note in spec.get("notes", ()):
-            # What a tolerance is made of is for the golden's reader alone.
-            if not note.startswith("Tolerance"):
-                told.setdefault(note, []).append(f"{spec['kind']} of {spec['name']}")
-    return {"specs": specs, "silent": silent, "none": none, "notes": told}
+    return {"specs": specs, "silent": silent, "none": none}
 
 
 def _last_frame(realization: Realization) -> str | None:

@@ -76,10 +76,12 @@ def write_twin_file(
     tcp: str | None,
     inertia_repairs: Mapping[str, Sequence[float]],
     motors: Mapping[str, str],
+    reading: Mapping[str, Any],
 ) -> Path:
     """``twin.yaml``, readable; returns its path.
 
     Args:
+        reading: how recordings are read: ``topics``, ``joints``, ``clock`` and the like.
         motors: actuator -> ``hinge`` or ``slide``, of a URDF, which states no controller.
     """
     content: dict[str, Any] = {
@@ -90,6 +92,7 @@ def write_twin_file(
     }
     if roots:
         content["roots"] = {name: _from(folder, root) for name, root in sorted(roots.items())}
+    content |= reading
     if tcp is not None:
         content["tcp"] = tcp
     if inertia_repairs:

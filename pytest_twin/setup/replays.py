@@ -1,0 +1,127 @@
+"""``replay`` goldens for the recordings that ``init`` is given; runs in the child process."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from pytest_twin.checks.files import find_recording
+from pytest_twin.checks.proposals import listed
+from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.gate.specs import UNWRITTEN
+from pytest_twin.realization import Realization, load
+from pytest_twin.trial import Trial, make_trials, recording_at
+from pytest_twin.twin import Twin, load_twin
+
+_KINDS = {"hinge": ("angle_max", "5 mrad"), "slide": ("position_max", "0.5 mm")}
+
+
+def first_replays(
+    twin: str, recordings: Sequence[str], tolerance: Mapping[str, Any], progress: Any
+) -> dict[str, Any]:
+    """First specs of kind ``replay``, and why where a recording gets none.
+
+    Args:
+        twin: its ``twin.yaml``.
+        recordings: as goldens name them, relative to the twin's folder or one of its roots.
+        tolerance: fields of :class:`pytest_twin.setup.recordings.TaskTolerance`.
+
+    Raises:
+        SpecError: a tolerance for a joint that the model lacks, or in the unit of the other type.
+    """
+    loaded = load_twin(Path(twin))
+    name, reference = next(iter(loaded.realizations.items()))
+    realization = load(reference.file, twin=loaded, name=name)
+    _check_joints(realization, tolerance["joints"])
+    stems = Counter(PurePosixPath(recording).stem for recording in recordings)
+    specs, silent = [], {}
+    for done, recording in enumerate(recordings):
+        stem = PurePosixPath(recording).stem
+        try:
+            trials = _trials(loaded, realization, recording)
+        except TwinError as error:
+            silent[recording] = str(error)
+            continue
+        called = stem if stems[stem] == 1 else recording
+        specs.append({"name": called, **_spec(realization, recording, trials, tolerance)})
+        progress((done + 1) / len(recordings))
+    return {"specs": specs, "silent": silent}
+
+
+def _check_joints(realization: Realization, joints: Mapping[str, Mapping[str, str]]) -> None:
+    types = realization.structure.joint_type
+    for joint, own in joints.items():
+        kind = types.get(joint)
+        if kind not in _KINDS:
+            known = [name for name, found in types.items() if found in _KINDS]
+            raise SpecError(
+                "no hinge or slide joint of this name",
+                where="--tolerance",
+                value=joint,
+                expected=f"one of {listed(known, 12)}",
+            )
+        wanted, example = _KINDS[kind]
+        if wanted not in own:
+            raise SpecError(
+                f"joint {joint!r} is a {kind}",
+                where="--tolerance",
+                value=", ".join(own.values()),
+                expected=f"a unit that fits, such as {example!r}",
+            )
+
+
+def _trials(twin: Twin, realization: Realization, recording: str) -> list[Trial]:
+    path = find_recording(recording, twin)
+    return make_trials(
+        recording_at(path, twin.topics, twin.recordings), realization.structure, twin.recordings
+    )
+
+
+def _spec(
+    realization: Realization,
+    recording: str,
+    trials: Sequence[Trial],
+    tolerance: Mapping[str, Any],
+) -> dict[str, Any]:
+    types = realization.structure.joint_type
+    recorded = [joint for joint in trials[0].joints if types.get(joint) in _KINDS]
+    own = {joint: dict(given) for joint, given in tolerance["joints"].items() if joint in recorded}
+    general: dict[str, str] = {}
+    blank = False
+    for kind, (name, example) in _KINDS.items():
+        if any(types[joint] == kind and joint not in own for joint in recorded):
+            blank |= name not in tolerance["general"]
+            general[name] = tolerance["general"].get(name, f"{UNWRITTEN} {example}>")
+    target: dict[str, Any] = {"recording": recording}
+    if own:
+        target["joints"] = {joint: own.get(joint) for joint in recorded}
+    notes = []
+    if blank:
+        notes.append(
+            "To write: the largest difference between prediction and recording that the task "
+            "allows. Take it from the task, before you see a result; the golden fails until then."
+        )
+    notes += [f"Of the recording: {note}" for note in trials[0].notes]
+    notes += _variants(realization, trials[0])
+    seconds = sum(trial.duration for trial in trials)
+    return {
+        "title": f"Replay of {PurePosixPath(recording).name}, {seconds:.3g} s, against what was "
+        "measured",
+        "target": target,
+        "tolerance": general,
+        "notes": notes,
+    }
+
+
+def _variants(realization: Realization, trial: Trial) -> list[str]:
+    """What the recording was made with, where ``twin.yaml`` does not say what that is."""
+    twin = realization.twin
+    assert twin is not None
+    return [
+        f"The recording names the {kind} {named!r}; twin.yaml declares none under {kind}s:, so the "
+        "model is replayed as it is."
+        for kind, declared in (("controller", twin.controllers), ("payload", twin.payloads))
+        if (named := trial.metadata.get(kind)) and not declared
+    ]

@@ -1,0 +1,157 @@
+"""``init ROBOT RECORDING...``: a replay golden each, with the task's tolerance or a blank."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pytest_twin.errors import SpecError
+from pytest_twin.setup.recordings import TaskTolerance, parse_tolerance, place_recordings
+
+BIN = Path(sys.executable).parent
+ROBOT = """\
+<mujoco><worldbody><body name="link"><joint name="elbow" axis="0 1 0" range="-90 90" damping=".1"/>
+<geom type="capsule" fromto="0 0 0 0 0 .3" size=".02"/></body></worldbody>
+<actuator><position name="elbow" joint="elbow" kp="50" kv="2"/></actuator></mujoco>
+"""
+
+
+def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    state = {"XDG_CONFIG_HOME": str(cwd.parent / "config"), "XDG_STATE_HOME": str(cwd.parent / "s")}
+    return subprocess.run(
+        [str(BIN / command[0]), *command[1:]],
+        cwd=cwd, env={**os.environ, **state}, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+
+
+def write_recording(path: Path) -> None:
+    """A slow sweep that the robot follows to some milliradians."""
+    rows = ["time,elbow.position,elbow.command"]
+    for k in range(200):
+        wanted = 0.3 * math.sin(0.02 * k)
+        rows.append(f"{0.02 * k:.3f},{wanted:.6f},{wanted:.6f}")
+    path.write_text("\n".join(rows) + "\n")
+
+
+@pytest.fixture
+def twin(tmp_path: Path) -> Path:
+    (tmp_path / "twin").mkdir()
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "twin" / "robot.xml").write_text(ROBOT)
+    write_recording(tmp_path / "logs" / "sweep.csv")
+    return tmp_path / "twin"
+
+
+def test_a_tolerance_that_nobody_asked_for_is_a_blank_that_never_passes(twin: Path) -> None:
+    made = run("pytest-twin", "init", "robot.xml", "../logs/sweep.csv", cwd=twin)
+    assert made.returncode == 0, made.stdout + made.stderr
+    path = twin / "golden" / "replay" / "sweep.yaml"
+    golden = yaml.safe_load(path.read_text())
+    assert golden["tolerance"] == {"angle_max": "<write what the task allows, such as 5 mrad>"}
+    assert "expected" not in golden
+    blank = "tolerance.angle_max: not written yet (expected what the task allows, in rad, such as"
+    assert blank in made.stdout
+    line = path.read_text().splitlines().index("  angle_max: " + golden["tolerance"]["angle_max"])
+    for command in (("pytest",), ("pytest", "--twin-update"), ("pytest", "--twin-release")):
+        found = run(*command, cwd=twin)
+        assert found.returncode != 0
+        assert f"sweep.yaml:{line + 1}: {blank} '5 mrad')" in found.stdout
+        assert "signed" not in found.stdout
+    path.write_text(path.read_text().replace(golden["tolerance"]["angle_max"], "60 mrad"))
+    assert run("pytest", "--twin-update", cwd=twin).returncode == 0
+    released = run("pytest", "--twin-release", cwd=twin)
+    assert released.returncode == 0, released.stdout[-2000:]
+    assert "release 0001 signed" in released.stdout
+
+
+def test_the_tolerance_is_the_one_that_was_asked_for_and_not_the_result(twin: Path) -> None:
+    made = run(
+        "pytest-twin", "init", "robot.xml", "../logs/sweep.csv", "--tolerance", "0.01mrad",
+        cwd=twin,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stdout + made.stderr
+    golden = yaml.safe_load((twin / "golden" / "replay" / "sweep.yaml").read_text())
+    assert golden["tolerance"] == {"angle_max": "0.01mrad"}
+    told = json.loads((twin / ".twin" / "init.json").read_text())
+    assert told["unwritten"] == []
+    assert told["failing"]["golden/replay/sweep"].startswith("angle_max of elbow: ")
+    assert "FAILS as it stands: golden/replay/sweep" in made.stdout
+    assert run("pytest", "golden/replay", cwd=twin).returncode == 1
+
+
+def test_a_tolerance_of_one_joint(twin: Path) -> None:
+    made = run(
+        "pytest-twin", "init", "robot.xml", "../logs/sweep.csv", "--tolerance", "elbow=3deg",
+        cwd=twin,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stdout + made.stderr
+    golden = yaml.safe_load((twin / "golden" / "replay" / "sweep.yaml").read_text())
+    assert golden["target"]["joints"] == {"elbow": {"angle_max": "3deg"}}
+    assert yaml.safe_load((twin / "twin.yaml").read_text())["roots"]["recordings"] == str(
+        twin.parent / "logs"
+    )
+    assert run("pytest", "golden/replay", cwd=twin).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "words"),
+    [
+        ("wrist=3deg", "--tolerance: no hinge or slide joint of this name (got 'wrist'; expected"),
+        ("elbow=3mm", "joint 'elbow' is a hinge (got '3mm'; expected a unit that fits"),
+        ("5", "the unit is missing"),
+        ("5s", "unit 's' does not fit"),
+        ("0mrad", "not a tolerance"),
+    ],
+)
+def test_a_tolerance_that_means_nothing_is_refused(twin: Path, tolerance: str, words: str) -> None:
+    made = run(
+        "pytest-twin", "init", "robot.xml", "../logs/sweep.csv", "--tolerance", tolerance, cwd=twin
+    )
+    assert made.returncode == 2
+    assert words in made.stderr
+    assert not (twin / "twin.yaml").exists()
+
+
+def test_a_recording_that_cannot_be_used_is_left_out_with_its_reason(twin: Path) -> None:
+    (twin.parent / "logs" / "empty.csv").write_text("time,elbow.position,elbow.command\n")
+    made = run(
+        "pytest-twin", "init", "robot.xml", "../logs/sweep.csv", "../logs/empty.csv",
+        "--tolerance", "60mrad", cwd=twin,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stdout + made.stderr
+    told = json.loads((twin / ".twin" / "init.json").read_text())
+    assert list(told["left_out"]) == ["empty.csv"]
+    assert "golden/replay/sweep" in told["goldens"]
+
+
+def test_tolerances_are_read_with_their_units() -> None:
+    assert parse_tolerance("5mrad,0.2 mm,wrist=2 mrad") == TaskTolerance(
+        {"angle_max": "5mrad", "position_max": "0.2 mm"}, {"wrist": {"angle_max": "2 mrad"}}
+    )
+    with pytest.raises(SpecError, match="two tolerances for the same joints"):
+        parse_tolerance("5mrad,1deg")
+    with pytest.raises(SpecError, match="two tolerances for the same joints"):
+        parse_tolerance("a=5mrad,a=1mm")
+
+
+def test_recordings_stay_where_they_are(tmp_path: Path) -> None:
+    twin = tmp_path / "twin"
+    for path in ("twin/recordings/a.mcap", "logs/b.mcap", "logs/day2/c.mcap"):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).touch()
+    given = [twin / "recordings/a.mcap", tmp_path / "logs/b.mcap", tmp_path / "logs/day2/c.mcap"]
+    assert place_recordings(given, twin) == (
+        ["recordings/a.mcap", "b.mcap", "day2/c.mcap"],
+        tmp_path / "logs",
+    )
+    with pytest.raises(SpecError, match="no such recording"):
+        place_recordings([tmp_path / "gone.mcap"], twin)
+    with pytest.raises(SpecError, match="given twice"):
+        place_recordings([given[0], given[0]], twin)
