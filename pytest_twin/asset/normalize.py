@@ -25,7 +25,7 @@ from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats import atomic, xml
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.paths import read_bytes
-from pytest_twin.realization import inertia, mesh, urdf
+from pytest_twin.realization import gltf, inertia, mesh, urdf
 from pytest_twin.realization.files.locate import Located, locate
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS
@@ -135,11 +135,36 @@ class _Normalizer:
                 value=unknown[0],
                 expected=", ".join(sorted(self.known_patches)) or "no patch at all",
             )
+        self._irregularities()
         etree.indent(self.root)
         head = f"<?xml version='1.0' encoding='utf-8'?>\n<!-- {UNITS} -->\n"
-        body = etree.tostring(self.root, encoding="unicode")
+        body = self._with_prefixes(etree.tostring(self.root, encoding="unicode"))
         atomic.write_text(self.out.urdf, f"{head}{body}\n")
         return self.out
+
+    def _irregularities(self) -> None:
+        for found in xml.irregularities(self.source):
+            self.out.changes.append(
+                Change(
+                    self._file(),
+                    found.line,
+                    "XML",
+                    found.words,
+                    "written as the standard asks",
+                    "the file is not well-formed XML; MuJoCo and Pinocchio read it, others refuse",
+                )
+            )
+
+    def _with_prefixes(self, text: str) -> str:
+        """The text with every prefix declared: strict parsers refuse one that is not."""
+        used = {
+            str(name).partition(":")[0]
+            for element in self.root.iter()
+            for name in (element.tag, *element.attrib)
+            if ":" in str(name) and not str(name).startswith(("{", "xml:", "xmlns:"))
+        }
+        declared = "".join(f' xmlns:{prefix}="urn:prefix:{prefix}"' for prefix in sorted(used))
+        return text.replace("<robot", f"<robot{declared}", 1) if declared else text
 
     # -- the log
 
@@ -190,8 +215,11 @@ class _Normalizer:
     def _joints(self) -> None:
         for element in self.root.findall("joint"):
             joint = self.robot.joints[element.get("name", "")]
+            self._lost_mimic(element)
             if joint.type in ("fixed", "floating"):
                 continue
+            if joint.type in ("revolute", "prismatic"):
+                self._state_limit(element)
             axis = element.find("axis")
             if axis is None:
                 axis = etree.SubElement(element, "axis")
@@ -201,6 +229,31 @@ class _Normalizer:
             stated = xml_numbers(axis.get("xyz"), (1.0, 0.0, 0.0))
             if abs(float(np.linalg.norm(stated)) - 1.0) > _UNIT_LENGTH:
                 self._set(axis, "xyz", digits(joint.axis), "an axis that is not of unit length")
+
+    def _lost_mimic(self, element: Any) -> None:
+        """Take out a mimic of a joint that is not there: converters refuse the robot for it."""
+        lost = self.robot.lost_mimics.get(element.get("name", ""))
+        if lost is None:
+            return
+        node = element.find("mimic")
+        element.remove(node)
+        why = "it is to follow a joint that is not there"
+        self._change(element, "mimic", lost.joint, None, why)
+        where = f"joint '{element.get('name')}'.mimic"
+        self.out.flags.append(
+            Flag(self._file(), lost.node.line, where, lost.joint, why, critical=True)
+        )
+
+    def _state_limit(self, element: Any) -> None:
+        """State effort and velocity: urdfdom refuses a whole robot for one joint without them."""
+        limit = element.find("limit")
+        why = "not stated, and urdfdom refuses the robot without it; 0 says that it is not known"
+        if limit is None:
+            limit = etree.SubElement(element, "limit")
+        for key in ("effort", "velocity"):
+            if key not in limit.attrib:
+                limit.set(key, "0")
+                self._change(element, f"limit.{key}", None, "0", why)
 
     # -- what is physical
 
@@ -329,6 +382,8 @@ class _Normalizer:
             axis = stated_up_axis(path)
             if axis != "Z_UP":
                 said.append(f"its up axis is {axis or 'not stated'}; its vertices are not turned")
+        if path.suffix.lower() in gltf.SUFFIXES:
+            said.append("its y axis is up, and its vertices are not turned; materials are left out")
         if element.get("scale") is not None:
             said.append(f"scale {element.get('scale')} is taken into its vertices, in metres")
             del element.attrib["scale"]
@@ -360,6 +415,7 @@ class _Normalizer:
             self.read_meshes[path] = found
             self.out.source_files.append(path)
             if isinstance(found, mesh.Triangles):
+                self.out.source_files += mesh.files_of(path, LIMITS)[1:]
                 self.bytes += path.stat().st_size
                 self.faces += len(found.faces)
             if self.bytes > LIMITS.total_asset_bytes or self.faces > LIMITS.total_mesh_faces:

@@ -12,6 +12,7 @@ from pytest_twin.asset.collada import DEFAULT_UP_AXIS, stated_up_axis
 from pytest_twin.audit.asset import Asset, Body, Shape
 from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Geometry, Solid
+from pytest_twin.realization import gltf
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.shapes import polyhedron
 
@@ -109,10 +110,11 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
 
 
 def _up_axis(path: Path, shapes: list[Shape]) -> Iterator[Finding]:
-    """A COLLADA file whose axes tools read in two ways."""
-    if path.suffix.lower() != ".dae" or shapes[0].triangles is None:
+    """A COLLADA or glTF file whose axes tools read in two ways."""
+    collada = path.suffix.lower() == ".dae"
+    if not (collada or path.suffix.lower() in gltf.SUFFIXES) or shapes[0].triangles is None:
         return
-    stated = stated_up_axis(path)
+    stated = stated_up_axis(path) if collada else gltf.UP_AXIS
     if stated == "Z_UP":
         return
     collides = any(shape.role == "collision" for shape in shapes)
@@ -124,7 +126,7 @@ def _up_axis(path: Path, shapes: list[Shape]) -> Iterator[Finding]:
         f"it states {stated}" if stated else f"it states no up_axis: {DEFAULT_UP_AXIS} by default",
         stated,
         None,
-        "<up_axis>Z_UP</up_axis>",
+        "<up_axis>Z_UP</up_axis>" if collada else "a format with Z up, such as OBJ or STL",
         "RViz and this tool take the vertices as they are, other loaders turn them by 90 degrees",
         "export the mesh with Z up, and compare one pose of it in two viewers",
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pytest_twin.audit import read_urdf
 from pytest_twin.audit.asset import Asset
+from pytest_twin.audit.finding import Finding, Place
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import xml
 from pytest_twin.realization.files.locate import locate
@@ -30,11 +31,29 @@ def read(path: Path, search: SearchFolders | None = None) -> Asset:
         return read_stage(path)
     tag = xml.parse(path).tag
     if tag == "robot":
-        return read_urdf.read(path, locate(path, search=search))
+        return _irregular(read_urdf.read(path, locate(path, search=search)))
     if tag == "mujoco":
         from pytest_twin.audit.read_mjcf import read as read_model
 
-        return read_model(path, locate(path, search=search))
+        return _irregular(read_model(path, locate(path, search=search)))
     raise ModelError(
         "not a robot model", path=path, line=1, value=str(tag), expected="<robot> or <mujoco>"
     )
+
+
+def _irregular(asset: Asset) -> Asset:
+    """The asset with what its file breaks of the XML standard among its faults."""
+    for found in xml.irregularities(asset.path):
+        asset.faults.append(
+            Finding(
+                "tree.not_well_formed",
+                "warning",
+                Place(asset.path, found.line),
+                f"robot '{asset.name}'",
+                f"not well-formed by the XML standard: {found.words}",
+                why="MuJoCo and Pinocchio read it, and strict parsers refuse the whole file",
+                settle="declare the prefix on the root element (xmlns:PREFIX=...), or write the "
+                "comment without --",
+            )
+        )
+    return asset

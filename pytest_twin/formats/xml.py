@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import math
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 from xml.parsers import expat
@@ -25,12 +26,31 @@ _DECLARED_ENCODING = re.compile(
 )
 # 8-bit encodings in which '<' is always '<'.
 _ENCODINGS = {"utf-8", "ascii", "iso8859-1", "iso8859-15", "cp1252"}
+_TOLERATED = {
+    "NS_ERR_UNDEFINED_NAMESPACE": "a prefix that no xmlns declares",
+    "ERR_HYPHEN_IN_COMMENT": "two hyphens in a comment",
+}
+"""Errors of the parser that leave no doubt about the elements -> words."""
+# What a comment's delimiters mean nothing in, and comments.
+_SECTIONS = re.compile(rb"<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<!--.*?-->", re.DOTALL)
 # Plain decimal text: float() alone would also take '1_0', 'infinity' and other scripts' digits.
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
+@dataclass(frozen=True, slots=True)
+class Irregularity:
+    """A place where a file breaks the XML standard, and its elements are clear all the same."""
+
+    line: int
+    words: str
+
+
 def parse(path: Path) -> Element:
     """The root element of an XML file, without its comments; ``.sourceline`` gives lines.
+
+    Robots' loaders (tinyxml2) take a prefix that no ``xmlns`` declares, and ``--`` in a comment;
+    so are they taken here, and :func:`irregularities` lists them. A prefix that is not declared
+    stays part of the name.
 
     Raises:
         PathError: missing, a link, or no regular file.
@@ -40,6 +60,15 @@ def parse(path: Path) -> Element:
     return parse_bytes(read_bytes(path, limits.XML.file_bytes), path)
 
 
+def irregularities(path: Path) -> tuple[Irregularity, ...]:
+    """Where a file that :func:`parse` takes breaks the XML standard, by line.
+
+    Raises:
+        as :func:`parse`.
+    """
+    return _parsed(read_bytes(path, limits.XML.file_bytes), path)[1]
+
+
 def parse_bytes(data: bytes, path: Path) -> Element:
     """The root element of XML text; ``path`` is only named in errors.
 
@@ -47,6 +76,19 @@ def parse_bytes(data: bytes, path: Path) -> Element:
         LimitError: beyond ``limits.XML``.
         FormatError: as :func:`parse`.
     """
+    return _parsed(data, path)[0]
+
+
+def plain_name(name: str, element: Element) -> str:
+    """A tag or attribute as it is written in the file: ``prefix:name``, without the namespace."""
+    if not name.startswith("{"):
+        return name
+    space, _, local = name[1:].partition("}")
+    prefix = next((key for key, uri in element.nsmap.items() if uri == space and key), None)
+    return f"{prefix}:{local}" if prefix else local
+
+
+def _parsed(data: bytes, path: Path) -> tuple[Element, tuple[Irregularity, ...]]:
     if len(data) > limits.XML.file_bytes:
         raise LimitError(
             "file is too large", path=path, expected=f"at most {limits.XML.file_bytes} bytes"
@@ -62,7 +104,29 @@ def parse_bytes(data: bytes, path: Path) -> Element:
         _too_many("elements", limits.XML.elements_count, path)
     if data.count(b"=") > 2 * limits.XML.attributes_count:
         _too_many("attributes", limits.XML.attributes_count, path)
-    parser = etree.XMLParser(
+    found: tuple[Irregularity, ...] = ()
+    parser = _parser()
+    try:
+        root = etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        line, column = error.position
+        if "Excessive depth" in str(error.msg):  # the parser's own bound, the same as ours
+            _too_deep(line or None, path)
+        tolerated = _tolerated(data, parser.error_log)
+        if tolerated is None:
+            raise FormatError(
+                f"not well-formed XML: {str(error.msg).rsplit(', line', 1)[0]}",
+                path=path,
+                line=line or None,
+                column=column or None,
+            ) from None
+        root, found = tolerated
+    _bound(root, path)
+    return root, found
+
+
+def _parser(*, recover: bool = False) -> etree.XMLParser:
+    return etree.XMLParser(
         encoding="utf-8",
         resolve_entities=False,
         no_network=True,
@@ -71,21 +135,35 @@ def parse_bytes(data: bytes, path: Path) -> Element:
         huge_tree=False,
         remove_comments=True,
         remove_pis=True,
+        recover=recover,
     )
+
+
+def _tolerated(data: bytes, refusal: Any) -> tuple[Element, tuple[Irregularity, ...]] | None:
+    """The root where nothing but :data:`_TOLERATED` is wrong, else None."""
+    parser = _parser(recover=True)
     try:
-        root = etree.fromstring(data, parser)
-    except etree.XMLSyntaxError as error:
-        line, column = error.position
-        if "Excessive depth" in str(error.msg):  # the parser's own bound, the same as ours
-            _too_deep(line or None, path)
-        raise FormatError(
-            f"not well-formed XML: {str(error.msg).rsplit(', line', 1)[0]}",
-            path=path,
-            line=line or None,
-            column=column or None,
-        ) from None
-    _bound(root, path)
-    return root
+        root = etree.fromstring(_blank_comments(data), parser)
+    except etree.XMLSyntaxError:
+        return None
+    left = [entry for entry in parser.error_log if entry.type_name not in _TOLERATED]
+    if root is None or left:
+        return None
+    words = {(entry.line, _TOLERATED.get(entry.type_name, "")) for entry in refusal}
+    words |= {(entry.line, _TOLERATED[entry.type_name]) for entry in parser.error_log}
+    return root, tuple(Irregularity(line, said) for line, said in sorted(words) if said)
+
+
+def _blank_comments(data: bytes) -> bytes:
+    """The text with its comments empty, every line where it was."""
+
+    def blank(match: re.Match[bytes]) -> bytes:
+        part = match[0]
+        if not part.startswith(b"<!--"):
+            return part
+        return b"<!--" + b"\n" * part.count(b"\n") + b"-->"
+
+    return _SECTIONS.sub(blank, data)
 
 
 def float_attribute(

@@ -84,6 +84,7 @@ def load(
             tuple(converted.notes),
             converted.inertia_repairs,
             converted.velocity_limit,
+            frozenset(converted.beside),
         )
         spec, places = converted.spec, None
     if fit is not None:

@@ -1,4 +1,4 @@
-"""Triangles from STL, OBJ and COLLADA files, in metres, bounded."""
+"""Triangles from STL, OBJ, PLY, COLLADA and glTF files, in metres, bounded."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, TwinError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import read_bytes
+from pytest_twin.realization import gltf
 from pytest_twin.realization.limits import ModelLimits
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int32]
-SUFFIXES = (".stl", ".obj", ".dae")
+SUFFIXES = (".stl", ".obj", ".ply", ".dae", *gltf.SUFFIXES)
 _STL_HEAD, _STL_TRIANGLE = 84, 50
 """Bytes of a binary STL."""
 
@@ -30,7 +31,7 @@ class Triangles:
     Attributes:
         vertices: (n, 3) in m.
         faces: (m, 3) indices, counter-clockwise seen from outside.
-        up_axis: what a COLLADA file names so, ``Z_UP`` otherwise.
+        up_axis: what a COLLADA file names so, ``Y_UP`` of glTF, ``Z_UP`` otherwise.
     """
 
     vertices: Vertices
@@ -56,10 +57,22 @@ class Triangles:
         return float(np.ptp(self.vertices @ self.principal_axes[:, 0]))
 
 
+def files_of(path: Path, limits: ModelLimits) -> list[Path]:
+    """The mesh file, and the files beside it that hold its numbers.
+
+    Raises:
+        TwinError: one that is not there, or outside the folder.
+    """
+    return [
+        path,
+        *(gltf.files_beside(path, limits) if path.suffix.lower() in gltf.SUFFIXES else ()),
+    ]
+
+
 def read(path: Path, limits: ModelLimits) -> Triangles:
     """Read a mesh file.
 
-    COLLADA's unit is applied and its up axis is not: ROS tools show such meshes with the axes
+    COLLADA's unit is applied, and no up axis is: ROS tools show such meshes with the axes
     that their vertices have.
 
     Raises:
@@ -72,8 +85,15 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
         raise FormatError("not a mesh that can be read", path=path, expected=" or ".join(SUFFIXES))
     data = read_bytes(path, limits.asset_bytes)
     try:
-        triangles = _collada(data, path) if suffix == ".dae" else _trimesh(data, path)
-    except (FormatError, MemoryError):
+        if suffix == ".dae":
+            triangles = _collada(data, path)
+        elif suffix in gltf.SUFFIXES:
+            vertices, faces = gltf.triangles(data, path, limits)
+            vertices, inverse = _merged(vertices)
+            triangles = Triangles(vertices, inverse[faces].astype(np.int32), gltf.UP_AXIS)
+        else:
+            triangles = _trimesh(data, path)
+    except (TwinError, MemoryError):
         raise
     except Exception as error:
         # The parsers of meshes raise whatever a broken file leads them to.
@@ -114,11 +134,15 @@ def _trimesh(data: bytes, path: Path) -> Triangles:
 
 
 def _readable(data: bytes, path: Path) -> bytes:
-    """Binary STL as it is, text in UTF-8: its names may be in any encoding, and none is used.
+    """Binary STL and PLY as they are, text in UTF-8.
+
+    Names in it may be in any encoding, and none is used.
 
     Raises:
         FormatError: an STL that is neither.
     """
+    if path.suffix.lower() == ".ply":
+        return data
     if path.suffix.lower() == ".stl":
         stated = int.from_bytes(data[80:84], "little")
         if len(data) == _STL_HEAD + stated * _STL_TRIANGLE:

@@ -117,11 +117,19 @@ def dynamics_text(node: Node) -> str:
     inertial that lacks one product of inertia, and a whole robot for a limit without effort.
     """
     stated = {**dict.fromkeys(_REQUIRED.get(node.tag, ()), "0"), **node.attributes}
-    attributes = "".join(f" {key}={quoteattr(value)}" for key, value in stated.items())
+    attributes = "".join(
+        # A prefix says that another tool reads it.
+        f" {key}={quoteattr(value)}"
+        for key, value in stated.items()
+        if ":" not in key
+    )
     inner = "".join(dynamics_text(child) for child in node.children if child.tag in _KEPT)
     if node.tag == "inertial":
         for tag in ("mass", "inertia"):
             if node.find(tag) is None:
                 zeros = "".join(f' {key}="0"' for key in _REQUIRED[tag])
                 inner += f"<{tag}{zeros}/>"
+    limited = node.tag == "joint" and node.attributes.get("type") in ("revolute", "prismatic")
+    if limited and node.find("limit") is None:
+        inner += '<limit effort="0" velocity="0"/>'
     return f"<{node.tag}{attributes}>{inner}</{node.tag}>"

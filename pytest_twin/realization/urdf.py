@@ -90,6 +90,8 @@ class Robot:
         links: in the order of the file.
         joints: in the order of the file.
         children: link -> joints whose parent it is.
+        lost_mimics: joint -> the mimic that names a joint that is not there; it is not among the
+            joint's own.
     """
 
     node: Node
@@ -97,6 +99,7 @@ class Robot:
     links: dict[str, Link]
     joints: dict[str, Joint]
     children: dict[str, list[Joint]] = field(default_factory=dict)
+    lost_mimics: dict[str, Mimic] = field(default_factory=dict)
 
     def in_order(self) -> list[Joint]:
         """Joints, each after the one that carries it."""
@@ -142,6 +145,7 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
     check_depth(root, [(joint.parent, joint.child) for joint in joints.values()], limits.link_depth)
     robot = Robot(root, "", links, joints, {name: [] for name in links})
     _check_tree(robot)
+    _take_lost_mimics(robot)
     _check_mimics(robot)
     return robot
 
@@ -189,9 +193,10 @@ def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
     root = _nodes(xml.parse(path), path, limits)
     if root.tag != "robot":
         raise root.error("not a URDF", value=root.tag, expected="the root <robot>")
-    for node in root.walk():
-        if "}" in node.tag and "xacro" in node.tag:
-            raise node.error("a xacro macro, not a URDF", expected="the output of `xacro`")
+    if not root.all("link"):
+        for node in root.walk():
+            if node.tag.startswith("xacro:"):
+                raise node.error("a xacro macro, not a URDF", expected="the output of `xacro`")
     return root
 
 
@@ -225,8 +230,8 @@ def _nodes(root: xml.Element, path: Path, limits: ModelLimits) -> Node:
         if count > limits.elements:
             raise LimitError("too many elements", path=path, expected=f"at most {limits.elements}")
         return Node(
-            str(element.tag),
-            {str(key): str(value) for key, value in element.attrib.items()},
+            xml.plain_name(str(element.tag), element),
+            {xml.plain_name(str(k), element): str(v) for k, v in element.attrib.items()},
             path,
             element.sourceline or 1,
             [node(child) for child in element if isinstance(child.tag, str)],
@@ -401,6 +406,14 @@ def _check_tree(robot: Robot) -> None:
         )
 
 
+def _take_lost_mimics(robot: Robot) -> None:
+    """MuJoCo and Pinocchio load a robot with a mimic of no joint, and couple nothing."""
+    for joint in robot.joints.values():
+        if joint.mimic is not None and joint.mimic.joint not in robot.joints:
+            robot.lost_mimics[joint.name] = joint.mimic
+            joint.mimic = None
+
+
 def _check_mimics(robot: Robot) -> None:
     for joint in robot.joints.values():
         if joint.mimic is None or joint.type == "fixed":
@@ -410,11 +423,9 @@ def _check_mimics(robot: Robot) -> None:
         seen = [joint.name]
         follower = joint
         while follower.mimic is not None:
-            leader = robot.joints.get(follower.mimic.joint)
-            if leader is None:
-                raise follower.mimic.node.error(
-                    "no such joint to follow", value=follower.mimic.joint
-                )
+            leader = robot.joints[follower.mimic.joint]
+            if leader.type == "fixed":
+                break
             if leader.type not in ("revolute", "continuous", "prismatic"):
                 raise follower.mimic.node.error(
                     f"a {leader.type} joint cannot be followed", value=leader.name

@@ -53,6 +53,7 @@ class Converted:
             that no body can have.
         velocity_limit: joint -> rad/s or m/s.
         mesh_paths: name in the spec -> file.
+        beside: files that these files name.
     """
 
     spec: mujoco.MjSpec
@@ -60,6 +61,7 @@ class Converted:
     inertia_repairs: dict[str, tuple[float, ...]] = field(default_factory=dict)
     velocity_limit: dict[str, float] = field(default_factory=dict)
     mesh_paths: dict[str, Path] = field(default_factory=dict)
+    beside: set[Path] = field(default_factory=set)
 
 
 def convert(
@@ -207,22 +209,37 @@ class _Converter:
 
     def _mimic(self, joint: Joint) -> None:
         if joint.mimic is None:
+            lost = self.robot.lost_mimics.get(joint.name)
+            if lost is not None:
+                self.note(
+                    lost.node,
+                    f"joint '{joint.name}' is to follow '{lost.joint}', which is no joint: it "
+                    "follows none",
+                )
             return
         if joint.type == "fixed":
             self.note(joint.mimic.node, f"fixed joint '{joint.name}' cannot follow another")
             return
+        leader = self.robot.joints[joint.mimic.joint]
         equality = self.spec.add_equality(
             name=f"{joint.name}_mimic",
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
             name1=joint.name,
-            name2=joint.mimic.joint,
+            name2="" if leader.type == "fixed" else leader.name,
             solref=_MIMIC_SOLREF,
             solimp=_MIMIC_SOLIMP,
         )
         data = np.zeros_like(equality.data)
         data[:2] = joint.mimic.offset, joint.mimic.multiplier
         equality.data = data
+        if leader.type == "fixed":
+            self.note(
+                joint.mimic.node,
+                f"joint '{joint.name}' follows the fixed joint '{leader.name}': a stiff equality "
+                f"holds it at its offset, {joint.mimic.offset:g}",
+            )
+            return
         self.note(
             joint.mimic.node,
             f"mimic of '{joint.name}' became a stiff equality with '{joint.mimic.joint}'",
@@ -446,6 +463,7 @@ class _Converter:
                 error.problem += f"; wanted by {node.place}"
                 raise
             self.triangles[path] = found
+            self.out.beside.update(mesh.files_of(path, self.limits)[1:])
             self.bytes += path.stat().st_size
             self.faces += len(found.faces)
             if self.bytes > self.limits.total_asset_bytes:
@@ -490,7 +508,7 @@ class _Converter:
         for axis, count in self.other_axes.items():
             self.note(
                 self.robot.node,
-                f"{count} COLLADA meshes state {axis}; their vertices stand as read",
+                f"{count} COLLADA or glTF meshes state {axis}; their vertices stand as read",
             )
         counts = Counter[str]()
         for node in self.robot.node.walk():

@@ -63,7 +63,7 @@ def test_every_change_says_where_from_what_to_what_and_why(tmp_path: Path) -> No
     assert "scale 0.001 0.001 0.001 is taken into its vertices, in metres" in mesh.why
     other = next(c for c in found.changes if c.after == "meshes/part_2.obj")
     assert "its unit is taken in; its materials are left out" in other.why
-    assert "it states Y_UP" in other.why
+    assert "its up axis is Y_UP" in other.why
 
 
 def test_what_is_not_in_the_log_is_not_changed(tmp_path: Path) -> None:
