@@ -1,0 +1,166 @@
+"""A recorder that lost messages: the parts are trials, and nothing is made of the hole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import START_NS
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.locate import motions
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.diagnosis.windows import segments_of
+from pytest_twin.effects.roll_in import LEAD
+from pytest_twin.formats.mcap import read_recording, write_recording
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.realization import Realization, load
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.replay import replay
+from pytest_twin.trial import make_trial
+
+MODEL = """\
+<mujoco><option timestep="0.002" integrator="implicitfast" gravity="0 0 0"/><worldbody><body>
+<joint name="j1" axis="0 1 0" damping="0.5"/><geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02"
+mass="1" contype="0" conaffinity="0"/></body></worldbody>
+<actuator><position joint="j1" kp="20" kv="1"/></actuator></mujoco>
+"""
+TIME = 0.01 * np.arange(400)
+SENT = 0.6 * np.sin(4.0 * TIME) + 0.3 * np.sign(np.sin(7.0 * TIME))
+
+
+def series(topic: str, time: np.ndarray, position: np.ndarray) -> JointSeries:
+    stamp = START_NS + np.rint(time * 1e9).astype(np.int64)
+    return JointSeries(topic, ("j1",), stamp, stamp, position[:, None], None, None)
+
+
+class Bench:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "pend.xml").write_text(MODEL)
+        self.loaded = load_model(folder / "pend.xml")
+        (folder / "robot.xml").write_text(MODEL.replace('timestep="0.002"', 'timestep="0.0001"'))
+        whole = make_trial(read_recording(self.put("whole.mcap", SENT)))
+        (moved,) = replay(load(folder / "robot.xml"), [whole])
+        noise = 1e-4 * np.random.default_rng(1).standard_normal(len(TIME))
+        self.seen = moved.position[:, 0] + noise
+
+    @property
+    def realization(self) -> Realization:
+        return self.loaded.realization
+
+    def put(self, name: str, seen: np.ndarray, *holes: tuple[int, int]) -> Path:
+        keep = np.ones(len(TIME), dtype=bool)
+        for first, end in holes:
+            keep[first:end] = False
+        topics = [
+            series("/joint_states", TIME[keep], seen[keep]),
+            series("/joint_commands", TIME[keep], SENT[keep]),
+        ]
+        write_recording(self.folder / name, topics, {})
+        return self.folder / name
+
+    def read(self, *paths: Path, options: RecordingOptions | None = None) -> TrialSet:
+        return read_trials(
+            paths, (), self.loaded.topics, self.realization.structure, options or RecordingOptions()
+        )
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def test_both_parts_are_diagnosed_and_the_reason_is_said(bench: Bench) -> None:
+    only = bench.read(bench.put("a.mcap", bench.seen, (150, 180)))
+    assert [t.name for t in only.fit] == ["a.mcap from 0 s", "a.mcap from 1.8 s"]
+    assert any("a.mcap: cut into 2 parts" in note for note in only.notes)
+    # Two parts of one recording are no two recordings.
+    assert only.held_out == ()
+    assert any("one recording only" in note for note in only.notes)
+
+
+def test_the_parts_of_a_recording_have_one_role(bench: Bench) -> None:
+    paths = [bench.put(f"{k}.mcap", bench.seen, (150, 180)) for k in "abcd"]
+    found = bench.read(*paths)
+    fit, aside = ({t.path.name for t in role} for role in (found.fit, found.held_out))
+    assert (fit, aside) == ({"a.mcap", "b.mcap", "c.mcap"}, {"d.mcap"})
+    assert len(found.fit) == 6
+
+
+def test_a_part_that_is_too_short_is_left_out_and_said(bench: Bench) -> None:
+    found = bench.read(bench.put("a.mcap", bench.seen, (150, 180), (230, 260)))
+    assert [round(t.offset, 2) for t in found.fit] == [0.0, 2.6]
+    (note,) = [n for n in found.notes if n.startswith("left out")]
+    assert "a part between holes is too short for a diagnosis (got '0.49' s; expected at least" in (
+        note
+    )
+    assert "from 1.8 s" in note
+
+
+def test_a_part_begins_amid_its_motion_once_the_lost_commands_have_died_away(bench: Bench) -> None:
+    first, second = bench.read(bench.put("a.mcap", bench.seen, (150, 180))).fit
+    (from_rest,) = segments_of(bench.realization, first, 0, ("j1",), commanded=True)
+    (amid,) = segments_of(bench.realization, second, 1, ("j1",), commanded=True)
+    assert not from_rest.amid
+    assert amid.amid
+    assert amid.start == pytest.approx(LEAD, abs=0.1)
+    assert amid.time[-1] == pytest.approx(second.duration)
+
+
+def test_nothing_is_left_of_a_model_that_is_right(bench: Bench) -> None:
+    trials = bench.read(bench.put("a.mcap", bench.seen, (150, 180)))
+    problem = prepare(bench.realization, trials.fit, []).problem
+    left = problem.residuals([EMPTY], problem.fit)[0][:, 0]
+    assert float(np.sqrt(np.mean(left**2))) < 1.5 * float(problem.floor[0])
+
+
+def test_places_are_on_the_clock_of_the_recording(bench: Bench) -> None:
+    trials = bench.read(bench.put("a.mcap", bench.seen, (150, 180)))
+    prepared = prepare(bench.realization, trials.fit, [])
+    first, second = motions(prepared, trials.fit)
+    assert first.name == second.name == "a.mcap"
+    assert first.time[0] == 0.0
+    assert second.time[-1] == pytest.approx(TIME[-1])
+
+
+def test_a_declared_setpoint_is_the_one_that_is_simulated(bench: Bench) -> None:
+    path = bench.put("a.mcap", bench.seen)
+    for between in ("held", "interpolated", "ramped"):
+        options = RecordingOptions(command_between=between)  # type: ignore[arg-type]
+        (trial,) = bench.read(path, options=options).fit
+        (segment,) = segments_of(bench.realization, trial, 0, ("j1",))
+        at = np.array([0.504, 1.237])
+        assert segment.setpoint.at(at) == pytest.approx(trial.setpoint.at(at))
+        assert segment.moving == (between != "held")
+        assert not any("assumed" in note for note in bench.read(path, options=options).notes)
+    assert any("held between their stamps (assumed" in note for note in bench.read(path).notes)
+
+
+def test_commands_that_only_pause_are_held(bench: Bench) -> None:
+    keep = np.r_[0:150, 250:400]
+    write_recording(
+        bench.folder / "pause.mcap",
+        [
+            series("/joint_states", TIME, bench.seen),
+            series("/joint_commands", TIME[keep], SENT[keep]),
+        ],
+        {},
+    )
+    (trial,) = bench.read(bench.folder / "pause.mcap").fit
+    assert trial.parts == 1
+    (sent,) = trial.commands_before(np.array([2.0]))
+    assert sent[0] == SENT[149]
+
+
+def test_recordings_of_other_modes_are_left_out_joint_by_joint(bench: Bench) -> None:
+    (trial,) = bench.read(bench.put("a.mcap", bench.seen)).fit
+    both = replace(trial, command_joints=("j1", "j2"), command_modes=("position", "effort"))
+    assert both.command_mode == "mixed"
+    assert (both.hardest_mode, both.mode_of("j1"), both.mode_of("j3")) == (
+        "effort", "position", None,
+    )  # fmt: skip
