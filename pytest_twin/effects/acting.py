@@ -1,4 +1,4 @@
-"""Which effects act on which rows, between which steps; effects on top of others."""
+"""Selection of the effects that act on rows, and combination of effects with fixed ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "gear")
 
 
 def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
-    """Rows' effects on top of fixed ones: switches add, a shape that is fixed stays."""
+    """Effects of rows combined with fixed effects: amplitudes add, fixed shape parameters stay."""
     if not fixed:
         return values
     out = {e: dict(v) for e, v in values.items()}
@@ -39,24 +39,24 @@ def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectVa
 def hooks_between_steps(
     effects: Sequence[tuple[Effect, Values]],
 ) -> dict[str, list[tuple[Effect, Values]]]:
-    """Hook -> the effects that have it, in their order."""
+    """Hook -> effects that override it, in their order."""
     return {h: [(e, v) for e, v in effects if e.overrides(h)] for h in BETWEEN_STEPS}
 
 
 def between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
-    """(rows, effects) whether a row has each of the effects that act between steps."""
+    """(rows, effects) whether an effect with a hook between steps acts on a row."""
     laws = [(catalogue()[name], v) for name, v in values.items()]
     found = [there(e, v).any(axis=1) for e, v in laws if e.overrides(*BETWEEN_STEPS)]
     return np.array(found, dtype=bool).reshape(-1, count).T
 
 
 def any_hook(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:
-    """Whether some effect does anything in one of these hooks."""
+    """Whether any effect overrides one of these hooks."""
     return any(effect.overrides(*hooks) for effect, _ in effects)
 
 
 def acting(values: EffectValues) -> list[tuple[Effect, Values]]:
-    """The effects that some row has, in turn."""
+    """Effects that act on at least one row, in the order in which they act on a reading."""
     return [(effect, v) for effect, v in in_turn(values) if there(effect, v).any()]
 
 
@@ -67,7 +67,7 @@ def in_turn(values: EffectValues) -> list[tuple[Effect, Values]]:
 
 
 def there(effect: Effect, values: Values) -> NDArray[np.bool_]:
-    """(rows, joints) where an effect acts: a switch that is not neutral."""
+    """(rows, joints) where an effect acts: a parameter with a neutral value differs from it."""
     switches = [p for p in effect.parameters if p.neutral is not None]
     found: NDArray[np.bool_] = np.any([values[p.name] != p.neutral for p in switches], axis=0)
     return found

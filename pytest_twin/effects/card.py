@@ -23,7 +23,7 @@ def cards(effects: Mapping[str, Effect]) -> str:
 
 
 def as_json(effects: Mapping[str, Effect]) -> dict[str, Any]:
-    """The catalogue for programs: effect id -> what :func:`card` says of it."""
+    """The catalogue as JSON: effect id -> the content of its :func:`card`."""
     return {
         effect.id: {
             "family": effect.family,
@@ -34,6 +34,7 @@ def as_json(effects: Mapping[str, Effect]) -> dict[str, Any]:
             "command_modes": list(effect.modes),
             "parameters": {
                 p.reported_name: {
+                    "meaning": _meaning(p),
                     "unit": {mode: p.unit("hinge", mode) for mode in MODES},
                     "unit_of_a_slide": {mode: p.unit("slide", mode) for mode in MODES},
                     "absent_at": _absent(p) or None,

@@ -1,8 +1,8 @@
-"""MuJoCo's constraint of dry friction: how it holds.
+"""A stiff dry-friction constraint, so that a joint at rest does not creep.
 
-By default it creeps under load, some 0.03 rad/s for half the level on a small servo. Dry friction
-holds: as stiff as the step allows, it creeps 500 times less. A model that sets the constraint
-itself is taken at its word.
+With MuJoCo's default a joint creeps under load: about 0.03 rad/s at half the friction level on a
+small servo. The stiffest constraint that the time step allows creeps 500 times less. A model that
+sets the constraint itself keeps it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ _BY_DEFAULT = mujoco.MjSpec().default.joint
 
 
 def stiff(timestep: float) -> tuple[FloatArray, FloatArray]:
-    """(2,) and (5,) ``solref`` and ``solimp`` of dry friction that holds, for a step in s."""
+    """(2,) ``solref`` and (5,) ``solimp`` of stiff dry friction for a time step in s."""
     impedance = np.array(_BY_DEFAULT.solimp_friction)
     impedance[:3] = _IMPEDANCE
     return np.array([2.0 * timestep, 1.0]), impedance
 
 
 def _free_to_choose(solref: FloatArray, solimp: FloatArray, timestep: float) -> bool:
-    """Whether a friction constraint is MuJoCo's default, or already as stiff as a step in s
-    allows: such a one becomes stiffer with a finer step.
+    """Whether a friction constraint is MuJoCo's default, or the stiff one of a time step in s.
+
+    The latter becomes stiffer with a finer step.
     """
     default = _BY_DEFAULT.solref_friction, _BY_DEFAULT.solimp_friction
     return any(
@@ -38,12 +39,12 @@ def _free_to_choose(solref: FloatArray, solimp: FloatArray, timestep: float) -> 
 
 
 def hold(model: mujoco.MjModel, dofs: Sequence[int] | NDArray[np.int64], timestep: float) -> None:
-    """Let dry friction hold at the model's step, wherever the model says nothing else.
+    """Make dry friction stiff where the model does not set the constraint itself.
 
     Args:
-        model: changed.
-        dofs: where.
-        timestep: s, of the model as it came.
+        model: changed in place.
+        dofs: degrees of freedom.
+        timestep: time step of the nominal model, s.
     """
     solref, solimp = stiff(float(model.opt.timestep))
     for dof in dofs:

@@ -1,4 +1,4 @@
-"""Which geoms a robot and the world around it meet with, and how their contacts are changed."""
+"""Geoms of the robot and its surroundings that may touch, and changes of their contacts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import ModelFields
 
 NEAR = 0.05
-"""m: geoms that come this near each other in a recording may really touch."""
+"""Distance in m below which two geoms of a recording may touch."""
 _MOST_POSES = 3000
 _HALF = 15
 _FLAT = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
@@ -29,13 +29,13 @@ def _none() -> Ids:
 
 @dataclass(frozen=True, slots=True)
 class ContactGeoms:
-    """Geoms that come near each other in recordings.
+    """Geoms that come close to each other in recordings.
 
     Attributes:
-        world: geoms that stand still, apart from those of the robot's own base.
-        normal: (world, 3) unit vectors out of their surfaces, frames of their bodies.
+        world: fixed geoms, without those of the robot's own base.
+        normal: (world, 3) outward unit normals, in the frames of their bodies.
         robot: geoms that move with the joints.
-        pairs: explicit contact pairs between the two; their own parameters count.
+        pairs: explicit contact pairs between the two, which have parameters of their own.
         frictional: whether any of these contacts has friction.
     """
 
@@ -46,27 +46,27 @@ class ContactGeoms:
     frictional: bool = False
 
     def has(self, effect: str) -> bool:
-        """Whether a contact effect has anything to act on."""
+        """Whether a contact effect can act on these geoms."""
         return bool(self.world.size) and (self.frictional or effect != "contact_friction")
 
     @property
     def geoms(self) -> Ids:
-        """All of them: the engine mixes the parameters of the two geoms of a contact.
+        """Geoms of both sides, because MuJoCo mixes the parameters of both.
 
-        The mix is a weighted mean, a minimum or a maximum: scaled or shifted alike on both sides,
-        it is scaled or shifted itself.
+        The mix is a weighted mean, a minimum or a maximum. The same factor or offset on both sides
+        therefore appears in the mix.
         """
         return np.concatenate([self.world, self.robot])
 
     def write(
         self, expand: Callable[[str], FloatArray], fields: ModelFields, least_time: float
     ) -> None:
-        """Write contact effects into the rows' fields.
+        """Write contact effects into the model fields of the rows.
 
         Args:
-            expand: gives the (rows, ...) array of a field, as the model has it.
-            fields: what the effects ask for.
-            least_time: s, of :func:`scaled_solref`.
+            expand: returns the (rows, ...) array of a model field.
+            fields: values of the effects.
+            least_time: s, see :func:`scaled_solref`.
         """
         if not self.world.size:
             return
@@ -91,7 +91,7 @@ class ContactGeoms:
 
 
 def least_time_constant(model: mujoco.MjModel, timestep: float) -> float:
-    """s below which the engine takes no time constant of a contact."""
+    """Smallest time constant of a contact that MuJoCo accepts, s."""
     free = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
     return 0.0 if free else 2.0 * timestep
 
@@ -99,17 +99,17 @@ def least_time_constant(model: mujoco.MjModel, timestep: float) -> float:
 def scaled_solref(
     solref: FloatArray, stiffness: FloatArray, damping: FloatArray, least_time: float
 ) -> FloatArray:
-    """(..., 2) ``solref`` with stiffness and damping times (...) factors.
+    """(..., 2) ``solref`` with stiffness and damping scaled by (...) factors.
 
-    Of (time constant T, damping ratio Z) b is 2 / T and k is 1 / (T Z)^2, T no less than
-    ``least_time``; of (-k, -b) each stands for itself (MuJoCo, Modeling, Reference).
+    ``solref`` is (time constant T, damping ratio Z) with b = 2 / T and k = 1 / (T Z)^2, T at least
+    ``least_time``; or (-k, -b) directly (MuJoCo documentation, Modeling, Solver parameters).
     """
     first, second = solref[..., 0], solref[..., 1]
     standard = first > 0.0
     time = np.maximum(first, least_time)
     new_time = np.maximum(time / damping, least_time)
     ratio = second * time / (np.where(standard, new_time, 1.0) * np.sqrt(stiffness))
-    # What the engine holds at its least stays as it is written.
+    # A time constant below the minimum stays as written.
     written = np.where(new_time == time, first, new_time)
     return np.stack(
         [
@@ -123,11 +123,11 @@ def scaled_solref(
 def contact_geoms(
     model: mujoco.MjModel, joint_ids: Ids, poses: Iterable[FloatArray]
 ) -> ContactGeoms:
-    """Find them among poses that were measured.
+    """Geoms that come close to each other in measured poses.
 
     Args:
-        model: as it came.
-        joint_ids: (joints,) of the poses' columns; other joints rest where the model has them.
+        model: the nominal model.
+        joint_ids: (joints,) of the poses' columns; other joints keep the model's position.
         poses: (n, joints) arrays, rad or m.
     """
     robot, world = _sides(model, joint_ids)
@@ -148,7 +148,7 @@ def contact_geoms(
             if not (world[key[0]] and robot[key[1]]):
                 continue
             count, normal, dim = found.get(key, (0, np.zeros(3), 1))
-            # Where a pose is deep inside, the way out may be the far side.
+            # Deep penetrations have less weight: their normal may point to the far side.
             weight = max(NEAR - abs(float(data.contact.dist[k])), 0.0)
             normal = normal + sign * weight * data.contact.frame[k, :3]
             dim = max(dim, int(data.contact.dim[k]))
@@ -163,17 +163,17 @@ def contact_geoms(
 def far_sighted(
     model: mujoco.MjModel, world: NDArray[np.bool_] | Ids, reach: float
 ) -> mujoco.MjModel:
-    """A copy that lists contacts of the world's geoms from ``reach`` m on, without force there."""
+    """A copy that reports contacts of the world's geoms within ``reach`` m, without force."""
     near = copy.copy(model)
     near.geom_gap[world] += reach
     near.pair_gap[:] += reach
-    # Bounding volumes of static bodies were made without the gap.
+    # Bounding volumes of static bodies do not include the gap.
     near.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     return near
 
 
 def touching(data: mujoco.MjData, contact: ContactGeoms, reach: float) -> bool:
-    """Whether the robot is within ``reach`` m of what it meets, in a far-sighted model."""
+    """Whether the robot is within ``reach`` m of the surfaces, in a :func:`far_sighted` model."""
     close = data.contact.geom[data.contact.dist < reach]
     one, two = close[:, 0], close[:, 1]
     here = np.isin(one, contact.world) & np.isin(two, contact.robot)
@@ -184,7 +184,7 @@ def touching(data: mujoco.MjData, contact: ContactGeoms, reach: float) -> bool:
 def in_the_air(
     model: mujoco.MjModel, joint_ids: Ids, contact: ContactGeoms, poses: FloatArray
 ) -> NDArray[np.bool_]:
-    """(n,) whether the robot is :data:`NEAR` nothing that it meets, at (n, joints) poses."""
+    """(n,) whether the robot is farther than :data:`NEAR` from all surfaces, for (n, joints)."""
     robot, _ = _sides(model, joint_ids)
     stands = np.isin(np.arange(model.ngeom), contact.world)
     seen = _near_at(model, joint_ids, robot, stands, poses)
@@ -198,7 +198,7 @@ def _near_at(
     world: NDArray[np.bool_],
     poses: FloatArray,
 ) -> Iterator[mujoco.MjData]:
-    """What the robot's geoms are :data:`NEAR` of the world's, at each of (n, joints) poses."""
+    """Collision data of each of (n, joints) poses, with contacts within :data:`NEAR`."""
     near = far_sighted(model, world, NEAR)
     _only_between(near, robot, world)
     data = mujoco.MjData(near)
@@ -211,7 +211,7 @@ def _near_at(
 
 
 def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(geoms,) those that move with the joints, and those that stand still around the robot."""
+    """(geoms,) masks of geoms that move with the joints, and of fixed geoms of the surroundings."""
     moves = np.zeros(model.nbody, dtype=bool)
     moves[model.jnt_bodyid[joint_ids]] = True
     base = np.zeros(model.nbody, dtype=bool)
@@ -229,7 +229,7 @@ def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], ND
 def _only_between(
     model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]
 ) -> None:
-    """Take other pairs of geoms out of ``model``: meshes of neighbouring links cost the most."""
+    """Disable other geom pairs in ``model``: meshes of neighbouring links are expensive."""
     types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
     if max(types.max(), affinities.max()) >= 1 << _HALF or min(types.min(), affinities.min()) < 0:
         return
@@ -253,16 +253,16 @@ def _may_touch(model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[n
 def _between(
     model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """(pairs,) explicit pairs of a geom of the robot and one of the world."""
+    """(pairs,) mask of explicit pairs between robot and world."""
     one, two = model.pair_geom1, model.pair_geom2
     between: NDArray[np.bool_] = (world[one] & robot[two]) | (world[two] & robot[one])
     return between
 
 
 def _own_base(model: mujoco.MjModel, world: int, robot: int) -> bool:
-    """Whether a geom of the world may be the base of the link that is never far from it.
+    """Whether a fixed geom that is always close to a link may belong to the robot's base.
 
-    A reader that fuses fixed bodies leaves the base's geoms in the world.
+    A URDF import that fuses fixed bodies leaves the base's geoms in the world.
     """
     first = model.body_weldid[model.body_parentid[model.geom_bodyid[robot]]] == 0
     return bool(first) and int(model.geom_type[world]) not in _FLAT

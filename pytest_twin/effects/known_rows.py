@@ -1,8 +1,7 @@
-"""What rows came to that were simulated before: a search asks for many of them again.
+"""A cache of simulations: a search asks for many of them again.
 
-A fit begins where another ended, a rival is judged that was fitted, the same hypothesis is held
-against other recordings. What a row's sensors read follows from its segment and the parameters of
-its effects alone, so it is simulated once and kept, as long as there is room.
+A fit starts where another ended, and the same hypothesis is evaluated several times. A simulation
+depends on its segment and the parameters of its effects alone, so it is kept while there is room.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from pytest_twin.effects.segment import Predicted, Segment
 _MOST_BYTES = 256_000_000
 
 RowKey = tuple[int, bytes]
-"""A segment, by its identity, and the parameters of the effects that a row has."""
+"""Identity of a segment, and the parameters of the effects of a row."""
 
 
 def row_keys(segments: Sequence[Segment], values: EffectValues) -> list[RowKey]:
-    """What tells rows apart: each its segment under its row of ``values``."""
+    """Cache keys of rows: one segment each, with its row of ``values``."""
     count = len(segments)
     parts: list[list[bytes]] = [[] for _ in range(count)]
     for name, given in sorted(values.items()):
@@ -39,15 +38,15 @@ def row_keys(segments: Sequence[Segment], values: EffectValues) -> list[RowKey]:
 
 
 class KnownRows:
-    """Predictions by what tells their rows apart; those that were asked for last."""
+    """A least-recently-used cache of predictions."""
 
     def __init__(self, most_bytes: int = _MOST_BYTES) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
-        # The segment stays alive with what is known of it: its identity is part of the key.
+        # Keep the segment alive: its identity is part of the key.
         self._known: OrderedDict[RowKey, tuple[Segment, Predicted]] = OrderedDict()
 
     def get(self, key: RowKey) -> Predicted | None:
-        """What a row came to, None where that is not known."""
+        """The prediction of a row, None where it is not in the cache."""
         found = self._known.get(key)
         if found is None:
             return None
@@ -55,7 +54,7 @@ class KnownRows:
         return found[1]
 
     def keep(self, key: RowKey, segment: Segment, predicted: Predicted) -> Predicted:
-        """Keep what a row came to, and return it: on its own, and no longer to be written to."""
+        """Store a read-only copy of a prediction and return it."""
         kept = Predicted(*map(_on_its_own, _arrays(predicted)))
         self._known[key] = segment, kept
         self._bytes += _size(kept)
@@ -70,7 +69,7 @@ def _arrays(predicted: Predicted) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _on_its_own(array: FloatArray) -> FloatArray:
-    """The array without the batch that it may be a view of."""
+    """A read-only copy that does not keep a whole batch alive."""
     own = array.copy()
     own.flags.writeable = False
     return own

@@ -1,4 +1,4 @@
-"""Where joints and the drives behind them lie in a model's arrays."""
+"""Indices of joints and drives in a model's arrays, and reference lengths of links."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from pytest_twin.effects.segment import Segment
 from pytest_twin.realization.inputs import command_input
 
 _ON_AXIS = 1e-4
-"""m from a joint's axis within which a centre of mass has no direction from it."""
+"""Distance of a centre of mass from the joint's axis below which it counts as on the axis, m."""
 _FLANGE = 0.03
-"""Share of the arm's length within which the last link's centre is a flange's: it says nothing of
-what that carries."""
+"""A last link whose centre of mass is closer to its joint than this share of the arm's length is a
+flange: its size says nothing about its payload."""
 _TOOL, _LEAST_TOOL, _TOOL_MASS = 0.15, 0.05, 0.02
-"""Shares of the arm's length that a flange carries and that any last link does at least, and of the
-arm's mass that a flange carries at least."""
+"""Reference length of a payload on a flange and on any last link, as shares of the arm's length;
+smallest reference mass on a flange, as a share of the arm's mass."""
 
 
 class Layout:
-    """Indices of hinges and slides, of the drives that segments command, and what those scale by.
+    """Indices of hinges, slides and commanded drives, and reference scales of joints and links.
 
     Attributes:
         joints: names, in the order of the segments' columns.
@@ -67,7 +67,7 @@ class Layout:
         self.gyration = np.sqrt(self.link_length**2 + own)
 
     def _find_tool(self, model: mujoco.MjModel) -> None:
-        """How long and heavy what the last link carries may be, and which way it lies."""
+        """Set the reference length, mass and direction of a payload on the last link."""
         body = self.body_index[-1]
         ways = np.linalg.norm(model.body_pos[self.body_index[1:]], axis=1)
         arm, own = float(ways.sum()), float(self.link_length[-1])
@@ -83,7 +83,7 @@ class Layout:
         center = model.body_ipos[body] - model.jnt_pos[self.joint_ids[-1]]
         height = float(axis @ center)
         if np.linalg.norm(center - height * axis) <= abs(height):
-            # What a flange turns about its own axis stands on it, away from the arm.
+            # A payload on a flange extends along the flange's axis, away from the arm.
             back, outwards = np.zeros(4), np.zeros(3)
             mujoco.mju_negQuat(back, model.body_quat[body])
             mujoco.mju_rotVecQuat(outwards, model.body_pos[body], back)
@@ -115,8 +115,8 @@ class Layout:
         return np.where(length > 1e-6, offset / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
 
     def in_link(self, place: FloatArray, joint: NDArray[np.int64]) -> FloatArray:
-        """(n, 3) m in the frames of links, of places along their own direction (of a flange, along
-        its joint's axis), the way that their joints turn them there, and across both.
+        """(n, 3) m in link frames, of positions along the link (flange: the joint's axis), in the
+        joint's direction of motion, and perpendicular to both.
         """
         found: FloatArray = np.einsum("nk,nki->ni", place, self.own_axes(joint))
         return found
@@ -129,15 +129,15 @@ class Layout:
     def shift(
         self, radial: FloatArray, tangential: FloatArray, joint: NDArray[np.int64]
     ) -> FloatArray:
-        """(..., 3) m in the frames of links, of (...,) m away from the axes of joints (...,), and
-        the way that these turn.
+        """(..., 3) m in link frames, of shifts (...,) m away from the joint's axis and in its
+        direction of motion.
         """
         moved: FloatArray = radial[..., None] * self.radial[joint]
         return moved + tangential[..., None] * self.tangential[joint]
 
     def _around_axes(self, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
-        """Radial and tangential; of a centre on the axis, from the frame's axis that is furthest
-        from it.
+        """Radial and tangential unit vectors; for a centre of mass on the joint's axis the radial
+        one is the frame axis most perpendicular to it.
         """
         axis = model.jnt_axis[self.joint_ids]
         aside = np.eye(3)[np.argmin(np.abs(axis), axis=1)]

@@ -1,4 +1,4 @@
-"""What a link puts against its gear: its inertia as the rest of the robot lets it move."""
+"""Articulated inertia of links: the inertia that a transmission works against."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ def link_inertia(
     qpos_index: NDArray[np.int64],
     dof_index: NDArray[np.int64],
 ) -> FloatArray:
-    """(joints,) the least inertia that turns or slides against each joint's motor, kg*m^2 or kg.
+    """(joints,) smallest articulated inertia of each joint without its armature, kg*m^2 or kg.
 
-    Of the articulated inertia, 1 / (M^-1)_jj, the armature is the motor's (Featherstone, Rigid Body
-    Dynamics Algorithms, 2008, ch. 7): a base joint whose arm is free to fold moves little of it.
+    The articulated inertia is 1 / (M^-1)_jj (Featherstone, Rigid Body Dynamics Algorithms, 2008,
+    ch. 7). It contains the armature, which belongs to the motor.
 
     Args:
-        data: to work with, of a model with armatures.
-        positions: (n, joints) rad or m; joints of other columns stand at their zero.
-        qpos_index, dof_index: (joints,) of the columns.
+        data: work space, of a model with armatures.
+        positions: (n, joints) rad or m; other joints are at zero.
+        qpos_index, dof_index: (joints,) indices of the columns.
     """
     model = data.model
     mass = np.zeros((model.nv, model.nv))

@@ -1,7 +1,7 @@
-"""The motor's side of gears that give: one more inertia per joint.
+"""The motor side of elastic transmissions and gears with backlash: one more inertia per joint.
 
-It is integrated implicitly over a step in which the link keeps its velocity; the link feels what
-the gear then transmits. All arrays are (rows, joints), SI units at the joint.
+It is integrated implicitly over a step in which the link velocity is constant. The transmitted
+effort then acts on the link. All arrays are (rows, joints), SI units at the joint.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.within import within
 
 _RING = 0.6
-"""Damping of teeth, in units of the root of stiffness times inertia."""
+"""Damping of the teeth divided by the square root of stiffness times inertia; little ringing."""
 _KEPT = 0.5
-"""Share of its speed against the motor that a link may lose in a step, which it feels late."""
+"""Largest share of its speed against the motor that a link may lose in a step, for stability."""
 _STIFFEST = 0.5
-"""Stiffest gear, in units of inertia over a step squared."""
+"""Largest stiffness that a step resolves, in units of inertia divided by the step squared."""
 
 
 @dataclass(slots=True)
 class Gear:
-    """What stands between motor and link.
+    """The transmission between motor and link.
 
     Attributes:
-        apart: where they move apart at all.
+        apart: where the transmission is not rigid.
         stiffness, damping: of the teeth.
-        gap: play between them.
+        gap: backlash.
     """
 
     apart: NDArray[np.bool_]
@@ -39,27 +39,27 @@ class Gear:
 
     @classmethod
     def rigid(cls, like: FloatArray) -> Gear:
-        """Nothing that gives, for (rows, joints) joints like these."""
+        """A rigid transmission with the (rows, joints) shape of ``like``."""
         none = np.zeros(like.shape)
         return cls(none != 0.0, none.copy(), none.copy(), none.copy())
 
     def stretch(self, load: FloatArray) -> FloatArray:
-        """How far a motor that carries a load (rows, joints) stands from its link."""
+        """Deflection between motor and link under a (rows, joints) load."""
         return load / np.maximum(self.stiffness, 1e-9) + np.sign(load) * self.gap / 2.0
 
     def give(
         self, acts: NDArray[np.bool_], compliance: FloatArray, damping_time: FloatArray | None,
         armature: FloatArray, link_inertia: FloatArray, timestep: float,
     ) -> None:  # fmt: skip
-        """Yield by a compliance in series with what yields already.
+        """Add a compliance in series.
 
         Args:
-            acts: where.
+            acts: where it acts.
             compliance: rad/(N*m) or m/N.
-            damping_time: s, damping over stiffness; by default so much that the motor hardly rings.
-            armature: of the motor, kg*m^2 or kg: teeth are no stiffer than a step resolves.
-            link_inertia: what they push on the other side: a link feels them a step late, and one
-                that is light beside its motor would be thrown back and forth.
+            damping_time: damping divided by stiffness, s; by default nearly aperiodic.
+            armature: motor inertia, kg*m^2 or kg; limits the stiffness to what a step resolves.
+            link_inertia: inertia on the link side. The effort reaches the link one step late, which
+                limits stiffness and damping for light links.
             timestep: s.
         """
         inertia = np.maximum(armature, 1e-9)
@@ -83,10 +83,10 @@ class Gear:
 def _resolved(
     teeth: FloatArray, motor: FloatArray, link: FloatArray, timestep: float
 ) -> FloatArray:
-    """Share of what teeth add for each unit of speed at which a step takes from a link no more than
-    :data:`_KEPT` of its speed against the motor, which itself gives way within the step.
+    """Factor on stiffness and damping at which a link loses at most :data:`_KEPT` of its speed
+    against the motor in a step.
     """
-    # teeth in series with the motor's momentum over a step: at most as much of the link's.
+    # Teeth in series with the motor's momentum over a step, limited by the link's momentum.
     most = _KEPT * link / timestep
     momentum = motor / timestep
     bound = most < momentum
@@ -96,19 +96,19 @@ def _resolved(
 
 @dataclass(slots=True)
 class MotorSide:
-    """Where motors are, what pushes them, and what of their gears does not change.
+    """State and coefficients of the motor sides.
 
     Attributes:
-        apart: where motor and link move apart; elsewhere the motor is the link.
-        angle, speed: of the motor, seen from the link.
-        constant: effort that always acts on it.
-        applied: effort on it in this step beside the drive's.
-        drag: in this step effort against it for each unit of its speed.
+        apart: where the transmission is not rigid; elsewhere the motor is part of the link.
+        angle, speed: motor state, converted to the joint side.
+        constant: constant effort on the motor.
+        applied: effort on the motor in this step, without the drive's.
+        drag: viscous coefficient on the motor in this step.
         stiffness: of the teeth.
-        gear: effort that the teeth add over a step for each unit of speed between both sides.
-        half_gap: play to either side, None where there is none anywhere.
-        momentum: inertia over a step; ``inert`` with what always resists the motor.
-        servo: effort that the drive takes back over a step for each unit of speed.
+        gear: effort of the teeth per unit of relative speed over a step.
+        half_gap: half of the backlash, None without any.
+        momentum: inertia divided by the step; ``inert`` adds the constant damping.
+        servo: reduction of the drive's effort per unit of motor speed over a step.
     """
 
     apart: NDArray[np.bool_]
@@ -138,19 +138,18 @@ class MotorSide:
         servo: FloatArray,
         timestep: float,
     ) -> MotorSide:
-        """Motors that carry a load: gears stretched, on one flank.
+        """Motors at rest relative to their links, with the transmission deflected by the load.
 
         Args:
-            gear: in between.
+            gear: the transmission.
             position, velocity: of the link.
-            load: effort that it asks for.
-            armature, damping, constant: of the motor: inertia, viscous damping, effort that always
-                acts on it.
-            servo: effort that the drive takes back over a step for each unit of speed.
+            load: effort on the link.
+            armature, damping, constant: motor inertia, viscous damping and constant effort.
+            servo: reduction of the drive's effort per unit of motor speed over a step.
             timestep: s.
         """
         stretch = gear.stretch(load)
-        # Where it does not act nothing is transmitted.
+        # A rigid transmission transmits nothing here.
         stiffness = np.where(gear.apart, gear.stiffness, 0.0)
         pull = stiffness * timestep + np.where(gear.apart, gear.damping, 0.0)
         momentum = np.maximum(armature, 1e-9) / timestep
@@ -163,7 +162,7 @@ class MotorSide:
         )  # fmt: skip
 
     def meet(self, position: FloatArray, velocity: FloatArray) -> None:
-        """Begin a step: without a gear that gives the motor is where the link is."""
+        """Begin a step: with a rigid transmission the motor has the link's state."""
         self.angle = np.where(self.apart, self.angle, position)
         self.speed = np.where(self.apart, self.speed, velocity)
         self.applied, self.drag = self.constant.copy(), np.zeros(self.constant.shape)
@@ -179,26 +178,26 @@ class MotorSide:
         friction_level: FloatArray,
         timestep: float,
     ) -> FloatArray:
-        """Move the motors by a step.
+        """Integrate the motors over a step.
 
         Args:
             position, velocity: of the link.
             drive: effort of the drive.
-            free: where the drive is within its bounds and gives way over the step as its gains say.
-            servo_damping: of the drive.
-            friction_level: dry friction that may hold the motor.
+            free: where the drive is within its limits.
+            servo_damping: damping gain of the drive.
+            friction_level: largest dry friction on the motor.
             timestep: s.
 
         Returns:
-            What reaches the link: through the gear, or where none gives all that pushes the motor
-            beside its drive.
+            Effort on the link: transmitted, or with a rigid transmission all effort on the motor
+            except the drive's.
         """
         deflection = self.angle - position
         inert, gear = self.inert + self.servo * free + self.drag, self.gear
         half = self.half_gap
         if half is not None:
             deflection = deflection - within(deflection, -half, half)
-            # Without play teeth always touch, also where they are not deflected.
+            # Without backlash the teeth are always in contact, even at zero deflection.
             gear = gear * ((deflection != 0.0) | (half == 0.0))
             inert = inert + gear
         pull = self.stiffness * deflection
@@ -209,7 +208,7 @@ class MotorSide:
         moving = moving - within(moving, -most, most)
         transmitted = pull + gear * (moving - velocity)
         if half is not None:
-            # Flanks push and never pull.
+            # A tooth flank can only push.
             flank = np.sign(deflection)
             flat = half == 0.0
             transmitted = np.where(flat, transmitted, flank * np.maximum(flank * transmitted, 0.0))

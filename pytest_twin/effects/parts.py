@@ -1,4 +1,4 @@
-"""Divide rows into batches that step together, and batches into parts for several cores."""
+"""Division of rows into batches that step together, and of batches over several cores."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MAX_ROWS = 384
-# About what one step takes, s: of the engine for each joint of a row, and for all rows of what is
-# done between steps and of each law there. Only how work is divided rests on them.
+# Approximate time of a step in s: MuJoCo per joint of a row, Python per batch, and per effect. They
+# influence only how work is divided.
 _ENGINE, _BETWEEN, _LAW = 1e-6, 5e-5, 2e-5
 _FORK = 0.02
-"""s that a fork costs, about."""
+"""Approximate time of a fork, s."""
 _CUTS = 16
-"""Places at which a part is tried to be cut in two, beside those where its laws change."""
+"""Positions at which a division of a part is tried, besides those where the effects change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Part:
 
     Attributes:
         rows: indices.
-        seconds: that they take, about.
+        seconds: estimated time.
     """
 
     rows: NDArray[np.int64]
@@ -33,12 +33,12 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """What is known of rows.
+    """Size of rows.
 
     Attributes:
-        steps: (rows,) of each.
-        laws: (rows, laws) that act between its steps.
-        joints: of each.
+        steps: (rows,) number of steps.
+        laws: (rows, laws) whether an effect acts between the steps.
+        joints: joints per row.
     """
 
     steps: NDArray[np.int64]
@@ -46,19 +46,19 @@ class _Rows:
     joints: int
 
     def part(self, rows: NDArray[np.int64]) -> Part:
-        """Of these rows."""
+        """A part of these rows."""
         laws = int(self.laws[rows].any(axis=0).sum())
         between = _BETWEEN + laws * _LAW if laws else 0.0
         each = len(rows) * self.joints * _ENGINE + between
         return Part(rows, float(self.steps[rows].max()) * each)
 
     def by_laws(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """These rows, those of the same laws side by side."""
+        """These rows, sorted by their effects."""
         ordered: NDArray[np.int64] = rows[np.lexsort([rows, *self.laws[rows].T])]
         return ordered
 
     def divided(self, part: Part, count: int) -> list[Part]:
-        """A part in ``count``, rows of the same laws together: all of a part have all its laws."""
+        """A part divided into ``count``, rows with the same effects together."""
         if count < 2 or len(part.rows) < 2:
             return [part]
         order = self.by_laws(part.rows)
@@ -73,17 +73,16 @@ class _Rows:
 
 
 def parts(steps: NDArray[np.int64], laws: NDArray[np.bool_], joints: int, cores: int) -> list[Part]:
-    """Rows in parts, those that take longest first.
+    """Rows divided into parts, the longest first.
 
-    Rows of like length step together; none waits for one more than a tenth longer, and none that
-    the engine steps alone waits for laws between steps. Of those that are too many for one part,
-    rows of the same laws go together.
+    Rows of similar length (10 %) step together, rows without effects between steps apart from the
+    others. Larger parts are divided by their effects.
 
     Args:
-        steps: (rows,) of each.
-        laws: (rows, laws) that act between its steps.
-        joints: of a row.
-        cores: that work on parts at the same time.
+        steps: (rows,) number of steps.
+        laws: (rows, laws) whether an effect acts between the steps.
+        joints: joints per row.
+        cores: number of parts at the same time.
     """
     known = _Rows(steps, laws, joints)
     whole = []
@@ -100,7 +99,7 @@ def parts(steps: NDArray[np.int64], laws: NDArray[np.bool_], joints: int, cores:
 def _of_like_length(
     steps: NDArray[np.int64], stepwise: NDArray[np.bool_]
 ) -> list[NDArray[np.int64]]:
-    """Rows that may step together, those with laws between steps apart from the others."""
+    """Rows that may step together: similar length, with or without effects between steps."""
     found: list[NDArray[np.int64]] = []
     for kind in (False, True):
         rows = np.flatnonzero(stepwise == kind)
@@ -115,8 +114,8 @@ def _of_like_length(
 
 
 def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
-    """Parts that several cores are done with soonest: what is done between steps costs a part of
-    the rows as much as all.
+    """Parts with the shortest total time on several cores; the time between steps does not shrink
+    with the number of rows.
     """
     best, least = list(whole), _until_done(whole, cores)
     if cores == 1 or sum(p.seconds for p in whole) < _FORK:
@@ -133,7 +132,7 @@ def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
 
 
 def _until_done(found: Sequence[Part], cores: int) -> float:
-    """s until all parts are done, each core taking the longest that is left."""
+    """Time until all parts are done if each core takes the longest remaining part, s."""
     busy = [0.0] * cores
     for p in sorted(found, key=lambda p: -p.seconds):
         first = int(np.argmin(busy))
@@ -142,5 +141,5 @@ def _until_done(found: Sequence[Part], cores: int) -> float:
 
 
 def worth_forks(found: Sequence[Part]) -> bool:
-    """Whether several cores are done sooner by more than what forks cost."""
+    """Whether several cores save more time than forks cost."""
     return len(found) > 1 and sum(p.seconds for p in found) - found[0].seconds > _FORK

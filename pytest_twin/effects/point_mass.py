@@ -1,4 +1,4 @@
-"""Bodies that carry point masses: all of them at once."""
+"""Mass, centre and inertia of bodies with an added point mass."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 
 _LEAST_MASS, _LEAST_MOMENT = 1e-6, 1e-9
-"""kg, kg m^2: less than a simulator divides by."""
+"""Smallest mass in kg and moment of inertia in kg m^2, so that the simulator can divide by it."""
 
 
 def with_point_mass(
@@ -19,7 +19,7 @@ def with_point_mass(
     added: FloatArray,
     at: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Bodies with point masses on them: mass, centre, principal moments, their orientation.
+    """Mass, centre of mass, principal moments and their orientation with added point masses.
 
     Args:
         mass: (n,) kg; center: (n, 3) m; moments: (n, 3) kg m^2 about it; quat: (n, 4) w first.

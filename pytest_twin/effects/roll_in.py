@@ -1,10 +1,8 @@
-"""What laws remember where a window starts amid a motion: they live through what came before it.
+"""Initial memory of effects where a window starts in motion.
 
-A motor behind a gear that gives, a drive that lags, a contact that yields: their state is no
-reading. Where the joint was is known all the same, and its commands too, so the laws alone are
-stepped along the measured motion for a while. What they hold at the end of it is their start.
-What follows commands alone (a setpoint that moves no faster than its profile allows may be seconds
-behind) begins that with all that were sent before: no motion has to be known for it.
+The state of an elastic transmission, a lag or bristle friction is not measured. The effects alone
+are therefore stepped along the measured motion before the window. Memories of commands only, such
+as a rate limit, which may lag by seconds, start with all earlier commands.
 """
 
 from __future__ import annotations
@@ -19,24 +17,24 @@ from pytest_twin.effects.motor_side import Gear, MotorSide
 from pytest_twin.effects.within import within
 
 LEAD = 0.2
-"""s; motors behind gears and current loops forget sooner."""
+"""Length of the motion before a window in s; transmissions and current loops settle sooner."""
 PATH_STEP = 0.01
-"""s; longest step along a path."""
+"""Longest step along a path, s."""
 
 Hooks = Mapping[str, Sequence[tuple[Effect, Values]]]
 
 
 def act(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
-    """Every law of one step, at the setpoint and the motion at hand.
+    """Run all hooks of one step.
 
     Args:
-        world: rows at their state.
+        world: state of the rows; changed.
         hooks: hook -> effects with their values.
-        drives: whether anybody asks what the drives deliver; a gear that gives does.
+        drives: whether the drives' effort is needed; an elastic transmission always needs it.
 
     Returns:
-        (rows, joints) what the drives' own laws give within their bounds, before effects of the
-        drive; ``world.delivered`` is after them. As they were where nobody asks.
+        (rows, joints) effort of the control laws within their limits, before effects of the drive.
+        ``world.delivered`` is the effort after them. Both are unchanged if not needed.
     """
     geared = hooks["gear"]
     if geared:
@@ -67,7 +65,7 @@ def act(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
 
 
 def gears(world: World, geared: Sequence[tuple[Effect, Values]]) -> Gear:
-    """What stands between motors and links, all laws of it together."""
+    """The transmission with all effects on it."""
     gear = Gear.rigid(world.motor_armature)
     for effect, v in geared:
         effect.gear(gear, world, v)
@@ -75,7 +73,7 @@ def gears(world: World, geared: Sequence[tuple[Effect, Values]]) -> Gear:
 
 
 def shift_motors(world: World, geared: Sequence[tuple[Effect, Values]], shift: FloatArray) -> None:
-    """Let motors behind gears that give start (rows, joints) apart from where they would."""
+    """Shift the initial positions of motors behind elastic transmissions by (rows, joints)."""
     if world.motor is None:
         world.motor = _motor_side(world, geared)
     world.motor.angle = world.motor.angle + shift
@@ -90,13 +88,12 @@ def _motor_side(world: World, geared: Sequence[tuple[Effect, Values]]) -> MotorS
 
 
 def follow(world: World, effects: Sequence[tuple[Effect, Values]], path: FloatArray) -> None:
-    """Let forces that fade with the way that joints go see the way up to the lead.
+    """Bring memories that fade with the distance travelled up to date.
 
     Args:
         world: rows at their start.
-        effects: those whose memory fades with the way.
-        path: (steps, rows, joints) rad or m that joints go in each step, the last ending at the
-            lead.
+        effects: effects with such a memory.
+        path: (steps, rows, joints) distance travelled in each step, rad or m.
     """
     kept = {n: getattr(world, n) for n in ("velocity", "applied", "timestep")}
     world.timestep = PATH_STEP
@@ -111,13 +108,13 @@ def follow(world: World, effects: Sequence[tuple[Effect, Values]], path: FloatAr
 def roll_in(
     world: World, hooks: Hooks, position: FloatArray, velocity: FloatArray, command: FloatArray
 ) -> None:
-    """Step laws along a motion up to the start of ``world``; only their memory changes.
+    """Step effects along the motion before the start of ``world``; only their memory changes.
 
     Args:
         world: rows at their start.
-        hooks: hook -> effects with their values, as they act between steps.
-        position, velocity: (steps, rows, joints) of the motion before, rad or m and per s.
-        command: (steps, rows, joints) held commands, as they reach the drive.
+        hooks: hook -> effects with their values.
+        position, velocity: (steps, rows, joints) motion before the start, rad or m, and per s.
+        command: (steps, rows, joints) commands as they reach the drive.
     """
     kept = {n: getattr(world, n) for n in _BORROWED}
     steps = len(position)

@@ -1,4 +1,4 @@
-"""Work of the engine that changes no number of a motion, and is left out of each step."""
+"""MuJoCo options that save time without changing the motion."""
 
 from __future__ import annotations
 
@@ -10,22 +10,19 @@ from contextlib import contextmanager
 import mujoco
 
 _DISABLE = mujoco.mjtDisableBit
-# The engine asks ``mjcb_time`` at the beginning and the end of each stage of a step, and the
-# system's clock where nobody set one. This answers from a register, whatever is in it, by the
-# conventions of calls on x86-64 and ARM; a function of Python would need the interpreter's lock.
+# MuJoCo calls ``mjcb_time``, or else the system clock, around each stage of a step. This C function
+# returns whatever is in a register, by the calling conventions of x86-64 and ARM. A Python function
+# would need the interpreter's lock.
 _NO_CLOCK = (
     ctypes.CFUNCTYPE(ctypes.c_double)(("fabs", ctypes.CDLL(None))) if os.name == "posix" else None
 )
 
 
 def spare(model: mujoco.MjModel) -> None:
-    """Switch off what the engine would look for in vain at each step.
-
-    Islands of constraints, where there is one kinematic tree and so at most one island; contacts,
-    where no two geoms can meet.
+    """Disable constraint islands for a single kinematic tree, and contacts where no geoms collide.
 
     Args:
-        model: changed; its motion is the same to the last bit.
+        model: changed in place; its motion is bitwise the same.
     """
     if model.ntree <= 1:
         model.opt.disableflags |= int(_DISABLE.mjDSBL_ISLAND)
@@ -36,10 +33,9 @@ def spare(model: mujoco.MjModel) -> None:
 
 @contextmanager
 def unclocked() -> Iterator[None]:
-    """Let the engine's profiler (``MjData.timer``) read no clock.
+    """Keep MuJoCo's profiler (``MjData.timer``) from reading the clock, 1/8 to 1/4 of a step.
 
-    That is an eighth to a quarter of a step's time. What the profiler says of the steps in here is
-    void. A clock that somebody set is left in its place.
+    Profiler values of these steps are meaningless. A clock that was set before stays.
     """
     if _NO_CLOCK is None or mujoco.get_mjcb_time() is not None:
         yield

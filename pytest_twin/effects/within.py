@@ -1,4 +1,4 @@
-"""Bounds, as laws between steps need them: of few numbers, very often."""
+"""A fast clip for small arrays."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ from pytest_twin.arrays import FloatArray
 
 
 def within(x: FloatArray, low: FloatArray | float, high: FloatArray | float) -> FloatArray:
-    """As ``np.clip``, at a third of what that costs few numbers."""
+    """``np.clip`` in a third of its time for small arrays."""
     bounded: FloatArray = np.minimum(np.maximum(x, low), high)
     return bounded
