@@ -1,4 +1,4 @@
-"""What the demo arm is for, as functions of a realization."""
+"""Tasks of the demo arm, as functions of a realization."""
 
 from __future__ import annotations
 

@@ -1,11 +1,9 @@
-"""Record the demo arm's "reality": a plant that is not the twin and shares no code with it.
+"""Simulate recordings of the demo arm with a plant that shares no code with the twin.
 
-Run ``python golden/make/record.py``; it writes ``golden/recordings/*.mcap``. The plant uses
-Pinocchio's rigid-body terms and its own integrator at 10 kHz, and it has what a drawing leaves
-out: Stribeck
-friction (Armstrong-Helouvry et al. 1994), a command latency, a little more armature than the data
-sheet says, encoder counts, noise and jitter of the clock. The twin's replay goldens carry the
-tolerances that its users set for these.
+Run ``python golden/make/record.py``; it writes ``golden/recordings/*.mcap``. No real arm is behind
+them. The plant uses Pinocchio's rigid-body terms and its own integrator at 10 kHz. It has what the
+twin's model lacks: Stribeck friction (Armstrong-Helouvry et al. 1994), a command delay, more
+armature than the data sheet states, encoder counts, measurement noise and clock jitter.
 
 Units: m, kg, rad, s, N, N*m.
 """
@@ -46,7 +44,7 @@ uint32 nanosec
 
 @dataclass(frozen=True)
 class Plant:
-    """What is true of the machine; the drive's data sheet says kp, kv and the peak effort."""
+    """The simulated machine; the drive's data sheet says kp, kv and the peak effort."""
 
     kp: np.ndarray = field(default_factory=lambda: np.array([180.0, 400.0, 160.0, 60.0, 1500.0]))
     kv: np.ndarray = field(default_factory=lambda: np.array([9.0, 18.0, 6.0, 2.0, 30.0]))

@@ -22,6 +22,7 @@ MOTION_FRACTION = 5e-3
 """Tolerance of a trace as a fraction of its motion: computations of one model on two machines agree
 to about 1e-9, and an inertia that is wrong by a percent moves a torque step by twice as much."""
 _LEAST_FRACTION = 1e-4
+_NO_ROOM = 1e-5  # rad or m: a joint with a narrower range is held in place
 _MASS_CHANGE = 0.05  # a link's mass that is wrong by this fraction should fail a torque step
 
 
@@ -70,6 +71,11 @@ class Actuation:
         what = "its motors take torques" if self.commands else "it has no actuators"
         if realization.path.suffix.lower() != ".urdf":
             return f"No controller: the model has no position servo, {what}."
+        if not self.commands:
+            return (
+                "No controller and no motors: a URDF joint gets a motor where its <limit> states "
+                "an effort above zero. State efforts there, then servo gains in twin.yaml."
+            )
         return (
             f"No controller: a URDF states none, {what}. To test with one, add servo gains to "
             "twin.yaml; the lines are there as comments."
@@ -145,7 +151,7 @@ def torque_fraction(realization: Realization, joint: str) -> tuple[float, list[s
 def drivable(realization: Realization) -> list[tuple[str, str]]:
     """(joint, command) of joints for first specs: those with an input, or all if none has.
 
-    Followers of a coupling are left out.
+    Followers of a coupling are left out, and joints whose range leaves no room to move.
     """
     import mujoco
 
@@ -158,7 +164,13 @@ def drivable(realization: Realization) -> list[tuple[str, str]]:
         if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]
     }
     types = realization.structure.joint_type
-    joints = [j for j in realization.joints if types.get(j) in POSITION_UNIT and j not in followers]
+    joints = [
+        joint
+        for joint in realization.joints
+        if types.get(joint) in POSITION_UNIT
+        and joint not in followers
+        and room(realization, joint) > _NO_ROOM
+    ]
     found: list[tuple[str, str]] = []
     for joint in joints:
         modes = [item.mode for item in joint_inputs(model, joint)]
@@ -169,6 +181,14 @@ def drivable(realization: Realization) -> list[tuple[str, str]]:
         for joint in joints
         if not any(joint in driven for driven in realization.structure.actuator_joints.values())
     ]
+
+
+def room(realization: Realization, joint: str) -> float:
+    """Width of a hinge or slide joint's range in rad or m, infinite without one."""
+    model, index = realization.model, realization.joint_index(joint)
+    if not model.jnt_limited[index]:
+        return math.inf
+    return float(model.jnt_range[index, 1] - model.jnt_range[index, 0])
 
 
 def tendon_drives(realization: Realization) -> list[tuple[str, str]]:

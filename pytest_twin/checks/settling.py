@@ -215,7 +215,10 @@ class Settling(Check):
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """Held by servos, let go beside the pose, or falling: what the robot's drives allow."""
         if not realization.joints:
-            raise NothingToProposeError("no joint has a name")
+            jointed = realization.model.njnt > 0
+            raise NothingToProposeError(
+                "no joint has a name" if jointed else "the robot has no joints"
+            )
         actuation = proposals.Actuation.of(realization)
         bench: dict[str, Any] = {"pose": proposals.first_pose(realization)}
         notes = []
@@ -225,13 +228,15 @@ class Settling(Check):
         if told := actuation.no_controller(realization):
             notes.append(told)
         specs = []
+        reasons = []
         for propose in (self._under_gravity, self._beside_the_pose):
             try:
                 specs.append(propose(realization, actuation, bench))
             except NothingToProposeError as error:
-                notes.append(f"Left out: {error}")
+                reasons.append(str(error))
         if not specs:
-            raise NothingToProposeError(" ".join(notes).removeprefix("Left out: "))
+            raise NothingToProposeError("; ".join(reasons))
+        notes += [f"Left out: {reason}." for reason in reasons]
         return [
             {
                 **{field: spec[field] for field in ("name", "title", "target", "stimulus")},
@@ -257,13 +262,13 @@ class Settling(Check):
             found = self._tried(spec, realization)
             if found["deepest"] is None:
                 raise NothingToProposeError(
-                    "settling under gravity, because the base floats and nothing is under it. A "
-                    "contact golden lets it fall on a floor."
+                    "settling under gravity, because the base floats and nothing is under it "
+                    "(a contact golden lets it fall on a floor)"
                 )
             if found["settling_time"] is None:
                 raise NothingToProposeError(
                     "settling under gravity, because the base floats and does not come to rest on "
-                    "its floor within 3 s."
+                    "its floor within 3 s"
                 )
             return {**spec, "tolerance": _bounds(found) | _ON_FLOOR}
         if not actuation.held:
@@ -272,7 +277,7 @@ class Settling(Check):
             found = self._tried(spec, realization)
             moved = _motion(found, realization)
             if not any(motion > _STILL for motion in moved.values()):
-                raise NothingToProposeError("a fall under gravity, because gravity moves no joint.")
+                raise NothingToProposeError("a fall under gravity, because gravity moves no joint")
             return {**spec, "tolerance": _bounds(found, moved)}
         if actuation.loose:
             spec["title"] = (
@@ -299,7 +304,7 @@ class Settling(Check):
         }
         if not displaced:
             raise NothingToProposeError(
-                "motion without gravity, because no servo would move the joints."
+                "motion without gravity, because no servo would move the joints"
             )
         base = "; the base floats" if actuation.floating else ""
         loose = actuation.loose or actuation.floating

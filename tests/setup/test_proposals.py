@@ -11,9 +11,12 @@ import pytest
 
 from pytest_twin.checks import check_of
 from pytest_twin.checks.base import NothingToProposeError
+from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
 from pytest_twin.realization import Realization, load
 from pytest_twin.setup import inspection
+from pytest_twin.setup.writing import write_twin_file
+from pytest_twin.twin import load_twin
 from pytest_twin.units import parse_quantity
 
 LINK = """<link name="{name}"><inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>
@@ -130,6 +133,24 @@ def test_a_robot_without_servos_falls_and_is_told_so(tmp_path: Path) -> None:
     assert "Left out: motion without gravity, because no servo would move the joints." in notes
 
 
+def test_a_joint_whose_range_leaves_no_room_gets_no_step(tmp_path: Path) -> None:
+    robot = arm(tmp_path)
+    text = (tmp_path / "arm.urdf").read_text().replace('lower="-2" upper="2"', "@", 1)
+    (tmp_path / "arm.urdf").write_text(text.replace("@", 'lower="0" upper="1e-9"'))
+    assert list(first("step", load(tmp_path / "arm.urdf"))) == ["joint1", "joint2"]
+    assert list(first("step", robot)) == ["joint0", "joint1", "joint2"]
+
+
+def test_a_urdf_without_efforts_is_told_where_its_motors_come_from(tmp_path: Path) -> None:
+    arm(tmp_path)
+    text = (tmp_path / "arm.urdf").read_text().replace('effort="20"', 'effort="0"')
+    (tmp_path / "arm.urdf").write_text(text)
+    (spec,) = first("settling", load(tmp_path / "arm.urdf")).values()
+    assert "a URDF joint gets a motor where its <limit> states an effort above zero" in " ".join(
+        spec["notes"]
+    )
+
+
 def test_no_title_speaks_of_servos_where_there_are_none(tmp_path: Path) -> None:
     robot = arm(tmp_path)
     for kind in ("step", "settling", "frequency_response", "limits", "joint_direction"):
@@ -199,6 +220,32 @@ def test_a_robot_with_no_moving_joint_gets_reasons(tmp_path: Path) -> None:
     assert found["silent"] == {}
     assert found["none"]["step"] == "no joint takes a command"
     assert found["none"]["limits"] == "no joint with a name states a limit"
-    assert found["none"]["settling"] == "no joint has a name"
+    assert found["none"]["settling"] == "the robot has no joints"
     assert all(why for why in found["none"].values())
     assert json.dumps(found)
+
+
+def test_the_servo_lines_of_twin_yaml_load_once_the_gains_are_in(tmp_path: Path) -> None:
+    robot = arm(tmp_path)
+    look = inspection.look(str(robot.path))
+    written = write_twin_file(
+        tmp_path, name="arm", model=robot.path, source=[robot.path], roots={}, tcp=None,
+        inertia_repairs={}, motors=look["motors"], reading={},
+    )  # fmt: skip
+    lines = written.read_text().splitlines()
+    begin = lines.index("# fit:")
+    end = next(i for i, line in enumerate(lines) if line.startswith("# What no file shows"))
+    gains = [line.removeprefix("# ") for line in lines[begin:end]]
+    written.write_text("\n".join([*lines[:begin], *gains, *lines[end:]]))
+    with pytest.raises(SpecError, match=r"fit\.actuator\.joint0\.kp"):
+        load_twin(written)
+    text = written.read_text().replace("N*m/rad", "120").replace("N*m*s/rad", "8")
+    written.write_text(text)
+    twin = load_twin(written)
+    realization = load(twin.realizations["mujoco"].file, twin=twin)
+    assert inspection.look(str(robot.path))["motors"] == dict.fromkeys(
+        ["joint0", "joint1", "joint2"], "hinge"
+    )
+    assert first("settling", realization)["gravity"]["title"] == (
+        "Servos hold the pose under gravity"
+    )
