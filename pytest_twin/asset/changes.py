@@ -1,4 +1,4 @@
-"""The change log of a normalized asset: every fix, and every fault that was left standing."""
+"""The change log of a normalized asset: every change, and every fault that was kept."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Change:
         file: the source file, relative to the source's root.
         line: 1-based line there.
         where: the element and attribute, ``joint 'elbow'.axis``.
-        before, after: as written, with the unit; None where it was not there, or is not any more.
-        why: the reason, in words.
-        patch: the named patch that a person accepted, None for what is only form.
+        before, after: as written, with the unit; None where it did not exist, or was removed.
+        why: the reason.
+        patch: the accepted patch that made it, None for a change of form alone.
     """
 
     file: str
@@ -32,13 +32,13 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """A fault of the source that stands in the normalized asset too.
+    """A fault of the source that the normalized asset keeps.
 
     Attributes:
         value: as found, with its unit.
         why: what is wrong with it.
-        patch: the named patch that would repair it, None where only evidence can.
-        critical: no realization can be trusted, or even made, while it stands.
+        patch: the patch that would repair it, None where there is none.
+        critical: no realization can be trusted, or made, while it is there.
     """
 
     file: str
@@ -52,10 +52,10 @@ class Flag:
 
 @dataclass(frozen=True, slots=True)
 class ChangeLog:
-    """What was done, what was not, and how to do it again.
+    """Changes and kept faults of a normalized asset, and the command that makes it again.
 
     Attributes:
-        command: the words of the command that makes the same normalized asset.
+        command: arguments of the command that makes the same normalized asset.
     """
 
     command: tuple[str, ...]
@@ -72,14 +72,19 @@ class ChangeLog:
         }
 
     def to_markdown(self) -> str:
-        """The log as people read it."""
-        lines = ["# Change log of the normalized asset", "", "Made again, byte for byte, by:", ""]
+        """The log as Markdown."""
+        lines = [
+            "# Change log of the normalized asset",
+            "",
+            "This command makes the same files, byte for byte:",
+            "",
+        ]
         lines += [
             "```",
             shlex.join(self.command),
             "```",
             "",
-            "## What stands although it is wrong",
+            "## Faults that were kept",
             "",
         ]
         if self.flags:
@@ -88,15 +93,15 @@ class ChangeLog:
                 [_row(asdict(flag)) for flag in self.flags],
             )
         else:
-            lines.append("Nothing was found.")
-        lines += ["", "## What was changed", ""]
+            lines.append("None.")
+        lines += ["", "## Changes", ""]
         if self.changes:
             lines += _table(
                 ("file", "line", "where", "from", "to", "why", "patch"),
                 [_row({**asdict(c), "from": c.before, "to": c.after}) for c in self.changes],
             )
         else:
-            lines.append("Nothing.")
+            lines.append("None.")
         return "\n".join(lines) + "\n"
 
 
@@ -113,7 +118,7 @@ def _table(columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> list[st
 
 
 def escape_markdown(text: str) -> str:
-    """Text from a file as one cell of a table, where nothing in it is markup."""
+    """Text from a file as one cell of a Markdown table, with every markup character escaped."""
     shown = "".join(c if c.isprintable() else "�" for c in " ".join(text.split()))
     for char in "\\`*_[]<>|":
         shown = shown.replace(char, "\\" + char)

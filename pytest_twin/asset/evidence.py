@@ -1,4 +1,4 @@
-"""What came with a robot, by the kind of each file, and what did not come."""
+"""The kinds of files that came with a robot, and the kinds that are missing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import PurePosixPath
 
 WANTED = ("manual", "CAD", "calibration certificate", "firmware", "SDK")
-"""What an asset is trusted by; each of these that did not come is named."""
+"""Kinds of evidence that every asset should have; a manifest names those that are missing."""
 
 _CERTIFICATE = re.compile(r"calib|certificat|kalibri|zertifikat", re.IGNORECASE)
 _MANUAL = re.compile(r"manual|handbook|datasheet|guide|specification", re.IGNORECASE)
@@ -27,7 +27,7 @@ _KIND_OF = {f".{s}": kind for kind, listed in _BY_SUFFIX.items() for s in listed
 
 
 def kind_of(name: str) -> str:
-    """The kind of a file by its path, ``other`` where nothing is known of it."""
+    """The kind of a file by its path, ``other`` where it is unknown."""
     path = PurePosixPath(name)
     suffix, stem = path.suffix.lower(), path.name
     folders = {part.lower() for part in path.parts[:-1]}
@@ -59,6 +59,6 @@ def sort_files(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def missing(found: Iterable[str]) -> list[str]:
-    """Kinds of evidence of which nothing came."""
+    """Kinds of evidence without a file."""
     present = set(found)
     return [kind for kind in WANTED if kind not in present]

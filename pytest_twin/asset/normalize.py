@@ -1,8 +1,8 @@
-"""A URDF made portable: the same robot, explicit and self-contained, every change written down.
+"""A URDF made portable: the same robot, explicit and self-contained, with a log of changes.
 
 Form is normalized: meshes in metres beside the file, unit axes, stated defaults, names for shapes.
-What is physical is never invented: an inertia that no body can have stays as it is, flagged, until
-its repair is accepted by name.
+Physical values are never invented: an impossible inertia is kept and flagged until its repair is
+accepted by name.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UNITS = "units: metre, kilogram, second, radian; newton, newton metre"
 _UNIT_LENGTH = 1e-9
 _FLAT = 1e-9
-"""Share of the largest principal moment below which another is zero, as in the audit."""
+"""Fraction of the largest principal moment below which another is zero, as in the audit."""
 _SAFE = re.compile(r"[^A-Za-z0-9_-]+")
 # One component of a path, and no hidden file.
 _FILE_NAME = re.compile(r"[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}")
@@ -47,7 +47,7 @@ _IMAGES = (".png", ".jpg", ".jpeg", ".tga", ".bmp")
 
 @dataclass(slots=True)
 class Normalized:
-    """What was made.
+    """A normalized asset.
 
     Attributes:
         urdf: the file.
@@ -129,11 +129,11 @@ class _Normalizer:
         unknown = sorted(self.accept - self.known_patches)
         if unknown:
             raise SpecError(
-                "nothing in this asset asks for that patch",
+                "this asset does not need that patch",
                 path=self.source,
                 where="--accept",
                 value=unknown[0],
-                expected=", ".join(sorted(self.known_patches)) or "no patch at all",
+                expected=", ".join(sorted(self.known_patches)) or "no --accept",
             )
         self._irregularities()
         etree.indent(self.root)
@@ -195,10 +195,10 @@ class _Normalizer:
     def _names(self) -> None:
         name = self.root.get("name") or ""
         if not name.strip():
-            self._set(self.root, "name", self.out.urdf.stem, "a robot without a name")
+            self._set(self.root, "name", self.out.urdf.stem, "the robot had no name")
         elif not _FILE_NAME.fullmatch(name):
             # Converters call files by it.
-            self._set(self.root, "name", file_stem(name, "robot"), "a name that no file can have")
+            self._set(self.root, "name", file_stem(name, "robot"), "the name cannot be a file name")
         for link in self.root.findall("link"):
             for kind in ("visual", "collision"):
                 used: set[str] = set()
@@ -208,7 +208,7 @@ class _Normalizer:
                         used.add(name)
                         continue
                     fresh = f"{link.get('name')}_{kind}_{index}"
-                    why = "two shapes of one name" if name else "a shape without a name"
+                    why = "another shape has this name" if name else "the shape had no name"
                     self._set(shape, "name", fresh, why)
                     used.add(fresh)
 
@@ -224,11 +224,11 @@ class _Normalizer:
             if axis is None:
                 axis = etree.SubElement(element, "axis")
                 axis.set("xyz", "1 0 0")
-                self._change(element, "axis", None, "1 0 0", "the default, made explicit")
+                self._change(element, "axis", None, "1 0 0", "the default, stated explicitly")
                 continue
             stated = xml_numbers(axis.get("xyz"), (1.0, 0.0, 0.0))
             if abs(float(np.linalg.norm(stated)) - 1.0) > _UNIT_LENGTH:
-                self._set(axis, "xyz", digits(joint.axis), "an axis that is not of unit length")
+                self._set(axis, "xyz", digits(joint.axis), "the axis was not a unit vector")
 
     def _lost_mimic(self, element: Any) -> None:
         """Take out a mimic of a joint that is not there: converters refuse the robot for it."""
@@ -264,7 +264,7 @@ class _Normalizer:
                 continue
             self._state_inertial(element.find("inertial"))
             share = inertia.violation(link.inertia)
-            # What is left of a zero after a change of frame is no inertia at all.
+            # A zero after a change of frame leaves rounding errors, which are no inertia.
             if share <= inertia.ROUNDING or np.abs(link.inertia).max() < inertia.MASS_FLOOR:
                 self._flag_line(element, link)
                 continue
@@ -289,7 +289,7 @@ class _Normalizer:
             self._repair(element, node, link, patch)
 
     def _flag_line(self, element: Any, link: urdf.Link) -> None:
-        """A mass on a line, which every form can hold and no body has."""
+        """Flag a mass on a line: every format can state it, and no body has it."""
         moments = np.linalg.eigvalsh(link.inertia)
         if link.mass <= 0 or moments[2] < inertia.MASS_FLOOR or moments[0] > _FLAT * moments[2]:
             return
@@ -299,24 +299,24 @@ class _Normalizer:
                 element.find("inertial/inertia").sourceline or 1,
                 f"link '{link.name}'.inertia",
                 f"principal moments {urdf.principal_text(link.inertia)} kg*m^2",
-                "a principal moment is zero: only a line without thickness has it; it stands in "
-                "every form as the source states it",
+                "a principal moment is 0, which only a line without thickness has; every "
+                "realization keeps the value of the source",
             )
         )
 
     def _state_inertial(self, element: Any) -> None:
-        """Zeros that the text leaves out: some parsers drop the whole element for them."""
+        """State zeros that the text leaves out: without them some parsers drop the element."""
         for tag, keys in (("mass", ("value",)), ("inertia", _MOMENTS)):
             node = element.find(tag)
             if node is None:
                 node = etree.SubElement(element, tag)
-                self._change(element, tag, None, "0", "not stated, and read as 0: made explicit")
+                self._change(element, tag, None, "0", "not stated and read as 0: stated explicitly")
             lacking = [key for key in keys if key not in node.attrib]
             for key in lacking:
                 node.set(key, "0")
             if lacking and node.sourceline:
                 words = " ".join(lacking)
-                self._change(node, words, None, "0", "not stated, and read as 0: made explicit")
+                self._change(node, words, None, "0", "not stated and read as 0: stated explicitly")
 
     def _repair(self, element: Any, node: Any, link: urdf.Link, patch: str) -> None:
         repaired = inertia.consistent(link.inertia)
@@ -335,8 +335,8 @@ class _Normalizer:
             f"{before} kg*m^2",
             f"{after} kg*m^2",
             f"principal moments {urdf.principal_text(link.inertia)} became "
-            f"{urdf.principal_text(repaired)} kg*m^2: the largest stays, the other two grow until "
-            "the triangle closes",
+            f"{urdf.principal_text(repaired)} kg*m^2: the largest is kept, the other two grow "
+            "until the triangle inequality holds",
             patch,
         )
 
@@ -358,7 +358,7 @@ class _Normalizer:
             if must:
                 raise
             link.remove(shape)
-            problem = f"{error.problem}; it is only looked at, and left out"
+            problem = f"{error.problem}; a visual mesh is left out"
             self._change(shape, "", f"mesh {reference}", None, problem)
             return
         if must:
@@ -366,26 +366,26 @@ class _Normalizer:
         scale = xml_numbers(element.get("scale"), (1.0, 1.0, 1.0))
         if scale.shape != (3,) or not np.isfinite(scale).all() or (scale == 0).any():
             raise FormatError(
-                "not the scale of a mesh",
+                "an invalid mesh scale",
                 path=self.source,
                 line=element.sourceline,
                 where="mesh.scale",
                 value=element.get("scale"),
-                expected="three numbers other than 0",
+                expected="three finite numbers other than 0",
             )
         name = self._written(path, scale, triangles)
         said = []
         if path.suffix.lower() != ".obj":
-            said.append(f"{path.suffix.lower()} became .obj, which every simulator loads")
+            said.append(f"{path.suffix.lower()} was converted to .obj, which every simulator loads")
         if path.suffix.lower() == ".dae":
-            said.append("its unit is taken in; its materials are left out")
+            said.append("its unit is applied to its vertices; its materials are left out")
             axis = stated_up_axis(path)
             if axis != "Z_UP":
                 said.append(f"its up axis is {axis or 'not stated'}; its vertices are not turned")
         if path.suffix.lower() in gltf.SUFFIXES:
             said.append("its y axis is up, and its vertices are not turned; materials are left out")
         if element.get("scale") is not None:
-            said.append(f"scale {element.get('scale')} is taken into its vertices, in metres")
+            said.append(f"scale {element.get('scale')} is applied to its vertices, in metres")
             del element.attrib["scale"]
         why = "; ".join(["a path inside the asset", *said])
         self._set(element, "filename", f"{MESH_FOLDER}/{name}", why)
@@ -420,7 +420,7 @@ class _Normalizer:
                 self.faces += len(found.faces)
             if self.bytes > LIMITS.total_asset_bytes or self.faces > LIMITS.total_mesh_faces:
                 raise FormatError(
-                    "the meshes are too large together",
+                    "the meshes together are too large",
                     path=self.source,
                     line=element.sourceline,
                     expected=f"at most {LIMITS.total_asset_bytes} bytes and "
@@ -467,7 +467,7 @@ class _Normalizer:
 
 
 def _label(element: Any) -> str:
-    """An element as people find it, with the link or joint that it stands in."""
+    """The name of an element, with the link or joint that contains it."""
     name = element.get("name")
     own = element.tag if name is None else f"{element.tag} '{name}'"
     for parent in element.iterancestors("link", "joint"):
@@ -476,7 +476,7 @@ def _label(element: Any) -> str:
 
 
 def xml_numbers(text: str | None, default: tuple[float, ...]) -> Vector:
-    """Numbers of an attribute, not a number for a word that is none; or the default."""
+    """Numbers of an attribute, NaN for a word that is no number; or the default."""
     return np.array(default if text is None else [_number(word) for word in text.split()])
 
 
@@ -488,7 +488,7 @@ def _number(word: str) -> float:
 
 
 def digits(values: Any) -> str:
-    """The shortest decimals that read back as the same numbers."""
+    """The shortest decimals that parse to the same numbers."""
     return " ".join(repr(float(value) + 0.0).removesuffix(".0") for value in values)
 
 

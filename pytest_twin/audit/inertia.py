@@ -170,7 +170,7 @@ def _possible(body: Body) -> Iterator[Finding]:
             "critical",
             body.inertial,
             _element(body),
-            "a principal moment of its inertia is 0: it is not positive definite"
+            "a principal moment of its inertia is zero: it is not positive definite"
             + (", and breaks the triangle inequality" if share > ROUNDING else "")
             + (" (products of inertia equal to the moments)" if equal else ""),
             text,
@@ -413,7 +413,7 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "critical",
                 place,
                 _element(body),
-                f"joint '{joint.name}' moves it, and a principal moment of its inertia is 0: "
+                f"joint '{joint.name}' moves it, and a principal moment of its inertia is zero: "
                 "it is not positive definite",
                 ", ".join(f"{value:.6g}" for value in moments),
                 "kg*m^2",

@@ -90,7 +90,7 @@ def test_what_is_kept_changed_and_lost(source: Description, made: Path) -> None:
     assert [item.name for item in row(found, "effort limits").items] == ["right"]
     sensors = row(found, "sensors").items
     assert [(item.name, item.after) for item in sensors] == [
-        ("eye", "a site: its place, and no signal")
+        ("eye", "a site: the frame without a signal")
     ]
     reduction = row(found, "transmissions").items[0]
     assert (reduction.name, reduction.after) == ("lift", "reduction 1")

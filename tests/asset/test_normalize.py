@@ -57,7 +57,7 @@ def test_every_change_says_where_from_what_to_what_and_why(tmp_path: Path) -> No
     assert [float(word) for word in axis.after.split()] == pytest.approx(
         [0, 0.8944, 0.4472], abs=1e-4
     )
-    assert axis.why == "an axis that is not of unit length"
+    assert axis.why == "the axis was not a unit vector"
     mesh = next(c for c in found.changes if c.after == "meshes/part.obj")
     assert mesh.before == "package://arm_description/meshes/part.stl"
     assert "scale 0.001 0.001 0.001 is taken into its vertices, in metres" in mesh.why
@@ -111,7 +111,9 @@ def test_its_repair_is_accepted_by_name_alone(tmp_path: Path) -> None:
     assert len(found.flags) == 3
     log = [change for change in found.changes if change.patch]
     assert [change.patch for change in log] == [patch]
-    assert "the largest stays, the other two grow until the triangle closes" in log[0].why
+    assert (
+        "the largest is kept, the other two grow until the triangle inequality holds" in log[0].why
+    )
     before, after = urdf.read(ALLEGRO), urdf.read(found.urdf)
     assert inertia.violation(after.links["link_3.0"].inertia) == 0.0
     assert np.linalg.eigvalsh(after.links["link_3.0"].inertia).max() == pytest.approx(
@@ -121,7 +123,7 @@ def test_its_repair_is_accepted_by_name_alone(tmp_path: Path) -> None:
 
 
 def test_a_patch_that_nothing_asks_for_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match="nothing in this asset asks for that patch") as caught:
+    with pytest.raises(SpecError, match="this asset does not need that patch") as caught:
         made(write_arm(tmp_path), tmp_path / "out", ("inertia-repair:upper",))
     assert caught.value.expected == "no patch at all"
 
@@ -132,7 +134,7 @@ def test_a_lost_visual_is_logged_and_a_lost_collision_refused(tmp_path: Path) ->
     found = made(source, tmp_path / "out")
     gone = next(change for change in found.changes if change.after is None)
     assert gone.before == "mesh package://arm_description/meshes/part.dae"
-    assert gone.why == "no such file; it is only looked at, and left out"
+    assert gone.why == "no such file; a visual mesh is left out"
     (source.parents[1] / "meshes/part.stl").unlink()
     with pytest.raises(PathError, match="no such file") as caught:
         made(source, tmp_path / "again")

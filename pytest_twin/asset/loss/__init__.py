@@ -1,1 +1,1 @@
-"""What a conversion keeps, changes and loses, from the models on both sides of it."""
+"""The semantic-loss matrix: what a conversion keeps, changes and loses."""

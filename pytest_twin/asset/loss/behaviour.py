@@ -1,4 +1,4 @@
-"""What a robot does, measured on both sides of a conversion."""
+"""Kinematics and dynamics of a robot, measured before and after a conversion."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def rows(
     """Poses, directions, mass, gravity torque, mass matrix and default state.
 
     Args:
-        reference: the source robot by an engine that is not the target's; ``by`` names it.
+        reference: the source robot in another engine than the target's; ``by`` names it.
         poses: configurations, rad and m by joint.
     """
     ran = f"{by} against {target.engine} at {len(poses)} configurations"
@@ -74,7 +74,7 @@ def rows(
 
 
 def turned(first: Vector, second: Vector) -> float:
-    """Angle between two rotations, exact where it is small, rad."""
+    """Angle between two rotations, accurate for small angles, rad."""
     chord = float(np.linalg.norm(first[:3, :3] - second[:3, :3])) / math.sqrt(8.0)
     return 2.0 * math.asin(min(1.0, chord))
 
@@ -82,7 +82,7 @@ def turned(first: Vector, second: Vector) -> float:
 def _orders(
     first: Dynamics, second: Dynamics, shared: Mapping[str, float]
 ) -> tuple[list[int], list[int]]:
-    """Where the shared joints stand in the two orders."""
+    """Indices of the shared joints in the two orders."""
     return (
         [first.joints.index(name) for name in shared],
         [second.joints.index(name) for name in shared],
@@ -104,7 +104,7 @@ def _measured(
     told = after or before
     if verdict == "changed" and after is None:
         told = f"{before}, off by up to {difference:.3g} {unit}"
-    # What is not a number is no smaller than the tolerance either.
+    # NaN compares as false, and so counts as beyond the tolerance.
     critical = not difference <= SINGLE * scale
     if not math.isfinite(difference):
         verdict, critical = "changed", True
@@ -114,7 +114,7 @@ def _measured(
 
 
 def _directions(source: Description, target: Description, reference: Dynamics, by: str) -> Row:
-    """Each joint moved alone from the state of zeros: the screw that it makes the robot follow."""
+    """The screw axis of the motion when each joint is moved alone from zero."""
     shared = [name for name in reference.joints if name in target.dynamics.joints]
     frames = [name for name in reference.frames if name in target.dynamics.frames]
     home_one, home_two = reference.poses({}), target.dynamics.poses({})
@@ -131,7 +131,7 @@ def _directions(source: Description, target: Description, reference: Dynamics, b
             break
         worst = max(worst, angle)
         if angle > SINGLE:
-            turned_round = "the other way" if angle > math.pi / 2 else "about another axis"
+            turned_round = "reversed" if angle > math.pi / 2 else "about another axis"
             items.append(Item(name, "changed", "as stated", f"{turned_round}, {angle:.4g} rad"))
     ran = f"each joint moved by {_STEP:g} rad or m alone, {by} against {target.engine}"
     return _measured(
@@ -146,7 +146,7 @@ def _directions(source: Description, target: Description, reference: Dynamics, b
 
 
 def _screw(motion: Vector) -> Vector | None:
-    """Unit direction of a motion: of its rotation, else of its translation; None if it rests."""
+    """Unit direction of a motion: of its rotation, else its translation; None without motion."""
     skew = motion[:3, :3] - motion[:3, :3].T
     axis = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
     length = float(np.linalg.norm(axis))

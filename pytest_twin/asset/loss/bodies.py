@@ -1,4 +1,4 @@
-"""What the bodies of a robot are: mass, frames, shapes, and what is mounted on them."""
+"""Rows about bodies: mass, frames, shapes, contact and sensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Vector = NDArray[np.float64]
 
 
 def links(source: Description, target: Description) -> Row:
-    """Mass, centre and inertia, body by body; what that does as a whole is measured elsewhere."""
+    """Mass, centre of mass and inertia of each body."""
     massive = {name for name, link in source.links.items() if link.mass or link.inertia.any()}
     items = []
     for name in sorted(massive | set(target.links)):
@@ -58,9 +58,9 @@ def links(source: Description, target: Description) -> Row:
 
 
 def _moved_away(source: Description, target: Description) -> bool:
-    """Whether a group of links that are fixed to each other is another body than before.
+    """Whether the summed inertia of a group of fixed links differs from before.
 
-    A conversion may merge such links: then no motion can tell.
+    A conversion may merge such links, which changes no motion.
     """
     if not target.links:
         return False
@@ -93,7 +93,7 @@ def _moved_away(source: Description, target: Description) -> bool:
 
 
 def _moments(link: LinkFacts, pose: Vector) -> Vector:
-    """(4, 4) pseudo-inertia in another frame: it adds up over bodies (Wensing et al., 2018)."""
+    """(4, 4) pseudo-inertia in another frame; it is additive over bodies (Wensing et al., 2018)."""
     second = np.trace(link.inertia) / 2 * np.eye(3) - link.inertia
     matrix = np.zeros((4, 4))
     matrix[:3, :3] = second + link.mass * np.outer(link.com, link.com)
@@ -112,7 +112,7 @@ def frames(source: Description, target: Description) -> Row:
         "frames",
         str(count),
         str(count - len(missing)),
-        "every frame asked for its pose",
+        "a pose of every frame in the target",
         items,
         critical=bool(missing),
     )
@@ -137,26 +137,26 @@ def shapes(source: Description, target: Description) -> Row:
         "collision shapes",
         str(count[0]),
         str(count[1]),
-        f"kind of each shape and the box that holds it in its link, to {CLOSE:g} m",
+        f"kind and bounding box of each shape in its link, to {CLOSE:g} m",
         items,
         empty=not any(count),
     )
 
 
 def disabled_pairs(source: Description, target: Description) -> Row:
-    """Which pairs of links never collide."""
+    """Pairs of links whose collision is disabled."""
     fresh = target.disabled_pairs - source.disabled_pairs
     gone = source.disabled_pairs - target.disabled_pairs
-    items = [Item(_pair(pair), "lost", "kept apart", None) for pair in sorted(map(sorted, gone))]
+    items = [Item(_pair(pair), "lost", "disabled", None) for pair in sorted(map(sorted, gone))]
     items += [
-        Item(_pair(pair), "changed", "not said", "kept apart")
+        Item(_pair(pair), "changed", "not stated", "disabled")
         for pair in sorted(map(sorted, fresh))
     ]
     return table(
         "disabled pairs",
-        f"{len(source.disabled_pairs)} (a URDF names none)",
-        f"{len(target.disabled_pairs)} kept apart",
-        "pairs of bodies with shapes that the engine's rules never let collide",
+        f"{len(source.disabled_pairs)} (URDF cannot state any)",
+        f"{len(target.disabled_pairs)} disabled",
+        "pairs of bodies with shapes whose collision the engine disables",
         items,
         empty=not source.disabled_pairs and not target.disabled_pairs,
     )
@@ -167,7 +167,7 @@ def _pair(pair: Iterable[str]) -> str:
 
 
 def contact(source: Description, target: Description) -> Row:
-    """Friction and the like, stated or by default."""
+    """Contact parameters, stated or by default."""
     stated = {name: f"{count} times" for name, count in source.contact.items()}
     held = {name: f"{count} shapes" for name, count in target.contact.items()}
     items = [Item(name, "lost", value, None) for name, value in stated.items()]
@@ -187,20 +187,20 @@ def contact(source: Description, target: Description) -> Row:
 
 
 def sensors(source: Description, target: Description) -> Row:
-    """Places of sensors, and whether anything is measured there."""
+    """Frames of sensors, and whether the target has a signal there."""
     items = []
     for name, kind in source.sensors.items():
         held = target.sensors.get(name)
         if held is None:
             items.append(Item(name, "lost", kind, None))
         elif held == "site":
-            items.append(Item(name, "changed", kind, "a site: its place, and no signal"))
+            items.append(Item(name, "changed", kind, "a site: the frame without a signal"))
     kept = sum(name in target.sensors for name in source.sensors)
     return table(
         "sensors",
         some(source.sensors),
-        f"{kept} places",
-        "sites of the compiled model, and the sensors on them",
+        f"{kept} sites",
+        "sites and sensors of the compiled model",
         items,
         empty=not source.sensors,
     )

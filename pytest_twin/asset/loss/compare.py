@@ -1,4 +1,4 @@
-"""Hold two forms of a robot together, feature by feature. Pure: both are compiled already."""
+"""Comparison of two forms of a robot, feature by feature; both are compiled already."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _REACH = math.pi
 def compare(
     source: Description, target: Description, reference: Dynamics, reference_name: str
 ) -> Conversion:
-    """All rows of one conversion.
+    """Every row of one conversion.
 
     Args:
-        reference: the source robot by an engine that is not the target's.
-        reference_name: what that is, for the words of the comparison.
+        reference: the source robot in another engine than the target's.
+        reference_name: its name.
     """
     poses = configurations(source, reference, target.dynamics)
     rows = [
@@ -47,7 +47,7 @@ def compare(
             "custom tags",
             {name: f"{count} times" for name, count in source.custom.items()},
             dict.fromkeys(target.custom, ""),
-            "elements that the target's model holds",
+            "elements of the target's model",
         ),
         joints.transmissions(source, target),
         present("safety controllers", source.safety, target.safety, "soft limits of joints"),
@@ -58,7 +58,7 @@ def compare(
             feature,
             values,
             target.stated.get(feature, {}),
-            "elements and attributes that the target's model holds",
+            "elements and attributes of the target's model",
         )
         for feature, values in source.stated.items()
         if feature not in known
@@ -69,7 +69,7 @@ def compare(
 def configurations(
     source: Description, *dynamics: Dynamics, count: int = POSES
 ) -> list[dict[str, float]]:
-    """The state of zeros, and ``count`` drawn inside the limits, every mimic holding.
+    """Zeros, and ``count`` random configurations within the limits that satisfy every mimic.
 
     Only joints that all of ``dynamics`` have are given a value.
     """

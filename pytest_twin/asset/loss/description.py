@@ -1,4 +1,4 @@
-"""What one form of a robot says and does, told alike for every form."""
+"""One description for every form of a robot: URDF, MJCF, USD, Pinocchio."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Vector = NDArray[np.float64]
 
 
 class Dynamics(Protocol):
-    """A robot that can be asked; joint values in rad or m, those left out at zero.
+    """Kinematics and dynamics of a robot; joint values in rad or m, 0 where left out.
 
-    Poses and positions are told from the root link. Only joints of one degree of freedom count.
+    Poses and positions are in the root link. Joints with one degree of freedom alone count.
     """
 
     @property
@@ -38,7 +38,7 @@ class Dynamics(Protocol):
         """(3,) m."""
 
     def gravity_torque(self, q: Mapping[str, float]) -> Vector:
-        """(n,) N*m or N that holds each joint still, in the order of ``joints``."""
+        """(n,) N*m or N that hold the joints against gravity, in the order of ``joints``."""
 
     def mass_matrix(self, q: Mapping[str, float]) -> Vector:
         """(n, n) in the order of ``joints``."""
@@ -66,9 +66,9 @@ class JointFacts:
     Attributes:
         kind: ``hinge``, ``slide``, ``free``, ``planar``.
         range: (lower, upper) rad or m, None where it is unlimited.
-        velocity: rad/s or m/s; effort: N*m or N: the greatest, None where there is no bound.
+        velocity: limit, rad/s or m/s; effort: limit, N*m or N; None without a limit.
         damping: N*m*s/rad or N*s/m; friction: N*m or N.
-        default: rad or m, where it stands when the model is loaded.
+        default: position of the loaded model, rad or m.
     """
 
     kind: str
@@ -85,19 +85,19 @@ class Description:
     """One form of a robot.
 
     Attributes:
-        name: what it is called, ``MJCF``; engine: what read it.
+        name: ``MJCF``; engine: what read it.
         links: those with a body of their own.
         joints: those that move.
-        independent: degrees of freedom that are left when every coupling holds.
+        independent: degrees of freedom less those that couplings remove.
         actuators: actuator -> (joint, gear, force range in N*m or N or None).
-        drives: joint -> what closes a loop around it, in words (gains, bounds).
+        drives: joint -> feedback of its actuator, in words (gains, bounds).
         mimics: follower -> (leader, multiplier, offset in rad or m).
         constraints: other constraints and tendons, each in words.
-        shapes: link -> its collision shapes, in the order of where they lie.
-        disabled_pairs: pairs of links that are kept from colliding.
-        contact: contact parameters that shapes have, in words -> how many have them.
-        sensors, transmissions, safety, custom: name -> what there is of it, in words.
-        stated: row of the matrix -> element -> its value, of what has a row for no other reason.
+        shapes: link -> its collision shapes, sorted by position.
+        disabled_pairs: pairs of links whose collision is disabled.
+        contact: contact parameters, in words -> count of shapes.
+        sensors, transmissions, safety, custom: name -> description.
+        stated: row of the matrix -> element -> value, by the table of URDF elements.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What MuJoCo makes of an MJCF: read off the compiled model, and off what it does."""
+"""The description of an MJCF, from the compiled model and from its behaviour."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _OVERDRIVEN = 1e9
 
 
 class MujocoDynamics:
-    """A compiled model, asked by name; contacts are left out."""
+    """Kinematics and dynamics of a compiled model by name, without contacts."""
 
     def __init__(self, model: mujoco.MjModel, root: str) -> None:
         self.model = model
@@ -73,11 +73,11 @@ class MujocoDynamics:
         return {name: back @ self._pose(data, body) for name, body in self._bodies.items()}
 
     def mass(self) -> float:
-        """kg, what stands still included."""
+        """kg, static bodies included."""
         return float(self.model.body_mass.sum())
 
     def center_of_mass(self, q: Mapping[str, float]) -> Vector:
-        """(3,) m, what stands still included."""
+        """(3,) m, static bodies included."""
         data, total = self._at(q), self.mass()
         moment = self.model.body_mass @ data.xipos
         world = moment / total if total > 0 else np.zeros(3)
@@ -104,7 +104,7 @@ class MujocoDynamics:
 
 
 def describe(model: mujoco.MjModel, root: str) -> Description:
-    """Everything that the compiled model holds.
+    """The description of a compiled model.
 
     Args:
         root: the link that stands fixed in the world.
@@ -194,7 +194,7 @@ def _actuators(
 
 
 def _saturated_effort(model: mujoco.MjModel) -> dict[str, float]:
-    """Joint -> greatest force that its actuators bring out when they are driven past all bounds."""
+    """Joint -> largest force of its actuators, with every control beyond its bounds."""
     data = mujoco.MjData(model)
     found: dict[str, float] = {}
     for sign in (1.0, -1.0):
@@ -210,7 +210,7 @@ def _saturated_effort(model: mujoco.MjModel) -> dict[str, float]:
 
 
 def _sensors(model: mujoco.MjModel) -> dict[str, str]:
-    """Site -> the sensors on it; ``site`` alone where MuJoCo measures nothing there."""
+    """Site -> the sensors on it; ``site`` where it has none."""
     found: dict[str, list[str]] = {
         _name(model, mujoco.mjtObj.mjOBJ_SITE, site): [] for site in range(model.nsite)
     }
@@ -223,7 +223,7 @@ def _sensors(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, str]:
-    """Actuators whose force depends on where the joint is or how fast it moves."""
+    """Actuators whose force depends on the joint's position or velocity."""
     found = {}
     for name, (joint, _, _) in _actuators(model).items():
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
@@ -234,7 +234,7 @@ def _drives(model: mujoco.MjModel) -> dict[str, str]:
 
 
 class _without_contact:  # noqa: N801
-    """Contacts switched off for a while."""
+    """Disable contacts inside a ``with`` block."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
@@ -250,7 +250,7 @@ class _without_contact:  # noqa: N801
 def _equalities(
     model: mujoco.MjModel,
 ) -> tuple[dict[str, tuple[str, float, float]], int, tuple[str, ...]]:
-    """Mimics as the constraint solver feels them, rank of all equalities, and the other ones."""
+    """Mimics by their constraint residuals, rank of all equalities, and other constraints."""
     mimics: dict[str, tuple[str, float, float]] = {}
     others = []
     if not model.neq:
@@ -319,7 +319,7 @@ def _shape(model: mujoco.MjModel, geom: int) -> Shape:
 
 
 def _disabled(model: mujoco.MjModel, geoms: Mapping[str, list[int]]) -> frozenset[frozenset[str]]:
-    """Pairs of bodies with shapes that MuJoCo's rules keep from colliding."""
+    """Pairs of bodies with shapes whose collision MuJoCo disables."""
     excluded = {int(signature) for signature in model.exclude_signature}
     parents = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     found = set()

@@ -1,4 +1,4 @@
-"""What Pinocchio makes of a URDF, by its own parser and its own algorithms."""
+"""The description of a URDF by Pinocchio's parser and algorithms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Vector = NDArray[np.float64]
 
 
 class PinocchioDynamics:
-    """A Pinocchio model, asked by the names of the URDF."""
+    """Kinematics and dynamics of a Pinocchio model by the names of the URDF."""
 
     def __init__(self, model: pin.Model, root: str) -> None:
         self.model = model
@@ -64,11 +64,11 @@ class PinocchioDynamics:
         return {name: self._data.oMf[i].homogeneous for name, i in self._frames.items()}
 
     def mass(self) -> float:
-        """kg, what stands still included."""
+        """kg, static links included."""
         return float(sum(inertia.mass for inertia in self.model.inertias))
 
     def center_of_mass(self, q: Mapping[str, float]) -> Vector:
-        """(3,) m, what stands still included."""
+        """(3,) m, static links included."""
         pin.forwardKinematics(self.model, self._data, self._configuration(q))
         moment = np.zeros(3)
         for placement, inertia in zip(self._data.oMi, self.model.inertias, strict=True):

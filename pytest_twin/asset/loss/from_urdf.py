@@ -1,4 +1,4 @@
-"""What a URDF says, by its own text."""
+"""The description of a URDF, from its text."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "flo
 
 
 def describe(robot: Robot, extras: Extras, meshes: Mapping[str, Vector]) -> Description:
-    """Everything that the text states.
+    """The description of a URDF.
 
     Args:
-        extras: what stands beside links and joints in its file.
-        meshes: reference of a collision mesh, as written -> its vertices (n, 3), not scaled, m.
+        extras: transmissions, sensors, contact and custom tags of its file.
+        meshes: file name of a collision mesh, as written -> vertices (n, 3) without its scale, m.
     """
     joints = {
         joint.name: JointFacts(

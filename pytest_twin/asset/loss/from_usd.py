@@ -1,4 +1,4 @@
-"""What UsdPhysics says of a stage."""
+"""The description of a USD stage with UsdPhysics."""
 
 from __future__ import annotations
 

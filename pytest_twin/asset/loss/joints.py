@@ -1,4 +1,4 @@
-"""What moves a robot and what holds it: joints, limits, actuators, couplings."""
+"""Rows about joints: kinds, limits, actuators, couplings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_twin.asset.loss.table import EXACT, SINGLE, alike, most, numbers, so
 
 
 def joints(source: Description, target: Description) -> Row:
-    """Every joint that moves, by its kind."""
+    """Kind of every moving joint."""
     items = []
     for name, facts in source.joints.items():
         if name not in target.joints:
@@ -21,7 +21,7 @@ def joints(source: Description, target: Description) -> Row:
             if facts.kind in ("planar", "free") and like:
                 items.append(Item(name, "changed", facts.kind, " ".join(like)))
             elif facts.kind == "free":
-                items.append(Item(name, "changed", "free", "a body that no joint holds"))
+                items.append(Item(name, "changed", "free", "a body without a joint"))
             else:
                 items.append(Item(name, "lost", facts.kind, None))
         elif target.joints[name].kind != facts.kind:
@@ -38,19 +38,19 @@ def joints(source: Description, target: Description) -> Row:
 
 
 def independent(source: Description, target: Description) -> Row:
-    """Degrees of freedom that are left when every coupling holds."""
+    """Degrees of freedom less those that couplings remove."""
     verdict: Verdict = "kept" if source.independent == target.independent else "changed"
     return Row(
         "independent degrees of freedom",
         verdict,
         str(source.independent),
         str(target.independent),
-        "degrees of freedom less the rank of the couplings between them",
+        "degrees of freedom less the rank of their couplings",
     )
 
 
 def passive(source: Description, target: Description) -> Row:
-    """Joints that nothing drives."""
+    """Joints without actuator and mimic."""
     items = [
         Item(name, "changed", "driven", "passive")
         for name in sorted((target.passive - source.passive) & set(source.joints))
@@ -62,7 +62,7 @@ def passive(source: Description, target: Description) -> Row:
         "passive joints",
         some(source.passive),
         some(target.passive),
-        "joints that no actuator and no mimic moves",
+        "joints without actuator and mimic",
         items,
         empty=not source.passive and not target.passive,
     )
@@ -93,16 +93,16 @@ def _actuator(gear: float, bound: tuple[float, float] | None) -> str:
 
 
 def limits(source: Description, target: Description) -> Iterable[Row]:
-    """Ranges, speeds and efforts: three rows."""
+    """Rows of position, velocity and effort limits."""
     readers: dict[str, tuple[Callable[[JointFacts], Any], str, str]] = {
         "position limits": (lambda facts: facts.range, "rad or m", "range of each joint"),
-        "velocity limits": (lambda f: f.velocity, "rad/s or m/s", "greatest speed of each joint"),
+        "velocity limits": (lambda f: f.velocity, "rad/s or m/s", "velocity limit of each joint"),
         "effort limits": (
             lambda facts: facts.effort,
             "N*m or N",
-            "force on each joint with every control driven past its bounds"
+            "largest force on each joint, with every control beyond its bounds"
             if target.name == "MJCF"
-            else "greatest force of each joint",
+            else "effort limit of each joint",
         ),
     }
     for feature, (read, unit, comparison) in readers.items():
@@ -172,7 +172,7 @@ def passive_terms(source: Description, target: Description) -> Row:
 
 
 def mimics(source: Description, target: Description) -> Row:
-    """Law of each mimic; another law is critical, a lost one shows."""
+    """Law of each mimic; a changed law is critical."""
     items = []
     for name, law in source.mimics.items():
         held = target.mimics.get(name)
@@ -201,7 +201,7 @@ def _law(law: tuple[str, float, float]) -> str:
 
 
 def constraints(source: Description, target: Description) -> Row:
-    """Tendons and constraints that are no mimic."""
+    """Tendons and constraints other than mimics."""
     before, after = list(source.constraints), list(target.constraints)
     items = [Item(word, "lost", word, None) for word in before if word not in after]
     items += [Item(word, "changed", None, word) for word in after if word not in before]
@@ -216,7 +216,7 @@ def constraints(source: Description, target: Description) -> Row:
 
 
 def transmissions(source: Description, target: Description) -> Row:
-    """Gear of the actuator where a transmission states a reduction."""
+    """Gear of each actuator with a transmission."""
     items = []
     for joint, words in source.transmissions.items():
         if joint not in target.transmissions:

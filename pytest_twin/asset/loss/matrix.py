@@ -1,4 +1,4 @@
-"""The semantic-loss matrix: nouns only."""
+"""The semantic-loss matrix: its data types."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Verdict = Literal["kept", "changed", "lost", "none"]
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One named thing that is not as it was.
+    """One named element that was changed or lost.
 
     Attributes:
-        before, after: what the two sides hold, with units; None where a side has none.
+        before, after: values on both sides with units; None where a side has none.
     """
 
     name: str
@@ -26,14 +26,14 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One feature across a conversion.
+    """One feature of one conversion.
 
     Attributes:
-        before, after: both sides in words.
-        comparison: what was run or read to tell.
-        difference: the largest that was measured, in ``unit``; None where nothing is measured.
-        tolerance: up to which it counts as kept.
-        items: what is not as it was, by name.
+        before, after: summaries of both sides.
+        comparison: how both sides were compared.
+        difference: the largest measured difference, in ``unit``; None without a measurement.
+        tolerance: largest difference that counts as kept.
+        items: elements that were changed or lost.
         critical: the realization cannot be trusted.
     """
 
@@ -51,11 +51,11 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """From one form to another.
+    """One conversion.
 
     Attributes:
-        problem: why there is no such realization; ``rows`` is then empty.
-        critical: whether that fails the asset; an extra that is not installed does not.
+        problem: why the realization does not exist; ``rows`` is then empty.
+        critical: whether the problem fails the asset; a missing extra does not.
     """
 
     source: str
@@ -68,7 +68,7 @@ class Conversion:
 
 @dataclass(frozen=True, slots=True)
 class Matrix:
-    """All conversions of one asset."""
+    """Every conversion of one asset."""
 
     robot: str
     source: str
@@ -76,7 +76,7 @@ class Matrix:
 
     @property
     def critical(self) -> list[str]:
-        """What fails, one line each."""
+        """Critical problems and rows, one line each."""
         found = []
         for conversion in self.conversions:
             name = f"{conversion.source} -> {conversion.target}"
@@ -95,6 +95,6 @@ class Matrix:
 
 
 def worst(verdicts: Sequence[Verdict]) -> Verdict:
-    """The gravest of them: lost, changed, kept, none."""
+    """The most severe verdict, in the order lost, changed, kept, none."""
     order: tuple[Verdict, ...] = ("lost", "changed", "kept", "none")
     return min(verdicts, key=order.index, default="none")

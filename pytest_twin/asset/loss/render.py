@@ -1,4 +1,4 @@
-"""The semantic-loss matrix as people read it."""
+"""The semantic-loss matrix as Markdown and HTML."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def features(matrix: Matrix) -> list[str]:
 
 
 def measured(row: Row) -> str:
-    """What was measured, and up to where it counts as kept."""
+    """The measured difference and its tolerance."""
     if row.difference is None or row.tolerance is None:
         return ""
     return f"{row.difference:.2g} {row.unit}, kept up to {row.tolerance:.2g}"
@@ -74,7 +74,7 @@ def _verdict(row: Row) -> str:
 
 
 def html(matrix: Matrix) -> str:
-    """One page that needs nothing beside it."""
+    """A self-contained page."""
     return _template().render(
         matrix=matrix,
         features=features(matrix),

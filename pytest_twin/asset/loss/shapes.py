@@ -1,4 +1,4 @@
-"""A collision shape as two simulators can be asked for it: its kind, and the room that it takes."""
+"""A collision shape in a form that every simulator can give: kind and bounding box."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Shape:
 
     Attributes:
         kind: ``box``, ``sphere``, ``cylinder``, ``capsule``, ``mesh`` or ``convex hull``.
-        lower, upper: (3,) corners of the box along the link's axes that just holds it, m.
+        lower, upper: (3,) corners of its bounding box along the link's axes, m.
     """
 
     kind: str
@@ -29,14 +29,14 @@ class Shape:
         return f"{self.kind}, {size} m around {centre}"
 
     def apart(self, other: Shape) -> float:
-        """Greatest distance between corners of the two boxes, along an axis, m."""
+        """Largest distance between corners of the two boxes along an axis, m."""
         return float(
             max(np.abs(self.lower - other.lower).max(), np.abs(self.upper - other.upper).max())
         )
 
 
 def of_points(kind: str, points: Vector, pose: Vector) -> Shape:
-    """A shape of vertices (n, 3) in its own frame, which stands at ``pose`` (4, 4) in the link."""
+    """A shape of vertices (n, 3) in its own frame, with ``pose`` (4, 4) in the link."""
     placed = points @ pose[:3, :3].T + pose[:3, 3]
     return Shape(kind, placed.min(axis=0), placed.max(axis=0))
 
@@ -53,7 +53,7 @@ def of_sphere(radius: float, pose: Vector) -> Shape:
 
 
 def of_round(kind: str, radius: float, length: float, pose: Vector) -> Shape:
-    """A cylinder, or a capsule whose round ends come on top of ``length``; along z; m."""
+    """A cylinder, or a capsule with ``length`` between its half spheres; along z; m."""
     axis = np.abs(pose[:3, 2])
     if kind == "capsule":
         half = axis * length / 2 + radius
@@ -63,7 +63,7 @@ def of_round(kind: str, radius: float, length: float, pose: Vector) -> Shape:
 
 
 def in_order(shapes: list[Shape]) -> tuple[Shape, ...]:
-    """Sorted by where they lie, to a tenth of a millimetre, to hold two lists together."""
+    """Shapes sorted by position, rounded to 0.1 mm, so that two lists can be compared."""
     return tuple(
         sorted(shapes, key=lambda s: (*np.round(s.lower, 4), *np.round(s.upper, 4), s.kind))
     )

@@ -1,4 +1,4 @@
-"""Rows of the matrix, and the numbers that decide them."""
+"""Rows of the matrix, and their tolerances."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pytest_twin.asset.loss.matrix import Item, Row, Verdict
 Vector = NDArray[np.float64]
 
 EXACT = 1e-9
-"""m, rad, and share of a magnitude: up to here a number is kept."""
+"""m, rad, or relative: the largest difference that counts as kept."""
 SINGLE = 2e-6
-"""The same, for what a file holds with single precision: changed, and no fault."""
+"""The same for values in single precision: they count as changed, and are no fault."""
 CLOSE = 1e-5
-"""m: corners of shapes, whose vertices every simulator holds with single precision."""
+"""m: for corners of shapes, whose vertices simulators store in single precision."""
 _MOST_ITEMS = 200
 
 
@@ -32,7 +32,7 @@ def table(
     critical: bool = False,
     lost: bool = False,
 ) -> Row:
-    """A row of named things: kept where no item stands out."""
+    """A row of named elements: kept where no item differs."""
     verdict: Verdict = "kept"
     if empty:
         verdict = "none"
@@ -54,7 +54,7 @@ def table(
 def stated(
     feature: str, before: Mapping[str, str], after: Mapping[str, str], comparison: str
 ) -> Row:
-    """A row of words that both sides have to hold alike."""
+    """A row of values that have to be equal on both sides."""
     items = [
         Item(name, "lost" if name not in after else "changed", before.get(name), after.get(name))
         for name in sorted(set(before) | set(after))
@@ -68,13 +68,13 @@ def stated(
 def present(
     feature: str, before: Mapping[str, str], after: Mapping[str, str], comparison: str
 ) -> Row:
-    """What the source states and the target has, or has not, whatever it is made of."""
+    """A row of elements that the target has or lacks, whatever their values."""
     items = [Item(name, "lost", before[name], None) for name in sorted(before) if name not in after]
     return table(feature, some(before), some(after), comparison, items, empty=not before)
 
 
 def some(names: Iterable[str]) -> str:
-    """How many there are, and the first of them."""
+    """Their count, and the first four names."""
     listed = sorted(names)
     if not listed:
         return "none"
@@ -83,17 +83,17 @@ def some(names: Iterable[str]) -> str:
 
 
 def numbers(values: Any) -> str:
-    """Numbers with six digits, as people read them."""
+    """Numbers with six significant digits."""
     return " ".join(f"{float(value):.6g}" for value in np.ravel(np.asarray(values)))
 
 
 def most(values: Vector) -> float:
-    """The largest magnitude, 0 of none."""
+    """The largest magnitude, 0 of an empty array."""
     return float(np.abs(values).max()) if values.size else 0.0
 
 
 def alike(before: Any, after: Any) -> bool:
-    """Whether two values agree to ``EXACT``, or neither is there."""
+    """Whether two values agree to ``EXACT``, or both are None."""
     if before is None or after is None:
         return before is after
     return bool(np.allclose(before, after, rtol=EXACT, atol=EXACT))
