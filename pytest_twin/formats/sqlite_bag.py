@@ -120,6 +120,13 @@ class _Database:
                 f"after {self.messages} messages",
                 f"the file is damaged ({str(error)[:120]}); the rest is lost",
             )
+        except UnicodeDecodeError:
+            # An error of SQLite's that quotes bytes of a damaged schema.
+            raise FormatError(
+                "the database's schema is damaged",
+                path=self.path,
+                expected="tables topics and messages",
+            ) from None
         except MemoryError:
             raise LimitError("too large for this machine's memory", path=self.path) from None
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Region
+from pytest_twin.formats.batches import carried_by, note_not_finite, table_of
 from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_messages
 from pytest_twin.formats.message_types import (
     ANY_QUANTITY,
@@ -201,10 +201,10 @@ class TopicReader:
         order = np.argsort(np.concatenate(self.order), kind="stable")
         log_time = np.concatenate(self.log_times)[order]
         stamp = np.concatenate([batch.stamp for batch in self.batches])[order]
-        tables = {name: self._table(name, names, order) for name in QUANTITIES}
-        carried = self._carried(names, order)
+        tables = {name: table_of(self.batches, name, names, order) for name in QUANTITIES}
+        carried = carried_by(self.batches, names, order)
         for name in QUANTITIES:
-            self._note_not_finite(name, tables, names, carried)
+            note_not_finite(self.notes, self.topic, name, tables, names, carried)
         if self.schema in TRAJECTORIES:
             stamp, log_time, tables = self._followed(stamp, log_time, order, tables)
         if self.schema in ANY_QUANTITY:
@@ -276,24 +276,6 @@ class TopicReader:
                 expected=f"at most {limits.MCAP.samples_count}",
             )
 
-    def _table(self, name: str, names: tuple[str, ...], order: Integers) -> Floats | None:
-        """(n, j) of one quantity; NaN where a message does not carry a joint."""
-        if all(batch.values[name] is None for batch in self.batches):
-            return None
-        column = {joint: at for at, joint in enumerate(names)}
-        parts = []
-        for batch in self.batches:
-            values = batch.values[name]
-            if values is None or batch.names != names:
-                whole = np.full((len(batch.rows), len(names)), np.nan)
-                if values is not None:
-                    whole[:, [column[joint] for joint in batch.names]] = values
-                values = whole
-            parts.append(values)
-        table = np.concatenate(parts)
-        in_order = bool((np.diff(order) == 1).all())
-        return table if in_order else table[order]
-
     def _mend_stamps(self, stamp: Integers, log_time: Integers) -> Integers:
         unset = int((stamp == 0).sum())
         if (log_time < 0).any():
@@ -319,46 +301,3 @@ class TopicReader:
                 at = int(np.flatnonzero(bad)[0]) + 1
                 self.notes.add(self.topic, f"{int(bad.sum())} stamps {what}, first message {at}")
         return stamp
-
-    def _carried(self, names: tuple[str, ...], order: Integers) -> NDArray[np.bool_]:
-        """(n, j) which joints each message names."""
-        parts = []
-        for batch in self.batches:
-            named = set(batch.names)
-            parts.append(np.tile([joint in named for joint in names], (len(batch.rows), 1)))
-        table: NDArray[np.bool_] = np.concatenate(parts)[order]
-        return table
-
-    def _note_not_finite(
-        self,
-        name: str,
-        tables: dict[str, Floats | None],
-        names: tuple[str, ...],
-        carried: NDArray[np.bool_],
-    ) -> None:
-        table = tables[name]
-        if table is None:
-            return
-        # Of joints with different modes each fills one field and has NaN throughout in the others.
-        others = [t for key, t in tables.items() if key != name and t is not None]
-        elsewhere = [np.isfinite(t).any(axis=0) for t in others]
-        unused = np.isnan(table).all(axis=0) & np.any([np.zeros(len(names), bool), *elsewhere], 0)
-        bad = carried & ~unused & ~np.isfinite(table)
-        if not bad.any():
-            return
-        # A whole row of NaN is how an empty field reads.
-        empty = np.isnan(table).all(axis=1)
-        odd = np.flatnonzero(bad.any(axis=1) & ~empty)
-        if odd.size:
-            joint = names[int(np.flatnonzero(bad[odd[0]])[0])]
-            self.notes.add(
-                self.topic,
-                f"{name} is not finite in {odd.size} messages, first message {int(odd[0])}, "
-                f"joint {joint!r}",
-            )
-        if empty.any():
-            self.notes.add(
-                self.topic,
-                f"{name} is empty in {int(empty.sum())} of {len(table)} messages, first message "
-                f"{int(np.flatnonzero(empty)[0])}",
-            )

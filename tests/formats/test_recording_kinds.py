@@ -206,6 +206,16 @@ def test_databases_that_are_no_bags_are_refused(tmp_path: Path, script: str, wor
     assert words in str(caught.value)
 
 
+def test_a_schema_that_is_no_text_is_one_line(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", MESSAGES) / "bag.db3"
+    data = bytearray(path.read_bytes())
+    at = data.find(b"CREATE TABLE topics(")
+    data[at + 20] = 0xC4
+    path.write_bytes(bytes(data))
+    with pytest.raises(FormatError, match=r"not an SQLite file of rosbag2|schema is damaged"):
+        read_one(path)
+
+
 def test_a_trigger_of_the_file_never_runs_and_the_file_stays_as_it_is(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", MESSAGES) / "bag.db3"
     connection = sqlite3.connect(path)
