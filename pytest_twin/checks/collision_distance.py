@@ -134,7 +134,7 @@ class CollisionDistance(Check):
                 known_name(golden, place, name, shapes.names, "geom or collision body")
                 sides.append(shapes.geoms(name))
             if sides[0] & sides[1]:
-                raise spec_error(golden, place, "a pair of one thing with itself", value=pair)
+                raise spec_error(golden, place, "a pair of a body with itself", value=pair)
             pairs.append((f"{pair[0]} - {pair[1]}", sides[0], sides[1]))
         for i, entry in enumerate(golden.target["disabled"]):
             for name in entry.get("pair", entry.get("among", ())):
@@ -261,7 +261,7 @@ def _reasons(golden: Golden, disabled: Mapping[str, str]) -> list[Measure]:
             declared.update(frozenset(pair) for pair in itertools.combinations(entry["among"], 2))
     found = {frozenset(pair.split(" - ")): (pair, why) for pair, why in disabled.items()}
     faults = [
-        (f"{pair}: {why}, and no reason stands under target.disabled", 1.0, 0.0)
+        (f"{pair}: {why}, and target.disabled gives no reason", 1.0, 0.0)
         for key, (pair, why) in found.items()
         if key not in declared
     ]

@@ -152,7 +152,7 @@ class ForwardKinematics(Check):
         return [
             {
                 "name": "frames",
-                "title": "Ends of the kinematic chains, in the world",
+                "title": "Poses of the ends of all kinematic chains",
                 "target": {"frames": frames},
                 "stimulus": {"poses": [REFERENCE, *keyframes, {"seed": 1, "count": 20}]},
                 "tolerance": {"position": "1 um", "orientation": "1e-6 rad"},

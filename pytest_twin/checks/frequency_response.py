@@ -157,8 +157,8 @@ class FrequencyResponse(Check):
         amplitude = quantity(golden, "stimulus.amplitude", golden.stimulus["amplitude"], unit)
         if not amplitude > 0.0:
             raise spec_error(
-                golden, "stimulus.amplitude", "excites nothing", value=amplitude, unit=unit,
-                expected="more than 0",
+                golden, "stimulus.amplitude", "the amplitude is not above zero", value=amplitude,
+                unit=unit, expected="more than 0",
             )  # fmt: skip
         plan = _plan(golden, float(realization.model.opt.timestep))
         drive = prepare(golden, realization, (-amplitude, amplitude))
@@ -178,7 +178,7 @@ class FrequencyResponse(Check):
             raise spec_error(
                 golden,
                 "stimulus",
-                f"no line of {found.excited.size} carries a response: highest coherence "
+                f"no line of {found.excited.size} reaches the required coherence: highest "
                 f"{found.best:.3g}",
                 expected=f"coherence of at least {required:g}, by another amplitude or band",
             )
@@ -310,7 +310,7 @@ def _plan(golden: Golden, timestep: float) -> _Plan:
     lowest, highest = math.ceil(low * period - 1e-6), math.floor(high * period + 1e-6)
     if not 1 <= lowest < highest or 4 * highest > samples:
         raise spec_error(
-            golden, "stimulus.band", "no band that one period and the timestep can carry",
+            golden, "stimulus.band", "the band does not fit the period and the timestep",
             value=f"{low:g} to {high:g}", unit="Hz",
             expected=f"within {1.0 / period:.6g} to {0.25 / timestep:.6g} Hz, lowest first",
         )  # fmt: skip

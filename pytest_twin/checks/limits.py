@@ -51,7 +51,7 @@ _PUSHES = {
     1.0: ("limits", "the stops hold the full effort"),
     0.1: ("limits_tenth", "the stops hold a tenth of the effort"),
     0.01: ("limits_hundredth", "the stops hold a hundredth of the effort"),
-    0.0: ("limits_no_push", "the stops hold no effort to speak of"),
+    0.0: ("limits_no_push", "the stops give way to a hundredth of the effort, so none is applied"),
 }
 _RANGE_SCHEMA: Mapping[str, Any] = {
     "type": "array",
@@ -390,7 +390,7 @@ def _measure(
         measured=measured,
         golden=bound,
         error=error,
-        tolerance=tolerance(golden, name, f"{subject} is held against it"),
+        tolerance=tolerance(golden, name, f"{subject} is compared with it"),
         unit=Limits.tolerances[name],
         against="declared",
     )

@@ -144,7 +144,7 @@ def resolve_poses(
     seen: set[str] = set()
     for pose in poses:
         if pose.name in seen:
-            raise spec_error(golden, field, "two poses of one name", value=pose.name)
+            raise spec_error(golden, field, "two poses have the same name", value=pose.name)
         seen.add(pose.name)
     return poses
 
@@ -319,7 +319,10 @@ class _Coupled:
                 if open_joints.intersection(wanted[root]):
                     values[root] = self._draw_group(streams[root], root, wanted[root])
         raise spec_error(
-            golden, place, "no random pose closes the model's loops", expected="poses by joint"
+            golden,
+            place,
+            "no random pose closes the model's loops",
+            expected="poses given by joint values",
         )
 
     def _draw_group(self, stream: np.random.Generator, root: str, members: list[str]) -> float:

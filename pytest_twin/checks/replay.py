@@ -230,14 +230,14 @@ class Replay(Check):
                 raise spec_error(
                     golden,
                     "tolerance",
-                    f"nothing bounds joint {joint!r}",
+                    f"no tolerance bounds joint {joint!r}",
                     expected=" or ".join(names),
                 )
         if observation.values["tcp"] is not None:
             measures += _tcp_measures(golden, observation.values["tcp"])
         if not measures:
             wanted = ", ".join(_TOLERANCES)
-            raise spec_error(golden, "tolerance", "nothing bounds the replay", expected=wanted)
+            raise spec_error(golden, "tolerance", "no tolerance bounds the replay", expected=wanted)
         return measures
 
     def expect(

@@ -27,7 +27,7 @@ def scalar_measures(
 
     Args:
         names: metric, a key of tolerance and of the expected values -> SI unit.
-        measured: metric -> number, or None where the response does not carry it.
+        measured: metric -> number, or None where the response has none.
         undefined: metric -> why it can be None, such as ``it never settles``.
     """
     measures = []
@@ -41,7 +41,7 @@ def scalar_measures(
             continue
         words = ""
         if now is None or then is None:
-            why = (undefined or {}).get(name, "the response does not carry it")
+            why = (undefined or {}).get(name, "the response has none")
             words = f": undefined {'now' if now is None else 'in the golden'} ({why})"
         now = math.nan if now is None else float(now)
         then = math.nan if then is None else float(then)

@@ -152,7 +152,7 @@ class Settling(Check):
             for given in [stimulus.get("band", {}).get(name, _DEFAULT_BAND[unit])]
         }
         if min(bands.values()) <= 0.0:
-            raise spec_error(golden, "stimulus.band", "nothing settles within an empty band")
+            raise spec_error(golden, "stimulus.band", "a band of zero width")
         final, excess, columns = _joints(realization, run, wanted, bands)
         growth = energy_growth(run.energy, run.actuator_work, run.constraint_work)
         grid = sample_grid(duration, SAMPLES)

@@ -93,7 +93,9 @@ class Step(Check):
         unit = command_unit(golden, realization)
         amplitude = quantity(golden, "stimulus.amplitude", golden.stimulus["amplitude"], unit)
         if amplitude == 0.0:
-            raise spec_error(golden, "stimulus.amplitude", "a step of nothing", value=0, unit=unit)
+            raise spec_error(
+                golden, "stimulus.amplitude", "the amplitude is zero", value=0, unit=unit
+            )
         duration = quantity(golden, "stimulus.duration", golden.stimulus["duration"], "s")
         if not 0.0 < duration <= 60.0:
             raise spec_error(
@@ -106,7 +108,7 @@ class Step(Check):
             raise spec_error(
                 golden,
                 f"tolerance.{name}",
-                f"joint {drive.joint!r} answers in {drive.response_unit}",
+                f"joint {drive.joint!r} responds in {drive.response_unit}",
                 expected=f"tolerance.{fitting}",
             )
         drive.apply(drive.hold + amplitude)

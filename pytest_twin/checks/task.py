@@ -125,7 +125,7 @@ class Task(Check):
                 raise spec_error(
                     golden,
                     "stimulus",
-                    f"the function cannot be called so: {error}",
+                    f"the function cannot be called with these arguments: {error}",
                     expected="function(realization, **stimulus)",
                 ) from error
         progress(1.0)

@@ -149,7 +149,7 @@ def test_dry_friction_lowers_the_coherence_and_its_lines_are_not_reported(tmp_pa
 def test_nothing_carried_is_an_error_in_words(tmp_path: Path) -> None:
     robot = load_text(tmp_path, spring(friction=2.0))
     strict = {**SPEC, "stimulus": {**SPEC["stimulus"], "coherence": 1}}
-    with pytest.raises(SpecError, match=r"no line of \d+ carries a response: highest coherence"):
+    with pytest.raises(SpecError, match=r"no line of \d+ reaches the required coherence: highest"):
         observe(CHECK, golden_of(CHECK, strict), robot)
 
 
@@ -184,10 +184,10 @@ def test_lines_that_are_lost_fail_in_words(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("band", ["0.5 Hz", "400 Hz"], "no band that one period and the timestep can carry"),
-        ("band", ["20 Hz", "0.5 Hz"], "no band that one period and the timestep can carry"),
-        ("band", ["0.1 Hz", "0.4 Hz"], "no band that one period and the timestep can carry"),
-        ("amplitude", "0 m", "excites nothing"),
+        ("band", ["0.5 Hz", "400 Hz"], "the band does not fit the period and the timestep"),
+        ("band", ["20 Hz", "0.5 Hz"], "the band does not fit the period and the timestep"),
+        ("band", ["0.1 Hz", "0.4 Hz"], "the band does not fit the period and the timestep"),
+        ("amplitude", "0 m", "the amplitude is not above zero"),
         ("amplitude", "2 m", "the stimulus leaves the control's range"),
         ("period", "1000 s", "out of bounds"),
         ("period", "0 s", "out of bounds"),

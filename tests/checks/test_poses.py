@@ -200,5 +200,5 @@ def test_errors_say_what_was_meant(tmp_path: Path, entry: Any, words: str) -> No
 
 
 def test_two_poses_of_one_name_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match=r"two poses of one name \(got 'home'\)"):
+    with pytest.raises(SpecError, match=r"two poses have the same name \(got 'home'\)"):
         poses(robot(tmp_path), "home", {"name": "home", "joints": {"pan": 1}})

@@ -202,12 +202,12 @@ def test_a_metric_that_only_one_carries_fails_in_words(tmp_path: Path) -> None:
         ("target", "joint", "y", "target.joint: no hinge or slide joint of this name"),
         ("target", "command", "velocity", "target.command: no actuator takes velocity commands"),
         ("stimulus", "amplitude", "2 m", "the stimulus leaves the control's range"),
-        ("stimulus", "amplitude", "0 m", "a step of nothing"),
+        ("stimulus", "amplitude", "0 m", "the amplitude is zero"),
         ("stimulus", "amplitude", "1 rad", "unit 'rad' does not fit"),
         ("stimulus", "duration", "0 s", "out of bounds"),
         ("stimulus", "settle", "-1 s", "out of bounds"),
         ("stimulus", "pose", "home", "no pose or keyframe of this name"),
-        ("tolerance", "angle", "1 mrad", "joint 'x' answers in m"),
+        ("tolerance", "angle", "1 mrad", "joint 'x' responds in m"),
     ],
 )
 def test_mistakes_are_named_with_their_line(

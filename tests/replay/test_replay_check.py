@@ -190,7 +190,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], type[TwinError], str]] = {
     "no such file": (
         {"target": {"recording": "none.mcap"}, "tolerance": {"angle_rms": "1 deg"}},
         PathError,
-        "target.recording: no such file (got 'none.mcap'; expected a file below ",
+        "target.recording: no such file (got 'none.mcap'; expected a file or folder below ",
     ),
     "outside": (
         {"target": {"recording": "../../moves.mcap"}, "tolerance": {"angle_rms": "1 deg"}},
@@ -209,7 +209,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], type[TwinError], str]] = {
     "no bound": (
         {"target": {"recording": "moves.mcap"}, "tolerance": {"position_rms": "1 mm"}},
         SpecError,
-        "tolerance: nothing bounds the replay (expected angle_rms, ",
+        "tolerance: no tolerance bounds the replay (expected angle_rms, ",
     ),
     "no bound of one joint": (
         {
@@ -219,7 +219,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], type[TwinError], str]] = {
             },
         },
         SpecError,
-        "tolerance: nothing bounds joint 'shoulder' (expected angle_rms or angle_max or "
+        "tolerance: no tolerance bounds joint 'shoulder' (expected angle_rms or angle_max or "
         "angular_velocity_rms)",
     ),
     "controller not stated": (
