@@ -202,10 +202,26 @@ def so101(work: Path) -> None:
     )
 
 
+def gate_report(work: Path) -> None:
+    """The gate's report of the tutorial's arm after somebody changed a mass."""
+    folder = work / "arm_twin"
+    folder.mkdir(exist_ok=True)
+    tutorial = (HERE / "tutorials" / "first_release.md").read_text("utf-8")
+    robot = tutorial.split("```xml\n")[1].split("```")[0]
+    if not (folder / "releases").is_dir():
+        (folder / "arm.xml").write_text(robot)
+        run(folder, "pytest-twin", "init", "arm.xml")
+        run(folder, "pytest", "--twin-release")
+    (folder / "arm.xml").write_text(robot.replace('mass="0.8"', 'mass="0.9"'))
+    run(folder, "pytest")
+    page("gate_report", folder / ".twin" / "report.html", 1000)
+
+
 PICTURES: dict[str, Callable[[Path], None]] = {
     "failing_golden": failing_golden,
     "diagnosis": diagnosis,
     "so101": so101,
+    "gate_report": gate_report,
 }
 
 
