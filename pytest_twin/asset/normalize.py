@@ -135,6 +135,7 @@ class _Normalizer:
                 value=unknown[0],
                 expected=", ".join(sorted(self.known_patches)) or "no --accept",
             )
+        self._mesh_folder()
         self._irregularities()
         etree.indent(self.root)
         head = f"<?xml version='1.0' encoding='utf-8'?>\n<!-- {UNITS} -->\n"
@@ -263,6 +264,8 @@ class _Normalizer:
             if link.inertial is None:
                 continue
             self._state_inertial(element.find("inertial"))
+            if link.name in self.robot.corrected:
+                self._state_correction(element.find("inertial"), link)
             share = inertia.violation(link.inertia)
             # A zero after a change of frame leaves rounding errors, which are no inertia.
             if share <= inertia.ROUNDING or np.abs(link.inertia).max() < inertia.MASS_FLOOR:
@@ -287,6 +290,26 @@ class _Normalizer:
                 )
                 continue
             self._repair(element, node, link, patch)
+
+    def _state_correction(self, element: Any, link: urdf.Link) -> None:
+        """State what the file asks MuJoCo's compiler for, so that every simulator has it."""
+        why = "as <mujoco><compiler> of the source asks for"
+        self._set(element.find("mass"), "value", digits([link.mass]), why)
+        assert link.inertial is not None
+        _, axes = urdf.origin(link.inertial)
+        values = inertia.six(axes.T @ link.inertia @ axes)
+        for key, value in zip(_MOMENTS, values, strict=True):
+            self._set(element.find("inertia"), key, digits([value]), why)
+
+    def _mesh_folder(self) -> None:
+        """Point MuJoCo, where the file tells it where meshes are, to those of this asset."""
+        for compiler in self.root.findall("mujoco/compiler"):
+            for key in ("assetdir", "texturedir"):
+                if key in compiler.attrib:
+                    before = str(compiler.attrib.pop(key))
+                    self._change(compiler, key, before, None, "meshdir says where meshes are")
+            self._set(compiler, "meshdir", MESH_FOLDER, "where the meshes of this asset are")
+            self._set(compiler, "strippath", "true", "MuJoCo adds meshdir to the file's name")
 
     def _flag_line(self, element: Any, link: urdf.Link) -> None:
         """Flag a mass on a line: every format can state it, and no body has it."""

@@ -35,6 +35,7 @@ from pytest_twin.realization.files.locate import locate
 from pytest_twin.realization.files.packages import Packages
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
+from pytest_twin.realization.node import Node
 
 CHANGES = "changes"
 LOSS = "loss"
@@ -130,16 +131,30 @@ def realize(
 
 def _repaired(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
     """The source with the patches that were accepted: what every form has to hold."""
+    for name in robot.corrected:
+        link = robot.links[name]
+        assert link.inertial is not None
+        _, axes = urdf.origin(link.inertial)
+        _state(link.inertial, link.mass, inertia.six(axes.T @ link.inertia @ axes))
     for name, values in made.repairs.items():
         link = robot.links[name]
         assert link.inertial is not None
-        node = link.inertial.find("inertia")
-        assert node is not None
-        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        node.attributes.update({k: repr(v) for k, v in zip(keys, values, strict=True)})
+        _state(link.inertial, link.mass, values)
         _, axes = urdf.origin(link.inertial)
         link.inertia = axes @ inertia.tensor(values) @ axes.T
     return robot
+
+
+def _state(inertial: Node, mass: float, values: Sequence[float]) -> None:
+    """Put a mass [kg] and ixx iyy izz ixy ixz iyz [kg*m^2] in the place of what is stated."""
+    keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    stated = {"mass": {"value": mass}, "inertia": dict(zip(keys, values, strict=True))}
+    for tag, numbers in stated.items():
+        node = inertial.find(tag)
+        if node is None:
+            node = Node(tag, {}, inertial.path, inertial.line)
+            inertial.children.append(node)
+        node.attributes.update({key: repr(float(value)) for key, value in numbers.items()})
 
 
 _Form = tuple[Conversion, Path | None]

@@ -29,6 +29,7 @@ from pytest_twin.realization.files.locate import Located
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
+from pytest_twin.realization.urdf_compiler import UrdfCompiler
 from pytest_twin.realization.urdf_spec import mesh_file
 
 _KINDS: Mapping[str, JointKind] = {
@@ -70,6 +71,7 @@ class _Reader:
         limits: ModelLimits,
     ) -> None:
         self.root = root
+        self.compiler = UrdfCompiler.of(root)
         self.mesh_paths = UrdfFiles.of(root, located.roots, located.packages)
         self.meshes = MeshFiles(limits)
         self.out = Asset("urdf", path, root.attributes.get("name", ""), root)
@@ -114,7 +116,7 @@ class _Reader:
         body = Body(name, place, inertial=None if inertial is None else _place(inertial))
         if inertial is not None:
             try:
-                link = urdf.link_of(node)
+                link = self.compiler.corrected(urdf.link_of(node))
             except (ModelError, FormatError) as error:
                 self.fault(error, "inertia.unreadable", node.label)
             else:

@@ -87,6 +87,16 @@ def read_tree(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Node
     return _Reader(roots, limits).tree(path)
 
 
+def check_values(node: Node, *, limits: ModelLimits = LIMITS) -> None:
+    """Refuse values in an element and below it that no model may have.
+
+    Raises:
+        ModelError: not finite, negative, or without measure.
+        LimitError: beyond a bound.
+    """
+    _Reader(Roots(node.path.parent), limits).check(node, 1.0)
+
+
 def asset_name(node: Node) -> str:
     """The name of a mesh, texture or other asset: its own, or else that of its file."""
     file = node.attributes.get("file", "").replace("\\", "/")
@@ -275,7 +285,7 @@ class _Reader:
     def document(self, path: Path, depth: int) -> Document:
         root = self.tree(path)
         document = Document(root)
-        self._check(root, 1.0)
+        self.check(root, 1.0)
         self._check_asset_names(root)
         self._take_files(document, depth)
         document.files = self.read
@@ -443,7 +453,7 @@ class _Reader:
                         expected=f"a name unlike that of {before.place}",
                     )
 
-    def _check(self, node: Node, repeated: float) -> None:
+    def check(self, node: Node, repeated: float) -> None:
         """Refuse what is not finite, negative, or without measure. ``repeated``: copies of node."""
         if node.tag == "plugin" or node.tag == "extension":
             raise node.error("plugins are native code and are not loaded")
@@ -484,7 +494,7 @@ class _Reader:
                 expected=f"at most {self.limits.elements}, repetitions counted out",
             )
         for child in node.children:
-            self._check(child, copies)
+            self.check(child, copies)
 
     def _check_size(self, node: Node, numbers: dict[str, tuple[float, ...]]) -> None:
         bounded = [key for key in numbers if key in _BOUNDED or key.startswith("nuser_")]

@@ -16,6 +16,7 @@ from pytest_twin.formats import xml
 from pytest_twin.realization import inertia
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
+from pytest_twin.realization.urdf_compiler import UrdfCompiler
 
 Vector = NDArray[np.float64]
 MOVING = ("revolute", "continuous", "prismatic", "planar", "floating")
@@ -92,6 +93,8 @@ class Robot:
         children: link -> joints whose parent it is.
         lost_mimics: joint -> the mimic that names a joint that is not there; it is not among the
             joint's own.
+        compiler: what the file asks of MuJoCo's compiler.
+        corrected: links whose mass or inertia is that compiler's, and not the file's.
     """
 
     node: Node
@@ -100,6 +103,8 @@ class Robot:
     joints: dict[str, Joint]
     children: dict[str, list[Joint]] = field(default_factory=dict)
     lost_mimics: dict[str, Mimic] = field(default_factory=dict)
+    compiler: UrdfCompiler = field(default_factory=UrdfCompiler)
+    corrected: set[str] = field(default_factory=set)
 
     def in_order(self) -> list[Joint]:
         """Joints, each after the one that carries it."""
@@ -121,8 +126,13 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
     """
     root = document(path, limits=limits)
     links: dict[str, Link] = {}
+    compiler = UrdfCompiler.of(root)
+    corrected: set[str] = set()
     for node in root.all("link"):
-        link = link_of(node)
+        stated = link_of(node)
+        link = compiler.corrected(stated)
+        if link is not stated:
+            corrected.add(link.name)
         if link.name in links:
             raise node.error(
                 "two links of one name",
@@ -143,7 +153,8 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
             )
         joints[joint.name] = joint
     check_depth(root, [(joint.parent, joint.child) for joint in joints.values()], limits.link_depth)
-    robot = Robot(root, "", links, joints, {name: [] for name in links})
+    robot = Robot(root, "", links, joints, {name: [] for name in links}, compiler=compiler)
+    robot.corrected.update(corrected)
     _check_tree(robot)
     _take_lost_mimics(robot)
     _check_mimics(robot)

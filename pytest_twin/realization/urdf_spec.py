@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import TwinError
-from pytest_twin.realization import inertia, mesh
+from pytest_twin.realization import inertia, mesh, mjcf
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
@@ -102,7 +102,7 @@ class _Converter:
         self.accept_invalid_inertia = accept_invalid_inertia
         self.inertia_patches = inertia_patches
         self.limits = limits
-        self.spec = mujoco.MjSpec()
+        self.spec = self._empty()
         self.out = Converted(self.spec)
         self.bodies: dict[str, mujoco.MjsBody] = {}
         self.stated: dict[str, tuple[float, Vector, Vector]] = {}
@@ -121,8 +121,7 @@ class _Converter:
         spec.modelname = self.robot.node.attributes.get("name", "robot")
         spec.compiler.degree = False
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-        spec.option.timestep = TIMESTEP
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self._compiler()
         self._links()
         for joint in self.robot.in_order():
             self._joint(joint)
@@ -135,6 +134,34 @@ class _Converter:
         self._exclude_base()
         self._left_out()
         return self.out
+
+    def _empty(self) -> mujoco.MjSpec:
+        """A spec with the options that the URDF states, and ours for the others."""
+        compiler = self.robot.compiler
+        if compiler.option is not None:
+            mjcf.check_values(compiler.option, limits=self.limits)
+        text = compiler.option_text(timestep=f"{TIMESTEP}", integrator="implicitfast")
+        try:
+            return mujoco.MjSpec.from_string(text)
+        except (ValueError, RuntimeError, mujoco.FatalError) as error:
+            node = compiler.option or self.robot.node
+            words = " ".join(str(error).split())
+            raise node.error(f"MuJoCo refuses the options: {words}") from None
+
+    def _compiler(self) -> None:
+        compiler = self.robot.compiler
+        for name in sorted(self.robot.corrected):
+            link = self.robot.links[name]
+            self.note(
+                link.inertial or link.node,
+                f"link '{name}' has the mass and inertia that <mujoco><compiler> asks for: "
+                f"{link.mass:g} kg, {principal_text(link.inertia)} kg*m^2",
+            )
+        for attribute in compiler.not_honoured:
+            self.note(
+                compiler.compiler or self.robot.node,
+                f"<compiler {attribute}> is not honoured: the robot is as its links state it",
+            )
 
     # -- tree
 

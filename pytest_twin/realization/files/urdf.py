@@ -21,12 +21,13 @@ class MujocoFolders:
 
     Attributes:
         meshes: ``meshdir``, relative to the URDF.
-        strip: ``strippath``: of a reference only the file's name counts.
+        strip: ``strippath``: whether of a reference only the file's name counts; None where the
+            URDF does not say. MuJoCo 4 then keeps the path, and MuJoCo 3 took the name alone.
         stated: whether the URDF says either, in ``<mujoco><compiler/></mujoco>``.
     """
 
     meshes: str = ""
-    strip: bool = True
+    strip: bool | None = None
     stated: bool = False
 
     @staticmethod
@@ -40,15 +41,16 @@ class MujocoFolders:
         folder = said.get("meshdir", said.get("assetdir"))
         return MujocoFolders(
             folder or "",
-            said.get("strippath", "true").strip() != "false",
+            said["strippath"].strip() == "true" if "strippath" in said else None,
             folder is not None or "strippath" in said,
         )
 
-    def path(self, reference: str) -> str:
-        """The path that MuJoCo opens, relative to the URDF."""
-        if self.strip:
-            reference = reference.replace("\\", "/").rpartition("/")[2]
-        return str(Path(self.meshes) / reference)
+    def paths(self, reference: str) -> list[str]:
+        """The paths that MuJoCo opens, relative to the URDF, the likelier first."""
+        name = reference.replace("\\", "/").rpartition("/")[2]
+        whole = [] if self.strip or "://" in reference else [reference]
+        stripped = [] if self.strip is False else [name]
+        return [str(Path(self.meshes) / path) for path in (*whole, *stripped)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,19 +76,17 @@ class UrdfFiles:
         Raises:
             PathError: its package is not found.
         """
-        folder = at.parent
-        by_mujoco = folder / self.mujoco.path(reference)
-        if self.mujoco.stated and by_mujoco.exists():
+        candidates = (at.parent / path for path in self.mujoco.paths(reference))
+        by_mujoco = next((path for path in candidates if path.is_file()), None)
+        if by_mujoco is not None and self.mujoco.stated:
             return by_mujoco
         try:
             by_ros = self._by_ros(reference, at)
         except PathError:
-            if by_mujoco.is_file():
-                return by_mujoco
-            raise
-        if not by_ros.exists() and by_mujoco.is_file():
+            if by_mujoco is None:
+                raise
             return by_mujoco
-        return by_ros
+        return by_mujoco if by_mujoco is not None and not by_ros.exists() else by_ros
 
     def find(
         self, reference: str, *, at: Path, line: int | None = None, where: str | None = None
