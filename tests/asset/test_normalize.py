@@ -60,9 +60,9 @@ def test_every_change_says_where_from_what_to_what_and_why(tmp_path: Path) -> No
     assert axis.why == "the axis was not a unit vector"
     mesh = next(c for c in found.changes if c.after == "meshes/part.obj")
     assert mesh.before == "package://arm_description/meshes/part.stl"
-    assert "scale 0.001 0.001 0.001 is taken into its vertices, in metres" in mesh.why
+    assert "scale 0.001 0.001 0.001 is applied to its vertices, in metres" in mesh.why
     other = next(c for c in found.changes if c.after == "meshes/part_2.obj")
-    assert "its unit is taken in; its materials are left out" in other.why
+    assert "its unit is applied to its vertices; its materials are left out" in other.why
     assert "its up axis is Y_UP" in other.why
 
 
@@ -125,7 +125,7 @@ def test_its_repair_is_accepted_by_name_alone(tmp_path: Path) -> None:
 def test_a_patch_that_nothing_asks_for_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match="this asset does not need that patch") as caught:
         made(write_arm(tmp_path), tmp_path / "out", ("inertia-repair:upper",))
-    assert caught.value.expected == "no patch at all"
+    assert caught.value.expected == "no --accept"
 
 
 def test_a_lost_visual_is_logged_and_a_lost_collision_refused(tmp_path: Path) -> None:
