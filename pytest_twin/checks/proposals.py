@@ -15,6 +15,8 @@ from pytest_twin.checks.poses import REFERENCE, configuration
 from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
+    import mujoco
+
     from pytest_twin.checks.base import Check
     from pytest_twin.realization import Realization
 
@@ -80,6 +82,32 @@ class Actuation:
             f"No controller: a URDF states none, {what}. To test with one, add servo gains to "
             "twin.yaml; the lines are there as comments."
         )
+
+
+def fixed_base(realization: Realization) -> str | None:
+    """What to say of a URDF whose base might float: it has mass and carries no or several limbs."""
+    if realization.path.suffix.lower() != ".urdf":
+        return None
+    model = realization.model
+    root = [body for body in range(1, model.nbody) if model.body_parentid[body] == 0]
+    if len(root) != 1 or model.body_jntnum[root[0]] or not model.body_mass[root[0]] > 0.0:
+        return None
+    if len({_limb(model, int(body)) for body in model.jnt_bodyid}) == 1:
+        return None
+    return (
+        f"{model.body(root[0]).name} is fixed to the world: a URDF does not say whether a base "
+        "floats. For one that does, as on legs or rotors, use an MJCF with a <freejoint/>."
+    )
+
+
+def _limb(model: mujoco.MjModel, body: int) -> int:
+    """The first body with a joint on the chain from the world to ``body``."""
+    first = body
+    while body:
+        if model.body_jntnum[body]:
+            first = body
+        body = int(model.body_parentid[body])
+    return first
 
 
 def listed(names: tuple[str, ...] | list[str], most: int = 6) -> str:

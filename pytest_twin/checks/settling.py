@@ -225,8 +225,9 @@ class Settling(Check):
         if _overlaps(realization):
             bench["contact"] = False
             notes.append("Without contact, because bodies overlap at the pose.")
-        if told := actuation.no_controller(realization):
-            notes.append(told)
+        notes += filter(
+            None, (actuation.no_controller(realization), proposals.fixed_base(realization))
+        )
         specs = []
         reasons = []
         for propose in (self._under_gravity, self._beside_the_pose):

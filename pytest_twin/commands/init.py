@@ -144,7 +144,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             found["none"].pop("replay", None)
             found["specs"] += [{"kind": "replay", **spec} for spec in replays["specs"]]
             found["silent"] |= replays["silent"]
-    found["notes"] = _notes(found["specs"])
+    told = _notes(found["specs"])
     for note in seen["notes"]:
         show(f"note: {note}")
     specs = writing.write_specs(folder, found["specs"])
@@ -157,6 +157,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
         "left_out": left_out | found["silent"],
         "nothing_to_propose": found["none"],
         "notes": seen["notes"],
+        "notes_of_goldens": told,
     }
     json_output.give(args, summary)
     atomic.write_text(folder / ".twin" / "init.json", json.dumps(summary, indent=2) + "\n")
@@ -164,8 +165,9 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
     show(f"{twin_file}: {len(recorded)} goldens of {len(kinds)} kinds: {', '.join(kinds)}")
     for kind, why in found["none"].items():
         show(f"nothing proposed for {kind}: {why}")
-    for note, goldens in found["notes"].items():
-        show(f"{_some(goldens)}: {note}")
+    for note, goldens in told.items():
+        if note not in seen["notes"]:
+            show(f"{note} ({_some(goldens)})")
     for where, why in summary["left_out"].items():
         show(f"left out: {where}: {why}")
     for why in unwritten:

@@ -10,7 +10,7 @@ from typing import Any
 
 from pytest_twin.checks import check_of, kinds
 from pytest_twin.checks.base import NothingToProposeError
-from pytest_twin.checks.proposals import Actuation
+from pytest_twin.checks.proposals import Actuation, fixed_base
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
@@ -43,7 +43,11 @@ def look(
         "packages": {
             name: str(found.folder) for name, found in sorted(located.packages.found.items())
         },
-        "notes": [*realization.notes, *_nameless(realization)],
+        "notes": [
+            *realization.notes,
+            *_nameless(realization),
+            *filter(None, [fixed_base(realization)]),
+        ],
         "inertia_repairs": {
             link: [float(value) for value in values]
             for link, values in source.inertia_repairs.items()

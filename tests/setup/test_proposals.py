@@ -151,6 +151,22 @@ def test_a_urdf_without_efforts_is_told_where_its_motors_come_from(tmp_path: Pat
     )
 
 
+def test_a_urdf_with_several_limbs_is_told_that_its_base_is_fixed(tmp_path: Path) -> None:
+    trunk = LINK.format(name="trunk", mass=5, x=0, i=0.1)
+    limbs = "".join(
+        LINK.format(name=f"leg{i}", mass=1, x=0.1, i=0.01)
+        + JOINT.format(name=f"hip{i}", type="revolute", parent="trunk", child=f"leg{i}", x=i)
+        for i in range(2)
+    )
+    (tmp_path / "dog.urdf").write_text(f"<robot name='dog'>{trunk}{limbs}</robot>")
+    said = "trunk is fixed to the world: a URDF does not say whether a base floats."
+    assert any(said in note for note in inspection.look(str(tmp_path / "dog.urdf"))["notes"])
+    spec = first("settling", load(tmp_path / "dog.urdf"))["gravity"]
+    assert any(said in note for note in spec["notes"])
+    robot = arm(tmp_path)
+    assert not any("fixed to the world" in n for n in inspection.look(str(robot.path))["notes"])
+
+
 def test_no_title_speaks_of_servos_where_there_are_none(tmp_path: Path) -> None:
     robot = arm(tmp_path)
     for kind in ("step", "settling", "frequency_response", "limits", "joint_direction"):
