@@ -38,6 +38,10 @@ _VERDICT = {
     "improved": "Improved: these findings explain a part, and a residual remains",
     "unexplained": "Unexplained: the model is wrong, and no known effect explains it",
 }
+_WHAT_TO_DO = (
+    "Next: inspect the joint in this regime, and record more motion there. If you know the cause, "
+    "add it as an effect (docs, page Effects)."
+)
 _MOOD = {"no_mismatch": "good", "explained": "good", "improved": "part", "unexplained": "bad"}
 
 
@@ -67,6 +71,8 @@ def words(said: Mapping[str, Any]) -> list[str]:
                 f"    {joint:<{width}}  model {before}, patched model {after}, noise floor {floor}"
             )
     lines += [f"  {line}" for line in _left(said)]
+    if said["unexplained"]:
+        lines.append(f"  {_WHAT_TO_DO}")
     lines += [f"  Note: {note}" for note in said["notes"]]
     return lines
 
@@ -97,6 +103,7 @@ def render(view: DiagnosisView) -> str:
         mood=_MOOD[said["verdict"]],
         findings=[_shown(f, view) for f in said["findings"]],
         left=_left(said),
+        what_to_do=_WHAT_TO_DO,
         figures=[(v.joint, _data_uri(f)) for v, f in zip(drawn, figures, strict=True)],
         figures_left_out=[v.joint for v in view.joints[MAX_FIGURES:]],
         at_floor=view.at_floor,

@@ -229,7 +229,7 @@ def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> N
     ("change", "words"),
     [
         (lambda d: d.pop("schema"), "schema"),
-        (lambda d: d["effects"][0].update(effect="gremlins"), "effect of the catalogue"),
+        (lambda d: d["effects"][0].update(effect="gremlins"), "an installed effect"),
         (lambda d: d["effects"][0].update(joint="nose"), "one of joints"),
         (lambda d: d["effects"][0]["values"].update(coulomb=float("nan")), "finite number"),
         (lambda d: d["effects"][0]["values"].update(speed=1.0), "coulomb"),

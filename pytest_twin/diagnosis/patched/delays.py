@@ -1,8 +1,8 @@
-"""A model's own delay lines, as an effect on its commands.
+"""Delay lines of a model, applied as an effect on its commands.
 
-MuJoCo's delay lines hold a number of steps, and begin at a command of zero: under a finer step they
-are too short, and a window that starts amid a motion has none of what was sent before. They are
-taken out of the model that is stepped, and commands come that much later.
+MuJoCo's delay lines hold a fixed number of steps and start at a command of zero. They are too
+short with a finer step, and a window that starts in motion lacks the earlier commands. The
+simulated model has no delay lines; its commands are delayed instead.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pytest_twin.realization.mjcf import compiled
 
 
 def stepped_beside(realization: Realization, patched: Patched | None) -> tuple[AppliedEffect, ...]:
-    """Effects that the row simulator applies: those beside the model, and its delay lines."""
+    """Effects that the simulator applies: those that are not in the MJCF, and its delay lines."""
     model = realization.model
     late: dict[str, float] = {}
     for actuator in range(model.nactuator):
@@ -30,7 +30,7 @@ def stepped_beside(realization: Realization, patched: Patched | None) -> tuple[A
 
 
 def without_delays(realization: Realization) -> Realization:
-    """The realization with the delay lines of :func:`stepped_beside` taken out."""
+    """The realization without the delay lines of :func:`stepped_beside`."""
     model = realization.model
     if not (model.actuator_delay > 0.0).any():
         return realization

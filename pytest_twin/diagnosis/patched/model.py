@@ -1,4 +1,4 @@
-"""What a diagnosis adds to a model: the effects it found, and the file that lists them."""
+"""Effects of a patched realization, and the file ``effects.json`` that lists them."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class AppliedEffect:
     """One effect of a patched realization.
 
     Attributes:
-        effect, joint: what and where; joint None for the whole robot's.
-        values: parameter -> SI value, as the law takes it.
-        in_model: whether the MJCF holds it.
-        written: what of the MJCF says it; empty where nothing does.
+        effect, joint: id and joint name; joint None for an effect of the whole robot.
+        values: parameter -> SI value, as the equation takes it.
+        in_model: whether the MJCF contains it.
+        written: the changed elements of the MJCF; empty if it is not in there.
     """
 
     effect: str
@@ -41,15 +41,15 @@ class AppliedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Patched:
-    """What stands in ``effects.json``.
+    """Content of ``effects.json``.
 
     Attributes:
-        joints: columns that laws act on, in order.
-        effects: all, those in the model too.
-        coldness: of trials by their temperature, where an effect asks for it.
-        creeps: whether dry friction does, as MuJoCo's default constraint has it.
-        substeps: steps for each of the model's, whose error is left in, as the simulation took them
-            that made the recordings; 0 where a robot did.
+        joints: names in the order of the columns of parameters.
+        effects: all effects, including those in the MJCF.
+        coldness: temperature -> normalized coldness, where an effect depends on it.
+        creeps: whether dry friction creeps, as with MuJoCo's default constraint.
+        substeps: substeps per step of the model in the simulation that made the recordings, whose
+            integration error predictions keep; 0 for recordings of a robot.
     """
 
     joints: tuple[str, ...]
@@ -60,12 +60,12 @@ class Patched:
 
     @property
     def beside(self) -> tuple[AppliedEffect, ...]:
-        """Those that are stepped beside the model."""
+        """Effects that are not in the MJCF."""
         return tuple(e for e in self.effects if not e.in_model)
 
 
 def patched_of(realization: Realization) -> Patched | None:
-    """What is stepped beside a realization, or None where no diagnosis wrote it.
+    """The effects of a realization that a diagnosis wrote, None for any other.
 
     Raises:
         SpecError: as :func:`read_effects`.
@@ -75,7 +75,7 @@ def patched_of(realization: Realization) -> Patched | None:
 
 
 def effects_json(patched: Patched) -> dict[str, Any]:
-    """As the file has it."""
+    """Content of ``effects.json``."""
     laws = catalogue()
     return {
         "schema": 1,
@@ -101,7 +101,7 @@ def read_effects(path: Path) -> Patched:
     """Read ``effects.json``.
 
     Raises:
-        SpecError: a field that is unknown, missing, or means nothing.
+        SpecError: a field is missing or has a wrong value.
     """
     if path.stat().st_size > _MAX_BYTES:
         raise SpecError("too large", path=path, expected=f"at most {_MAX_BYTES} bytes")
@@ -113,7 +113,11 @@ def read_effects(path: Path) -> Patched:
     def need(good: bool, where: str, expected: str, value: object = None) -> None:
         if not good:
             raise SpecError(
-                "not a list of effects", path=path, where=where, value=value, expected=expected
+                "wrong field of effects.json",
+                path=path,
+                where=where,
+                value=value,
+                expected=expected,
             )
 
     need(isinstance(data, dict) and data.get("schema") == 1, "schema", "1")
@@ -134,7 +138,7 @@ def read_effects(path: Path) -> Patched:
     whole = isinstance(substeps, int) and not isinstance(substeps, bool)
     need(
         whole and 0 <= substeps <= _MAX_SUBSTEPS, "simulated_in_substeps",
-        f"a whole number up to {_MAX_SUBSTEPS}", substeps,
+        f"an integer from 0 to {_MAX_SUBSTEPS}", substeps,
     )  # fmt: skip
     listed = data.get("effects")
     need(isinstance(listed, list) and len(listed) <= _MAX_EFFECTS, "effects", "a list")
@@ -143,10 +147,16 @@ def read_effects(path: Path) -> Patched:
         here = f"effects.{i}"
         need(isinstance(item, dict), here, "a table")
         name, joint, values = item.get("effect"), item.get("joint"), item.get("values")
-        need(name in catalogue(), f"{here}.effect", "an effect of the catalogue", name)
+        need(
+            name in catalogue(), f"{here}.effect", "an installed effect (pytest-twin effects)", name
+        )
         need(joint is None or joint in joints, f"{here}.joint", "one of joints, or null", joint)
         robot = catalogue()[name].scope == "robot"
-        need(robot == (joint is None), f"{here}.joint", "null for the whole robot's effects")
+        need(
+            robot == (joint is None),
+            f"{here}.joint",
+            "null for an effect of the whole robot, else a joint",
+        )
         need(isinstance(item.get("in_model"), bool), f"{here}.in_model", "true or false")
         known = {p.name for p in catalogue()[name].parameters}
         need(isinstance(values, dict) and set(values) <= known, f"{here}.values", str(known))

@@ -1,4 +1,4 @@
-"""Effects in MuJoCo's own terms: which of them an MJCF holds, and how they are written."""
+"""Effects that MJCF can express, and how they are written."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _SPARE_SAMPLES = 3
 
 
 class NativeWriter:
-    """Writes effects into a spec, one after another, where MuJoCo has their law."""
+    """Writes effects into a spec, one after another, where MuJoCo has their equation."""
 
     def __init__(self, spec: mujoco.MjSpec, realization: Realization, problem: Problem) -> None:
         self.spec, self.problem = spec, problem
         self.simulator = problem.simulator
         twin = realization.twin
-        # Controllers and payloads overwrite gains and add masses when a trial asks for them: what
-        # is in proportion to those has to come after.
+        # Controllers overwrite gains and payloads add masses for each trial. Relative changes of
+        # these have to be applied afterwards, so they stay out of the MJCF.
         self.fixed_gains = twin is None or not twin.controllers
         self.fixed_masses = twin is None or not twin.payloads
         self.model = compiled(spec)[0]
 
     def take(self, term: Term, values: Mapping[str, float]) -> list[AppliedEffect]:
-        """Write the effect into the model as far as it goes; what is left stays beside it."""
+        """Write an effect into the MJCF; a second entry holds what MJCF cannot express."""
         joint = None if term.joint < 0 else self.problem.joints[term.joint]
         beside = AppliedEffect(term.effect, joint, dict(values), in_model=False)
         write = _NATIVE.get(term.effect)
@@ -55,7 +55,7 @@ class NativeWriter:
             text, rest = written
             self.model = compiled(self.spec)[0]
         except (TwinError, ValueError, RuntimeError, mujoco.FatalError):
-            # A value that MJCF does not take, such as a damping below zero, is stepped beside it.
+            # MJCF rejects the value, a negative damping for example.
             self.spec = before
             self.model = compiled(self.spec)[0]
             return [beside]
@@ -67,7 +67,7 @@ class NativeWriter:
         return out
 
     def settle(self) -> None:
-        """State the solver settings under which the findings hold: those that were stepped."""
+        """Write the friction constraint with which the findings were simulated."""
         by_name = {j.name: j for j in self.spec.joints}
         stepped = self.simulator.models.bounded(0)
         dofs = self.simulator.layout.dof_index
@@ -84,11 +84,11 @@ class NativeWriter:
     # -- helpers of the laws below
 
     def refuse(self, where: str, problem: str, **details: Any) -> SpecError:
-        """An error to be raised; :meth:`take` then leaves the effect beside the model."""
+        """An error to raise; :meth:`take` then leaves the effect out of the MJCF."""
         return SpecError(problem, where=where, **details)
 
     def fit(self, family: str, name: str, values: Mapping[str, Any]) -> None:
-        """Set attributes of one element, as a twin's ``fit`` would."""
+        """Set attributes of one element like ``fit`` of a ``twin.yaml``."""
         patch.apply_fit(self.spec, {family: {name: values}}, {}, refuse=self.refuse)
 
     def joint_index(self, joint: int) -> tuple[str, int, int]:
@@ -100,14 +100,14 @@ class NativeWriter:
         )
 
     def actuator_name(self, joint: int) -> str | None:
-        """Of the drive of a column, or None without one that has a name."""
+        """Name of the drive of a column, None without one."""
         at = int(self.simulator.layout.actuator[joint])
         if at < 0:
             return None
         return mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, at) or None
 
     def body_name(self, joint: int) -> str:
-        """Of the body that a column moves."""
+        """Name of the body that a column moves."""
         at = int(self.simulator.layout.body_index[joint])
         return str(mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_BODY, at))
 

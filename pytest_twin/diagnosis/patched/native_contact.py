@@ -32,7 +32,7 @@ def write_contact(
         values: its parameters, SI units.
 
     Returns:
-        What of the MJCF says it, or None where the spec does not take it.
+        The changed elements in words, or None where the spec cannot express it.
     """
     model = compiled(spec)[0]
     fields = ModelFields.neutral(np.zeros((1, 3)), 1)
@@ -72,7 +72,7 @@ def _set(element: Any, attribute: str, value: FloatArray) -> None:
 def _move(spec: mujoco.MjSpec, geom: Any, shift: FloatArray) -> None:
     """Move a geom by (3,) m in its body's frame."""
     if geom.frame is not None:
-        # Frames may be turned in any of MJCF's ways: see how the compiler takes them.
+        # MJCF frames have many forms of rotation: let the compiler apply them.
         start = compiled(spec)[0].geom_pos[geom.id]
         place = np.array(geom.pos, dtype=float), np.array(geom.fromto, dtype=float)
         columns = []

@@ -1,4 +1,4 @@
-"""Replay of a patched realization: the model, and the effects beside it."""
+"""Replay of a patched realization: its MJCF and the effects that MJCF cannot express."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ Progress = Callable[[float], None]
 def fixed_values(
     effects: Sequence[AppliedEffect], joints: Sequence[str], rows: int
 ) -> EffectValues:
-    """Parameters as (rows, joints) arrays; neutral where an effect is absent.
+    """Parameters of effects as (rows, joints) arrays; neutral where an effect is absent.
 
-    Several entries of one effect at one joint add up in their switching parameters. Those of other
-    joints are left out.
+    Parameters with a neutral value add up over several entries of one effect at one joint. Entries
+    of other joints are ignored.
     """
     out: dict[str, dict[str, FloatArray]] = {}
     for e in effects:
@@ -55,15 +55,15 @@ def fixed_values(
 def replay_patched(
     realization: Realization, patched: Patched, trials: Sequence[Trial], *, threads: int = 0
 ) -> list[Predicted]:
-    """Open-loop predictions of whole trials, at their own stamps, as the sensors would read.
+    """Open-loop predictions of sensor readings of whole trials, at their stamps.
 
     Args:
         realization: loaded from the patched folder.
-        patched: what stands beside it.
-        trials: commands and first states are read, nothing else.
+        patched: its effects.
+        trials: only commands and first states are read.
 
     Returns:
-        Columns are ``patched.joints``, rows the trials' own states.
+        One prediction per trial: columns are ``patched.joints``, rows the trial's states.
 
     Raises:
         RecordingError: a joint that the effects act on is not in a recording, or a temperature that
@@ -94,10 +94,9 @@ def replay_patched(
 def replay_whole(
     realization: Realization, patched: Patched, trial: Trial, *, progress: Progress | None = None
 ) -> Replayed:
-    """The replay of one trial with what stands beside the model, in the words of a plain one.
+    """The replay of one trial with all effects, in the form of a plain replay.
 
-    Joints that the effects do not act on, and the rest of the configuration, are as the model
-    alone has them.
+    Joints without effects, and the rest of the configuration, are those of the MJCF alone.
 
     Raises:
         RecordingError, SimulationError: as :func:`replay_patched`.
@@ -132,8 +131,8 @@ def beside_in_words(patched: Patched) -> tuple[str, ...]:
 
 
 def _predict(segment: Segment, patched: Patched, values: EffectValues, threads: int) -> Predicted:
-    """As the diagnosis predicts: with the error of the model's own step taken out, or left in where
-    recordings have it.
+    """The prediction as in the diagnosis: without the integration error of the model's step, or
+    with it where the recordings of a simulation have it.
     """
 
     def stepped(refine: int) -> Predicted:
@@ -155,7 +154,7 @@ def _as_measured(
     realization: Realization,
     joints: Sequence[str],
 ) -> Predicted:
-    """At every state of the trial, doubled stamps too, and as its encoders count."""
+    """The prediction at every state of the trial, in the units and signs of its encoders."""
     encoders = Encoders.of(calibration_of(realization), joints)
     at = np.clip(np.searchsorted(segment.time, trial.time), 0, len(segment.time) - 1)
     return Predicted(

@@ -1,7 +1,7 @@
-"""The patched realization on disk: plain MJCF where MuJoCo has the physics, a list for the rest.
+"""Writing of a patched realization: an MJCF, and a list of effects that MJCF cannot express.
 
-The asset is never touched: what is written is a model of its own, that plain MuJoCo loads, and a
-list of effects that are stepped beside it.
+The original model is never changed. Plain MuJoCo loads the MJCF; ``pytest-twin replay`` also
+applies the listed effects.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def write_realization(
 
     Args:
         folder: new, empty.
-        realization: the model as it came.
-        problem: that was explained.
-        hypothesis: its findings.
-        inherited: effects of the realization that was diagnosed, where it was a patched one.
-        coldness: of the trials, by temperature.
-        substeps: as :class:`Patched` has them.
+        realization: the nominal model.
+        problem: the diagnosed problem.
+        hypothesis: the findings.
+        inherited: effects of the nominal model, if an earlier diagnosis wrote it.
+        coldness: temperature -> normalized coldness of the trials.
+        substeps: see :class:`Patched`.
 
     Raises:
         PathError: the folder cannot be written.
