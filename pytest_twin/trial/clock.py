@@ -25,6 +25,7 @@ _AROUND = 20
 _LOG_RATE = 2.0
 # ... and say nothing of a robot's time if its clock runs faster or slower by this share.
 _SAME_RATE = 0.01
+_MOST_STEPS = 1000
 # Fewer messages than this say nothing of a rate.
 _FEWEST = 20
 _NS = 1e-9
@@ -273,7 +274,8 @@ def _steps(timed: Timed, *, backward: bool) -> list[int]:
     jumps = step < -bound if backward else (step > bound) & (logged < 2.0 * np.median(logged))
     offset = stamp - (usual * np.arange(len(stamp)) if backward else log)
     found: list[int] = []
-    for k in (np.flatnonzero(jumps) + 1).tolist():
+    # A clock that steps more often than this is none.
+    for k in (np.flatnonzero(jumps)[:_MOST_STEPS] + 1).tolist():
         before, after = offset[max(0, k - _AROUND) : k], offset[k : k + _AROUND]
         moved = float(np.median(after)) - float(np.median(before))
         if abs(moved) >= 0.5 * abs(float(step[k - 1])) and (moved < 0) == backward:

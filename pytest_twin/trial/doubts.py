@@ -28,9 +28,13 @@ _STUCK_SECONDS = 1.0
 _STUCK_SPAN = 0.2
 # Positions this far beyond the joint's range are in another unit: a degree is 1/57 rad.
 _BEYOND_RANGE = 10.0
+# More doubts of one kind than this are one mark.
+_MOST_MARKS = 200
 # Two sources that take turns: samples are this many times as far from their neighbours as from the
 # ones after these, and at least this far, rad or m.
 _TURNS, _TURNS_SPAN, _TURNS_SAMPLES = 10.0, 0.02, 40
+# Share of stamps that stand twice from which a topic has two publishers.
+_TWICE = 0.25
 
 
 class Doubts:
@@ -72,7 +76,12 @@ class Doubts:
         """Add one mark for each run of neighbouring samples."""
         if not samples.size:
             return
-        for run in np.split(samples, np.flatnonzero(np.diff(samples) > 1) + 1):
+        ends = np.flatnonzero(np.diff(samples) > 1) + 1
+        if len(ends) >= _MOST_MARKS:
+            said = f"{text} in {len(samples)} messages, at {len(ends) + 1} places"
+            self.mark(kind, topic, joint, time[samples].min(), time[samples].max(), said)
+            return
+        for run in np.split(samples, ends):
             count = "1 message" if len(run) == 1 else f"{len(run)} messages"
             self.mark(kind, topic, joint, time[run].min(), time[run].max(), f"{text} in {count}")
 
@@ -94,7 +103,16 @@ class Doubts:
 
     def note_gaps(self, time: FloatArray, topic: str) -> None:
         """Mark intervals without messages."""
-        for at, usual in gaps(time):
+        found = gaps(time)
+        if len(found) > _MOST_MARKS:
+            longest = max(float(time[at + 1] - time[at]) for at, _ in found)
+            self.mark(
+                "gap", topic, None, time[found[0][0]], time[found[-1][0] + 1],
+                f"{len(found)} times no message for up to {longest:.4g} s, usually "
+                f"{found[0][1]:.4g} s",
+            )  # fmt: skip
+            return
+        for at, usual in found:
             self.mark(
                 "gap", topic, None, time[at], time[at + 1],
                 f"no message for {time[at + 1] - time[at]:.4g} s, usually {usual:.4g} s",
@@ -154,6 +172,24 @@ class Doubts:
                 "two publishers send different positions of one joint",
                 f"{topic} joint '{joint}'",
                 value=f"{to_next:.4g} apart from message to message",
+                unit=self.unit(joint, "position"),
+                expected="one publisher; record the topic of one robot, or give the joints of each "
+                "names of their own",
+            )
+
+    def refuse_contradictions(
+        self, joint: str, position: FloatArray, time: FloatArray, topic: str
+    ) -> None:
+        """Raise where two publishers send different positions of one joint at the same stamps."""
+        same = np.diff(time) == 0.0
+        if len(position) < _TURNS_SAMPLES or np.mean(same) < _TWICE:
+            return
+        apart = float(np.median(np.abs(np.diff(position)[same])))
+        if apart > _TURNS_SPAN:
+            raise self.error(
+                "two publishers send different positions of one joint at the same stamps",
+                f"{topic} joint '{joint}'",
+                value=f"{apart:.4g} apart at {int(same.sum())} of {len(position)} stamps",
                 unit=self.unit(joint, "position"),
                 expected="one publisher; record the topic of one robot, or give the joints of each "
                 "names of their own",

@@ -342,6 +342,7 @@ class _Maker:
         seen = np.isfinite(position)
         position, time = position[seen], time[seen]
         self.doubts.within_range(joint, position, time, topic)
+        self.doubts.refuse_contradictions(joint, position, time, topic)
         self.doubts.refuse_two_sources(joint, position, topic)
         self.doubts.note_outliers(joint, position, time, topic)
 

@@ -26,11 +26,12 @@ class Hole:
 
     Attributes:
         start, end: stamps of the last state before it and the first after it, s.
-        command_end: stamp of the first command after it, s.
+        command_start, command_end: stamps of the last command before it and the first after it, s.
     """
 
     start: float
     end: float
+    command_start: float
     command_end: float
 
 
@@ -71,7 +72,8 @@ def holes(time: FloatArray, command_time: FloatArray) -> list[Hole]:
         if steps[at] <= GAP_INTERVALS * usual and sent[k] <= GAP_INTERVALS * usual_sent:
             continue
         if abs(first - commands[k]) <= near and abs(last - commands[k + 1]) <= near:
-            found.append(Hole(float(first), float(last), float(commands[k + 1])))
+            sent_last, sent_first = float(commands[k]), float(commands[k + 1])
+            found.append(Hole(float(first), float(last), sent_last, sent_first))
     return found
 
 
@@ -84,7 +86,12 @@ def stretches(trial: Trial) -> list[Trial]:
     Returns:
         The trial itself where there is no hole.
     """
-    found = holes(trial.state_times, trial.command_times)
+    found = [
+        hole
+        for hole in holes(trial.state_times, trial.command_times)
+        if _empty(trial.time, hole.start, hole.end)
+        and _empty(trial.command_time, hole.command_start, hole.command_end)
+    ]
     if not found:
         return [trial]
     starts = [-np.inf, *(hole.end for hole in found)]
@@ -99,8 +106,13 @@ def stretches(trial: Trial) -> list[Trial]:
     for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
         until = commands[i + 1] if i + 1 < len(commands) else np.inf
         part = _part(trial, start, end, commands[i], until, len(starts))
-        parts.append(replace(part, notes=(note, *part.notes) if i == 0 else part.notes))
-    return parts
+        unseen = [j for j, q in zip(part.joints, part.position[0], strict=True) if np.isnan(q)]
+        if unseen or not len(part.command_time):
+            lacks = f"position of {unseen[0]}" if unseen else "command"
+            note += f"; the part from {part.offset:.4g} s has no {lacks} and is left out"
+        else:
+            parts.append(replace(part, notes=()))
+    return [replace(parts[0], notes=(note, *trial.notes)), *parts[1:]] if parts else [trial]
 
 
 def _times(found: Sequence[Hole]) -> str:
@@ -113,14 +125,14 @@ def _part(
     trial: Trial, start: float, end: float, sent: float, sent_until: float, parts: int
 ) -> Trial:
     """States from ``start`` to ``end``, commands from ``sent`` to before ``sent_until``."""
-    rows = np.flatnonzero((trial.time >= start) & (trial.time <= end))
-    command_rows = (trial.command_time >= sent) & (trial.command_time < sent_until)
-    first = float(trial.time[rows[0]])
-    stop = float(trial.time[rows[-1]])
+    begin = int(np.searchsorted(trial.time, start))
+    rows = slice(begin, int(np.searchsorted(trial.time, end, side="right")))
+    command_rows = slice(*np.searchsorted(trial.command_time, (sent, sent_until)).tolist())
+    first, stop = float(trial.time[rows][0]), float(trial.time[rows][-1])
     position = trial.position[rows]
     if not np.isfinite(position[0]).all():
         position = position.copy()
-        position[0] = _known(trial.time, trial.position, rows[0], rows[-1])
+        position[0] = _first_known(position)
     return replace(
         trial,
         start=trial.start + round(first * 1e9),
@@ -146,13 +158,17 @@ def _part(
     )
 
 
-def _known(time: FloatArray, position: FloatArray, first: int, last: int) -> FloatArray:
-    """(j,) the first position of each joint at or after a sample."""
-    row: FloatArray = position[first].copy()
-    for j in np.flatnonzero(~np.isfinite(row)):
-        known = np.flatnonzero(np.isfinite(position[first : last + 1, j]))
-        row[j] = position[first + known[0], j] if known.size else np.nan
+def _first_known(position: FloatArray) -> FloatArray:
+    """(j,) the first position of each joint."""
+    first = np.argmax(np.isfinite(position), axis=0)
+    row: FloatArray = position[first, np.arange(position.shape[1])]
     return row
+
+
+def _empty(time: FloatArray, start: float, end: float) -> bool:
+    """Whether no message of any joint lies between two stamps."""
+    after, before = np.searchsorted(time, start, side="right"), np.searchsorted(time, end)
+    return bool(after >= before)
 
 
 def _moved(mark: Mark, by: float) -> Mark:

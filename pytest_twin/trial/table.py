@@ -47,12 +47,9 @@ def merged_states(
     first = np.flatnonzero(np.append(True, np.diff(stamp) > 0))
     owner = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(stamp))))
     # Of each joint the first message of a stamp goes into the stamp's row, the next into one more.
-    level = np.zeros(len(stamp), dtype=np.int64)
-    last = np.append(first[1:], len(stamp))
-    several = last - first > 1
-    for begin, end in zip(first[several], last[several], strict=True):
-        mine = carried[begin:end]
-        level[begin:end] = (np.cumsum(mine, axis=0) * mine).max(axis=1) - 1
+    counts = np.cumsum(carried, axis=0)
+    before: NDArray[np.int64] = counts[first] - carried[first]
+    level = ((counts - before[owner]) * carried).max(axis=1) - 1
     level = np.maximum(level, 0)
     key = owner * (int(level.max()) + 1) + level
     rows, of = np.unique(key, return_inverse=True)

@@ -212,6 +212,31 @@ def test_two_publishers_that_contradict_are_refused() -> None:
         make_trial(recording(states(position=position), commands()), structure())
 
 
+def test_two_publishers_that_contradict_at_one_stamp_are_refused() -> None:
+    one = states()
+    stamp = np.repeat(one.stamp, 2)
+    position = np.repeat(MOTION, 2, axis=0)
+    position[1::2] = 0.0
+    with pytest.raises(RecordingError, match="different positions of one joint at the same stamps"):
+        make_trial(
+            recording(replace(one, stamp=stamp, log_time=stamp, position=position), commands()),
+            structure(),
+        )
+
+
+def test_two_publishers_that_agree_are_one_mark() -> None:
+    one = states()
+    stamp = np.repeat(one.stamp, 2)
+    position = np.repeat(MOTION, 2, axis=0)
+    made = make_trial(
+        recording(replace(one, stamp=stamp, log_time=stamp, position=position), commands()),
+        structure(),
+    )
+    assert [(m.kind, m.text) for m in made.marks] == [
+        ("duplicate_stamp", "stamps stand twice in 400 messages, at 400 places")
+    ]
+
+
 # -- fields
 
 
