@@ -94,9 +94,9 @@ class CsvLimits:
 
 @dataclass(frozen=True, slots=True)
 class ParquetLimits:
-    """Bounds on a data set in Parquet: what is read of one file, and how many files."""
+    """Bounds on a data set in Parquet: a file's content, images included, and how many files."""
 
-    uncompressed_bytes: int = 2 * 2**30
+    uncompressed_bytes: int = 8 * 2**30
     files_count: int = 100_000
 
 

@@ -271,3 +271,23 @@ def test_show_lists_the_episodes_of_a_data_set(
     assert "LeRobot data set, 2 episodes" in said
     assert "episode_000001: 0.78 s, usable" in said
     assert "no unit is declared" in said
+
+
+@pytest.mark.parametrize("by_twin", [True, False])
+def test_other_headers_are_mapped_by_the_twin_or_an_option(
+    recording: Recording, tmp_path: Path, by_twin: bool
+) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    path = as_csv(recording, tmp_path / "log.csv")
+    heads, _, rows = path.read_text().partition("\n")
+    mapping = {f"c{at}": meaning for at, meaning in enumerate(heads.split(","))}
+    path.write_text(",".join(mapping) + "\n" + rows)
+    columns = "".join(f"  {heading}: {meaning}\n" for heading, meaning in mapping.items())
+    twin = "name: arm\nmodel: arm.xml\n" + (f"columns:\n{columns}" if by_twin else "")
+    (tmp_path / "twin.yaml").write_text(twin)
+    option = ",".join(f"{heading}={meaning}" for heading, meaning in mapping.items())
+    words = [str(tmp_path / "twin.yaml"), str(path), "--out", str(tmp_path / "out.mcap")]
+    words += [] if by_twin else ["--columns", option]
+    assert cli.main(["replay", *words]) == 0
+    state = read_recording(tmp_path / "out.mcap").series["state"]
+    np.testing.assert_array_equal(state.stamp, recording.series["state"].stamp)
