@@ -1,4 +1,4 @@
-"""The text of a failure: what left its tolerance, where, when, by how much, and why it ran."""
+"""The text of a failed golden: which measure exceeded its tolerance, when, and by how much."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ MAX_REASONS = 8
 
 
 def headline(outcome: Outcome) -> str:
-    """One line: which golden, and what is wrong, or that nothing is."""
+    """One line: the golden, and its worst measure or error."""
     return printable(f"{outcome.key}: {what(outcome)}")
 
 
 def what(outcome: Outcome) -> str:
-    """One line beside the golden's name: what is wrong, or that nothing is."""
+    """One line without the name of the golden: its worst measure or error."""
     worst = outcome.worst
     if outcome.status == "error" or worst is None:
         return printable(outcome.error or "nothing was measured")
@@ -31,13 +31,13 @@ def what(outcome: Outcome) -> str:
 def failure_text(
     outcome: Outcome, *, location: str, plot: str | None = None, advice: str = ""
 ) -> str:
-    """What a person needs to act on a failure.
+    """The report of a failed golden for a terminal.
 
     Args:
         outcome: a golden that did not pass.
         location: the spec's file and line, ``golden/fk/home.yaml:12``.
         plot: path of the plot.
-        advice: after the diagnosis, what would say more.
+        advice: text after the quick diagnosis, such as the command for the full one.
     """
     lines = [headline(outcome)]
     if outcome.diagnosis is not None:
@@ -66,7 +66,7 @@ def failure_text(
 
 
 def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list[str]:
-    """Every measure in a line, the worst first."""
+    """A table of measures, the worst first."""
     ordered = sorted(measures, key=use_of_tolerance, reverse=True)
     timed = any(measure.time is not None for measure in ordered[:max_rows])
     head = (
@@ -116,7 +116,7 @@ def _left(worst: Measure) -> str:
     if worst.margin != worst.margin:  # NaN
         return f"{worst.name} of {worst.subject} is not a number{when}"
     return (
-        f"{worst.name} of {worst.subject} left its tolerance of "
+        f"{worst.name} of {worst.subject} exceeded its tolerance of "
         f"{quantity(worst.tolerance, worst.unit)} by {quantity(-worst.margin, worst.unit)}{when}"
     )
 

@@ -32,7 +32,7 @@ def test_a_failure_says_what_to_do() -> None:
     assert text == "\n".join(
         [
             "golden/step/elbow@mujoco: "
-            "angle of elbow left its tolerance of 0.0107 rad by 0.0213 rad at 1.234 s",
+            "angle of elbow exceeded its tolerance of 0.0107 rad by 0.0213 rad at 1.234 s",
             "  worst        angle of elbow at 1.234 s",
             "  measured     0.5213 rad",
             "  golden       0.4893 rad",

@@ -97,7 +97,7 @@ def test_the_verdict_comes_first_then_what_refused_then_the_failures() -> None:
 
 def test_each_golden_says_margins_reasons_and_where_its_spec_is() -> None:
     text = text_of(html.render(FULL))
-    assert "left its tolerance of 0.0005 m by 0.0015 m" in text
+    assert "exceeded its tolerance of 0.0005 m by 0.0015 m" in text
     assert "-0.0015 m" in text
     assert "golden/fk/failed.yaml:3" in text
     assert "mujoco/mesh:link1sha25600ff → 11ee" in text
