@@ -34,8 +34,8 @@ class Actuation:
 
     Attributes:
         held: joints that a position servo drives, and those coupled to them.
-        loose: all other hinge, slide and ball joints, in model order.
-        floating: free joints.
+        loose: all other joints, in model order; free joints of objects too.
+        floating: free joints of robots: they carry other joints, or the model has no others.
         commands: what actuators of joints take: position, velocity or effort.
     """
 
@@ -62,7 +62,11 @@ class Actuation:
             tied for joint in servoed for tied in simulate.coupled_joints(realization, joint)
         )
         types = realization.structure.joint_type
-        floating = tuple(joint for joint in realization.joints if types[joint] == "free")
+        floating = tuple(
+            joint
+            for joint in realization.joints
+            if types[joint] == "free" and _carries_robot(realization, joint)
+        )
         loose = tuple(j for j in realization.joints if j not in held and j not in floating)
         return cls(held, loose, floating, frozenset(commands))
 
@@ -82,6 +86,15 @@ class Actuation:
             f"No controller: a URDF states none, {what}. To test with one, add servo gains to "
             "twin.yaml; the lines are there as comments."
         )
+
+
+def _carries_robot(realization: Realization, free_joint: str) -> bool:
+    structure = realization.structure
+    body = structure.joint_body[free_joint]
+    others = [b for joint, b in structure.joint_body.items() if joint != free_joint]
+    if not others or all(structure.joint_type[j] == "free" for j in structure.joint_body):
+        return True
+    return any(body in structure.ancestors(other) for other in others)
 
 
 def fixed_base(realization: Realization) -> str | None:

@@ -210,6 +210,21 @@ def test_a_floating_base_without_servos_and_floor_has_no_settling(tmp_path: Path
         check_of("settling").first(robot)
 
 
+def test_a_free_object_is_no_floating_base(tmp_path: Path) -> None:
+    robot = mjcf(
+        tmp_path,
+        "<mujoco><worldbody><geom name='floor' type='plane' size='2 2 .1'/><body name='link' "
+        "pos='0 0 .5'><joint name='hinge' axis='0 1 0' range='-90 90'/><geom type='capsule' "
+        "fromto='0 0 0 0 0 .3' size='.02'/></body><body name='cube' pos='.5 0 .3'><freejoint "
+        "name='cube'/><geom type='box' size='.02 .02 .02' mass='.1'/></body></worldbody>"
+        "<actuator><position name='hinge' joint='hinge' kp='50' kv='2'/></actuator></mujoco>",
+    )
+    for spec in first("settling", robot).values():
+        assert "floats" not in spec["title"]
+    notes = " ".join(first("settling", robot)["gravity"]["notes"])
+    assert "No position servo holds cube" in notes
+
+
 def test_a_gripper_on_a_tendon_gets_a_step_of_its_drive(tmp_path: Path) -> None:
     robot = mjcf(tmp_path, GRIPPER)
     spec = first("step", robot)["grip"]
