@@ -129,17 +129,20 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
         fixed = any(kind == "joint" and name == mimic.leader for kind, name, _ in asset.named)
         yield Finding(
             "coupling.mimic_master",
-            "critical",
+            # MuJoCo and Pinocchio hold such a follower at its offset.
+            "warning" if fixed else "critical",
             mimic.place,
             element,
-            "it follows a joint that does not move"
+            f"it follows a fixed joint: it does not move from its offset, {mimic.offset:g}"
             if fixed
             else "it follows a joint that does not exist",
             mimic.leader,
             None,
             "the name of a moving joint",
             _WHY_MIMIC,
-            "correct the name, or remove the <mimic>",
+            "make the joint fixed, or name the joint that it follows"
+            if fixed
+            else "correct the name, or remove the <mimic>",
         )
         return
     follower, leader = asset.joint.get(mimic.follower), asset.joint[mimic.leader]

@@ -39,7 +39,7 @@ def _left_out(label: str, found: list[Stated]) -> Finding:
         "warning" if first.entry.physics else "info",
         Place(first.node.path, first.node.line),
         label,
-        f"<{label}> is stated {count}, and no realization carries it",
+        f"stated {count}, and no realization carries it",
         shown + more,
         None,
         None,
@@ -57,8 +57,7 @@ def _custom(asset: Asset) -> Iterator[Finding]:
             "info",
             places[0],
             label,
-            f"{what} <{label}> is stated {count}, and neither URDF, SRDF, ros2_control nor Gazebo "
-            "defines it",
+            f"an {what} that neither URDF, SRDF, ros2_control nor Gazebo defines, stated {count}",
             float(len(places)),
             f"{what}s",
             None,

@@ -305,8 +305,8 @@ def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
             "warning",
             place,
             f"links '{near.first}' and '{near.second}'",
-            f"their collision shapes overlap by {-near.distance * 1e3:.3g} mm at the pose "
-            f"'{result.name}'" + ("" if agreed else "; MuJoCo and coal disagree about the depth"),
+            f"their collision shapes overlap at the pose '{result.name}'"
+            + ("" if agreed else "; MuJoCo and coal disagree about the depth"),
             near.distance,
             "m",
             "a distance of 0 or more at a pose that the robot can take"

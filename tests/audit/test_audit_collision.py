@@ -64,8 +64,10 @@ def test_zero_moves_into_the_ranges_and_followers_follow(tmp_path: Path) -> None
 
 
 def test_a_model_that_does_not_load_is_measured_by_its_hulls(tmp_path: Path) -> None:
-    # A missing master: no simulator takes it.
-    asset = read(write_clean(tmp_path, changed(('<mimic joint="grip"', '<mimic joint="grap"'))))
+    # A joint that follows itself: no simulator takes it.
+    asset = read(
+        write_clean(tmp_path, changed(('<mimic joint="grip"', '<mimic joint="thumb_slide"')))
+    )
     results, _ = self_collision.measure(asset, Geometry(asset), {})
     assert results[0].engine == "coal"
     near = {(n.first, n.second): n.distance for n in results[0].near}

@@ -233,7 +233,7 @@ FAULTS = [
         "a mimic of a fixed joint",
         [(THUMB_MIMIC, '<mimic joint="tcp_mount" multiplier="1"/>')],
         "coupling.mimic_master",
-        "critical",
+        "warning",
         "joint 'thumb_slide'",
         '<mimic joint="tcp_mount"',
     ),

@@ -137,3 +137,15 @@ def test_a_visual_mesh_never_fails_the_audit(tmp_path: Path, uri: str) -> None:
     assert [row["severity"] for row in rows if row["element"] == "visual of link 'upper'"] == [
         "warning"
     ]
+
+
+def test_a_mimic_of_a_fixed_joint_stands_at_its_offset_and_is_a_warning(tmp_path: Path) -> None:
+    mimic = '<mimic joint="grip" multiplier="1"/>'
+    text = changed((mimic, '<mimic joint="tcp_mount" multiplier="1" offset="0.01"/>'))
+    path = write_clean(tmp_path, text)
+    (found,) = only(findings_of(path), "coupling.mimic_master")
+    assert found["severity"] == "warning"
+    assert found["title"] == "it follows a fixed joint: it does not move from its offset, 0.01"
+    out = tmp_path / "out"
+    out.mkdir()
+    assert realize(str(path), str(out))["critical"] == []
