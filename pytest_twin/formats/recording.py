@@ -28,6 +28,7 @@ class JointSeries:
             left it empty or does not name the joint.
         velocity: (n, j) rad/s or m/s, likewise.
         effort: (n, j) N*m or N, likewise.
+        stamped: whether any message has a ``header.stamp`` of its own.
     """
 
     topic: str
@@ -37,6 +38,7 @@ class JointSeries:
     position: Floats | None
     velocity: Floats | None
     effort: Floats | None
+    stamped: bool = True
 
 
 @dataclass(frozen=True)

@@ -213,6 +213,7 @@ class TopicReader:
         return JointSeries(
             topic=self.topic,
             names=names,
+            stamped=len(stamp) < 2 or bool(stamp.any()),
             stamp=self._mend_stamps(stamp, log_time),
             log_time=log_time,
             **tables,

@@ -93,8 +93,11 @@ def on_one_clock(
                     expected="stamps, or --clock log",
                 )  # fmt: skip
     else:
-        for one, none in zip(topics, unset, strict=True):
-            if 2 * none.sum() > len(none):
+        few = [2 * none.sum() > len(none) for none in unset]
+        if all(few):
+            return _by_log(topics, [])
+        for one, bare in zip(topics, few, strict=True):
+            if bare:
                 return _without_stamps(topics, unset, one)
     notes = []
     timed = []
@@ -124,6 +127,8 @@ def on_one_clock(
 
 def _unset(series: JointSeries) -> NDArray[np.bool_]:
     """(n,) which messages have no stamp. A simulation's time may begin with one stamp 0."""
+    if not series.stamped:
+        return np.ones(len(series.stamp), dtype=bool)
     none: NDArray[np.bool_] = series.stamp == 0
     if none.sum() == 1 and none[0] and len(none) > 2:
         usual = float(np.median(np.diff(series.stamp[1:])))
@@ -141,10 +146,10 @@ def _without_stamps(
     topics: tuple[JointSeries, JointSeries], unset: list[NDArray[np.bool_]], bare: JointSeries
 ) -> Clocked:
     other, its_unset = (topics[1], unset[1]) if bare is topics[0] else (topics[0], unset[0])
-    if _is_log(bare):
-        said = f"{bare.topic} has log times alone and {other.topic} stamps of another clock"
-    elif (bare.stamp == 0).all():
+    if not bare.stamped or (bare.stamp == 0).all():
         said = f"{bare.topic}: no message has a stamp"
+    elif _is_log(bare):
+        said = f"{bare.topic} has log times alone and {other.topic} stamps of another clock"
     else:
         said = f"{bare.topic}: few messages have a stamp"
     rate = None if its_unset.any() else _rate(other)

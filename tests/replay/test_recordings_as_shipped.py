@@ -315,6 +315,19 @@ def test_log_times_count_where_one_topic_has_no_stamps() -> None:
     )
 
 
+def test_log_times_count_for_both_topics_though_stamps_would_overlap() -> None:
+    late = replace(states(), log_time=states().log_time + 30_000_000)
+    bare = replace(commands(), stamped=False)
+    made = make_trial(recording(late, bare), structure())
+    assert made.command_time == pytest.approx(TIME - 0.03)
+    assert "no message has a stamp: log times are used for both" in note(made, "stamp")
+
+
+def test_topics_that_both_have_log_times_alone_need_no_note() -> None:
+    bare = (replace(one, stamped=False) for one in (states(), commands()))
+    assert make_trial(recording(*bare), structure()).notes == ()
+
+
 def test_a_simulation_at_half_speed_keeps_its_own_time() -> None:
     sent = commands()
     simulated = (sent.stamp - START_NS) // 2 + 12_000_000_000

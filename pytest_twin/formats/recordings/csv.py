@@ -207,7 +207,13 @@ class _Table:
         if role == "command":
             tables = dict.fromkeys(QUANTITIES, tables["command"])
         return JointSeries(
-            topic=topic, names=names, stamp=time[carried], log_time=time[carried].copy(), **tables
+            topic=topic,
+            names=names,
+            stamp=time[carried],
+            log_time=time[carried].copy(),
+            position=tables["position"],
+            velocity=tables["velocity"],
+            effort=tables["effort"],
         )
 
     def numbers(self) -> tuple[Integers, dict[int, Floats]]:

@@ -200,7 +200,13 @@ class _Dataset:
             scale = 1.0 if quantity == "effort" else unit.scale
             table[:, names.index(name)] = values[:, at] * scale
         return JointSeries(
-            topic=self.asked.topics[role], names=names, stamp=time, log_time=time.copy(), **tables
+            topic=self.asked.topics[role],
+            names=names,
+            stamp=time,
+            log_time=time.copy(),
+            position=tables["position"],
+            velocity=tables["velocity"],
+            effort=tables["effort"],
         )
 
     def times(self, table: Mapping[str, Floats]) -> Integers:
