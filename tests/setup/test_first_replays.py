@@ -9,13 +9,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from pytest_twin.errors import SpecError
 from pytest_twin.setup.recordings import TaskTolerance, parse_tolerance, place_recordings
 
 BIN = Path(sys.executable).parent
+JOINT_STATE = "sensor_msgs/msg/JointState"
 ROBOT = """\
 <mujoco><worldbody><body name="link"><joint name="elbow" axis="0 1 0" range="-90 90" damping=".1"/>
 <geom type="capsule" fromto="0 0 0 0 0 .3" size=".02"/></body></worldbody>
@@ -155,3 +159,41 @@ def test_recordings_stay_where_they_are(tmp_path: Path) -> None:
         place_recordings([tmp_path / "gone.mcap"], twin)
     with pytest.raises(SpecError, match="given twice"):
         place_recordings([given[0], given[0]], twin)
+
+
+def write_bag(folder: Path) -> None:
+    """A rosbag2 folder of the sweep, in SQLite storage."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    header, state = (store.types[name] for name in ("std_msgs/msg/Header", JOINT_STATE))
+    time = store.types["builtin_interfaces/msg/Time"]
+    empty = np.array([])
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        topics = [
+            writer.add_connection(topic, JOINT_STATE, typestore=store)
+            for topic in ("/joint_states", "/joint_commands")
+        ]
+        for k in range(200):
+            stamp = 1_000_000_000 + 20_000_000 * k
+            wanted = np.array([0.3 * math.sin(0.02 * k)])
+            message = state(
+                header(time(*divmod(stamp, 1_000_000_000)), ""), ["elbow"], wanted, empty, empty
+            )
+            for topic in topics:
+                writer.write(topic, stamp, store.serialize_cdr(message, JOINT_STATE))
+
+
+def test_a_rosbag2_folder_is_a_golden_s_recording(twin: Path) -> None:
+    write_bag(twin / "recordings" / "sweep")
+    made = run(
+        "pytest-twin", "init", "robot.xml", "recordings/sweep", "--tolerance", "60mrad", cwd=twin
+    )
+    assert made.returncode == 0, made.stdout + made.stderr
+    golden = yaml.safe_load((twin / "golden" / "replay" / "sweep.yaml").read_text())
+    assert golden["target"]["recording"] == "recordings/sweep"
+    released = run("pytest", "--twin-release", cwd=twin)
+    assert released.returncode == 0, released.stdout[-2000:]
+    assert list((twin / "releases" / "0001" / "files" / "recordings" / "sweep").iterdir())
+    with (twin / "recordings" / "sweep" / "metadata.yaml").open("a") as stream:
+        stream.write("\n")
+    why = run("pytest", "--twin-why", cwd=twin)
+    assert "recording:recordings/sweep" in why.stdout
