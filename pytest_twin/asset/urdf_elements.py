@@ -2,7 +2,7 @@
 
 Sources: urdfdom's ``urdf.xsd`` and parser (with the limits of URDF 1.2), the draft of URDF sensors,
 the SRDF specification of MoveIt, ros_control's and ros2_control's component parsers, the extension
-tags of sdformat's URDF parser, and PyBullet's contact elements.
+tags of sdformat's URDF parser, MuJoCo's block in a URDF, and PyBullet's contact elements.
 
 A path is relative to ``robot``. ``/**`` at its end means the element with all that is below it,
 ``/*`` every other child.
@@ -37,6 +37,8 @@ class Destination:
 CARRIED = Destination()
 NAMES = Destination()
 """Carried as a name or as the structure that other elements refer to."""
+APPLIED = Destination()
+"""Applied to the robot before it is written: every realization is the robot after it."""
 SPEEDS = Destination("velocity limits")
 SOFT_LIMITS = Destination("safety controllers")
 REDUCTIONS = Destination("transmissions")
@@ -340,6 +342,17 @@ _GAZEBO: list[Entry] = [
     Entry("gazebo/*", None, "", SIMULATOR),
 ]
 
+_MUJOCO: list[Entry] = [
+    *_attributes("mujoco/compiler", NAMES, "meshdir=.; assetdir=.; texturedir=.; strippath=false"),
+    *_attributes("mujoco/compiler", APPLIED, "balanceinertia=true; boundmass=0.001"),
+    *_attributes("mujoco/compiler", APPLIED, "boundinertia=0.000001"),
+    *_attributes("mujoco/compiler", DESCRIPTION, "discardvisual=true; fusestatic=false"),
+    *_attributes("mujoco/compiler", DESCRIPTION, "angle=radian; eulerseq=xyz; coordinate=local"),
+    *_attributes("mujoco/compiler", DESCRIPTION, "usethread=true; alignfree=false"),
+    Entry("mujoco/option/**", None, "", APPLIED),
+    Entry("mujoco/size/**", None, "", DESCRIPTION),
+]
+
 _PYBULLET: list[Entry] = [
     *[
         Entry(f"link/contact/{tag}", "value", value, CONTACT)
@@ -386,6 +399,7 @@ ENTRIES: tuple[Entry, ...] = (
     *_TRANSMISSION,
     *_ROS2_CONTROL,
     *_GAZEBO,
+    *_MUJOCO,
     *_PYBULLET,
     *_SRDF,
 )

@@ -32,6 +32,7 @@ from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf_compiler import UrdfCompiler
 from pytest_twin.realization.urdf_spec import mesh_file
 
+_OF_SRDF = frozenset({"group", "group_state", "disable_collisions", "end_effector"})
 _KINDS: Mapping[str, JointKind] = {
     "revolute": "hinge",
     "continuous": "hinge",
@@ -58,6 +59,9 @@ def read(
     """
     root = urdf.document(path, limits=limits)
     if not root.all("link"):
+        srdf = next((node for node in root.children if node.tag in _OF_SRDF), None)
+        if srdf is not None:
+            raise srdf.error("an SRDF, not a URDF", expected="the URDF that it belongs to")
         raise root.error("a robot without links", expected="at least one <link>")
     return _Reader(root, path, located, limits).asset()
 

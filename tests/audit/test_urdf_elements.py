@@ -12,7 +12,8 @@ from audited import box_stl, findings_of
 from lxml import etree
 
 from pytest_twin.asset.realize import realize
-from pytest_twin.asset.urdf_elements import CARRIED, ENTRIES, NAMES, TEXT, Entry, by_path
+from pytest_twin.asset.urdf_elements import APPLIED, CARRIED, ENTRIES, NAMES, TEXT, Entry, by_path
+from pytest_twin.errors import ModelError
 
 BASE = """<robot name="table">
   <link name="base"/>
@@ -206,9 +207,16 @@ def test_no_entry_stands_twice_and_each_has_a_sample() -> None:
         assert re.fullmatch(r"[\w/*]*", entry.path)
 
 
-@pytest.mark.parametrize("entry", named(e for e in ENTRIES if e.goes is NAMES))
+@pytest.mark.parametrize("entry", named(e for e in ENTRIES if e.goes is NAMES or e.goes is APPLIED))
 def test_a_name_is_no_finding(tmp_path: Path, entry: Entry) -> None:
     root = base(by_path()["joint/axis", "xyz"])
     put(root, entry)
     rows = findings_of(write(tmp_path / "a", root))
     assert entry.label not in {row["element"] for row in rows}
+
+
+def test_an_srdf_alone_is_named_as_one(tmp_path: Path) -> None:
+    path = tmp_path / "robot.srdf"
+    path.write_text('<robot name="r">\n<group name="all"><link name="a"/></group></robot>')
+    with pytest.raises(ModelError, match=r"robot\.srdf:2: .*an SRDF, not a URDF .*the URDF that"):
+        findings_of(path)
