@@ -43,7 +43,11 @@ def test_the_reference_has_every_command_kind_file_and_error_of_the_code(site: P
     assert all(f'<section id="{name}">' in commands for name in cli.COMMANDS)
     fields = (folder / "golden_kinds.html").read_text()
     assert all(f'id="{kind.replace("_", "-")}"' in fields for kind in kinds())
-    assert "findings[].confidence" in (folder / "files.html").read_text()
+    files = re.sub(r"<[^>]+>", "", (folder / "files.html").read_text())
+    assert "findings[].confidence" in files
+    results = list((ROOT / "pytest_twin" / "schemas" / "results").iterdir())
+    # Each title is a heading and an entry of the page's own contents.
+    assert files.count("--json -") == 2 * len(results)
     named = (folder / "errors.html").read_text()
     assert all(
         name in named
