@@ -1,4 +1,4 @@
-"""Temperatures of trials: how far each is from the warmest, for what grows stiff in the cold."""
+"""Normalized temperature of trials, for friction that depends on temperature."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ KEY = "temperature"
 _NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?)\s*(?:°|deg)?\s*([CK]?)\s*")
 
 Coldness = Mapping[str, float]
-"""Temperature as trials name it -> 1 in the coldest, 0 in the warmest, even in between."""
+"""Temperature in the metadata -> 1 for the coldest, 0 for the warmest, linear in between."""
 
 
 def coldness_of(trials: Iterable[Trial]) -> Coldness:
-    """How cold trials were, by their metadata; empty where it tells nothing.
+    """Normalized coldness by the metadata of trials; empty where it gives no order.
 
-    Numbers (``20``, ``20 C``, ``293.15 K``, all of one unit) are ordered. Two names are told apart,
-    ``cold`` and ``warm``, the first of the alphabet being the colder: a law that has it the other
-    way round has the other sign. More names have no order.
+    Numbers (``20``, ``20 C``, ``293.15 K``, all in one unit) are ordered. Of two names, such as
+    ``cold`` and ``warm``, the first in the alphabet counts as the colder one; the other order only
+    changes the sign of the effect. More than two names have no order.
     """
     given = [t.metadata.get(KEY) for t in trials]
     names = sorted({g for g in given if g is not None})
@@ -36,10 +36,10 @@ def coldness_of(trials: Iterable[Trial]) -> Coldness:
 
 
 def coldness_in(known: Coldness, trial: Trial) -> float:
-    """Of one trial; 1 where nothing is known of any.
+    """Coldness of one trial; 1 where no temperatures are known.
 
     Raises:
-        RecordingError: others have a temperature, this one has none or one of no order.
+        RecordingError: temperatures are known, but this trial has none that can be compared.
     """
     if not known:
         return 1.0
@@ -60,7 +60,7 @@ def coldness_in(known: Coldness, trial: Trial) -> float:
 
 
 def degrees(names: Iterable[str]) -> dict[str, float] | None:
-    """Temperatures as trials name them -> numbers of one unit; None where some is none of it."""
+    """Temperatures in the metadata -> numbers in one unit; None where one is no number of it."""
     found, units = {}, set()
     for name in names:
         read = _NUMBER.fullmatch(name)
