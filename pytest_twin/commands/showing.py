@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -171,7 +171,7 @@ def _advice(recording: Recording) -> list[str]:
             f"states at {rate:.3g} Hz: delays and lags below {500.0 / rate:.3g} ms cannot be told; "
             "record at 100 Hz or more"
         )
-    if state.effort is None:
+    if state.effort is None and command.effort is None:
         found.append(
             "no measured efforts: torque constant, payload and friction are told apart less "
             "surely; record effort (or motor current) where the drive has it"
@@ -231,7 +231,7 @@ def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
     seconds = sum(trial["duration"] for trial in usable["trials"])
     lines.append(
         f"A diagnosis can use {seconds:.4g} s of it{in_parts}: "
-        f"{' and '.join(modes)} commands of {', '.join(usable['command_modes'])}, "
+        f"{_listed(modes)} commands of {', '.join(usable['command_modes'])}, "
         f"{between['value']} between stamps ({between['source']})."
     )
     lines.append(f"next: pytest-twin diagnose MODEL {one['recording']} ... --out diagnosis")
@@ -251,7 +251,7 @@ def _series_lines(role: str, series: Mapping[str, Any]) -> list[str]:
     joints = "1 joint" if len(series["joints"]) == 1 else f"{len(series['joints'])} joints"
     text = f"{role}s: {series['messages']} messages of {joints}"
     text += "" if rate is None else f" at {rate:.4g} Hz"
-    text += f", {' and '.join(series['fields']) or 'no field'}"
+    text += f", {_listed(series['fields']) or 'no field'}"
     if longest is not None:
         text += f", longest interval {longest['value']:.4g} s at {longest['at']:.4g} s"
     if series["gaps"]:
@@ -261,13 +261,22 @@ def _series_lines(role: str, series: Mapping[str, Any]) -> list[str]:
 
 def _clock_lines(clock: Mapping[str, Any]) -> list[str]:
     late = clock.get("log_after_stamp", {})
-    said = [f"{role}s {value:.3g} s" for role, value in late.items() if abs(value) > _OTHER_CLOCK]
-    if said:
-        return [f"clock: the recorder's log times are on another clock: later by {', '.join(said)}"]
-    if not late or not any(late.values()):
+    other = {role: value for role, value in late.items() if abs(value) > _OTHER_CLOCK}
+    if other:
+        return [
+            f"clock: the stamps of {role}s are on another clock than the recorder's log times, "
+            f"which are {value:.3g} s later"
+            for role, value in other.items()
+        ]
+    if not any(late.values()):
         return []
     text = ", ".join(f"{role}s {1e3 * value:.3g} ms" for role, value in late.items())
     return [f"clock: header stamps; log times come later by {text} (median)"]
+
+
+def _listed(words: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def episodes_in_words(found: Mapping[str, Any]) -> list[str]:
