@@ -211,6 +211,8 @@ def _word(verdict: Signed | Holds | Refused | None, failed: bool) -> Any:
 def _headline(facts: Facts, verdict: Signed | Holds | Refused | None, failed: int) -> str:
     ran, proven = len(facts.outcomes), len(facts.proven)
     counts = f"{ran} ran, {failed} critical failed, {proven} still proven"
+    if not_run := len(facts.criticality.keys() - facts.outcomes.keys() - facts.proven.keys()):
+        counts += f", {not_run} not run"
     if isinstance(verdict, Refused):
         return f"{verdict.reasons[0]} ({counts})"
     return counts
@@ -219,18 +221,20 @@ def _headline(facts: Facts, verdict: Signed | Holds | Refused | None, failed: in
 def _entries(gate: Gate, facts: Facts, diagnoses: Mapping[str, str]) -> Iterator[Entry]:
     for task in gate.plan().tasks.values():
         golden = task.golden
-        ran = facts.outcomes.get(task.key)
-        proof = None if ran is not None else task.proof
-        outcome = ran or (proof.outcome if proof and not task.stale else None)
+        outcome = facts.outcomes.get(task.key)
+        proof = None
+        if outcome is None and task.proof is not None and not task.stale:
+            proof = task.proof
+            outcome = proof.outcome
+        not_run = outcome is None
         if outcome is None:
-            proof = None
             outcome = Outcome(
                 golden=golden.id,
                 kind=golden.kind,
                 realization=task.realization,
                 criticality=golden.criticality,
                 status="error",
-                error="did not run" if golden.provenance else NEVER_PROVEN,
+                error="stale, and not run" if golden.provenance else NEVER_PROVEN,
                 reasons=task.reasons,
             )
         path = golden.path.relative_to(gate.root).as_posix()
@@ -242,6 +246,7 @@ def _entries(gate: Gate, facts: Facts, diagnoses: Mapping[str, str]) -> Iterator
             at=proof.at if proof else "",
             parts=task.parts,
             plot=_plot(gate, outcome) if outcome.plot or proof else None,
+            not_run=not_run,
             diagnosis=diagnoses.get(task.key),
         )
 

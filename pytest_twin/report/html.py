@@ -28,11 +28,11 @@ MAX_MEASURES = 400
 MAX_ALL_MEASURES = 12_000
 """Rows for all goldens together; once they are used up each shows its worst."""
 MAX_CHANGES = 200
-"""Reasons why goldens ran; those that concern most are shown."""
+"""Reasons why goldens are stale; the most frequent are shown."""
 MAX_PARTS = 60
-"""Ids that one golden lists of what it rests on."""
+"""Parts listed for one golden."""
 MAX_ALL_PARTS = 30_000
-"""Ids for all goldens together."""
+"""Parts listed for all goldens together."""
 
 _WORDS: Mapping[Verdict, str] = {
     "released": "Released",
@@ -65,7 +65,8 @@ def render(report: Report) -> str:
     style = resources.files(__package__).joinpath("report.css").read_text("utf-8")
     style_hash = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     rows = _rows(report.entries)
-    ran = [row for row in rows if row.entry.release is None]
+    ran = [row for row in rows if row.entry.release is None and not row.entry.not_run]
+    not_run = [row for row in rows if row.entry.not_run]
     proven = [row for row in rows if row.entry.release is not None]
     return _template().render(
         report=report,
@@ -75,10 +76,11 @@ def render(report: Report) -> str:
         style_hash=style_hash,
         failed=[row for row in ran if row.state != "passed"],
         passed=[row for row in ran if row.state == "passed"],
+        not_run=not_run,
         proven=proven,
-        counts=_counts(ran, proven),
+        counts=_counts(ran, not_run, proven),
         ids=list(_flat(report.ids)),
-        changes=_changes(ran),
+        changes=_changes([*ran, *not_run]),
     )
 
 
@@ -122,7 +124,9 @@ def _rows(entries: Iterable[Entry]) -> list[_Row]:
     return rows
 
 
-def _counts(ran: Sequence[_Row], proven: Sequence[_Row]) -> list[tuple[str, int, str]]:
+def _counts(
+    ran: Sequence[_Row], not_run: Sequence[_Row], proven: Sequence[_Row]
+) -> list[tuple[str, int, str]]:
     states = [row.state for row in ran]
     return [
         (name, count, mood)
@@ -130,16 +134,17 @@ def _counts(ran: Sequence[_Row], proven: Sequence[_Row]) -> list[tuple[str, int,
             ("failed", states.count("failed"), "bad"),
             ("could not run", states.count("error"), "bad"),
             ("passed now", states.count("passed"), "good"),
+            ("not run", len(not_run), "calm"),
             ("still proven", len(proven), "calm"),
         )
         if count or name in ("passed now", "still proven")
     ]
 
 
-def _changes(ran: Sequence[_Row]) -> list[tuple[Reason, int]]:
-    """Every reason why goldens ran, and how many it concerns, the widest first."""
+def _changes(stale: Sequence[_Row]) -> list[tuple[Reason, int]]:
+    """Every reason why goldens are stale, with their number; the most frequent first."""
     found: dict[Reason, int] = {}
-    for row in ran:
+    for row in stale:
         for reason in dict.fromkeys(row.entry.outcome.reasons):
             found[reason] = found.get(reason, 0) + 1
     return sorted(found.items(), key=lambda item: (-item[1], str(item[0])))[:MAX_CHANGES]

@@ -24,6 +24,7 @@ class Entry:
         parts: ids of what it rests on.
         plot: SVG, None where there is none.
         diagnosis: reference to the page of its full diagnosis, None where there is none.
+        not_run: whether it is stale and this run left it out; ``outcome`` then says so.
     """
 
     outcome: Outcome
@@ -34,6 +35,7 @@ class Entry:
     parts: tuple[str, ...] = ()
     plot: bytes | None = None
     diagnosis: str | None = None
+    not_run: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,15 @@ def test_the_report_lies_in_the_twins_own_output(released) -> None:
     assert "golden/mass/arm" in page
 
 
+def test_what_a_selection_leaves_out_is_not_run_and_not_failed(recorded) -> None:
+    for selection in (("-k", "home"), ("golden/fk/home.yaml::home[mujoco]",)):
+        recorded.run(*selection).assert_outcomes(passed=1, deselected="::" not in selection[0])
+        page = (recorded.root / ".twin" / "report.html").read_text()
+        assert "1 ran, 0 critical failed, 0 still proven, 1 not run" in page
+        assert "golden/mass/arm@mujoco: stale, and not run" in page
+        assert "<h2>Failed" not in page
+
+
 def test_where_nothing_is_new_the_signed_report_is_the_report(released) -> None:
     path = released.root / "releases" / "0001" / "report.html"
     released.run().stdout.fnmatch_lines([f"report: {path}"])

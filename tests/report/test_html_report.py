@@ -80,15 +80,15 @@ def test_the_verdict_comes_first_then_what_refused_then_the_failures() -> None:
         for words in (
             "Refused",
             "one critical golden failed",
-            "What stands against it",
+            "Why there is no release",
             "golden/fk/failed@mujoco: critical, and it failed",
             "release 1 has expired",
-            "What has changed since release 2",
+            "Changes since release 2",
             "Title of fk/failed",
             "Title of fk/error",
             "Title of fk/passed",
             "Title of fk/proven",
-            "Tuple of IDs",
+            "IDs of asset",
             "Environment",
         )
     ]
@@ -106,7 +106,7 @@ def test_each_golden_says_margins_reasons_and_where_its_spec_is() -> None:
 
 def test_what_changed_says_old_and_new_and_how_many_goldens_it_concerns() -> None:
     tree = lxml_html.fromstring(html.render(FULL).encode())
-    (row,) = tree.xpath("//h2[starts-with(., 'What has changed')]/following-sibling::div[1]//tr")
+    (row,) = tree.xpath("//h2[starts-with(., 'Changes')]/following-sibling::div[1]//tr")
     assert [cell.text_content() for cell in row] == [
         "mujoco/mesh:link1", "sha256", "00ff → 11ee", "3",
     ]  # fmt: skip
@@ -114,7 +114,27 @@ def test_what_changed_says_old_and_new_and_how_many_goldens_it_concerns() -> Non
 
 def test_what_was_skipped_says_why_and_by_which_release() -> None:
     text = text_of(html.render(FULL))
-    assert "proven by release 2 on 2026-04-01; nothing that it rests on has changed since" in text
+    assert "proven by release 2 on 2026-04-01; nothing that it depends on has changed since" in text
+
+
+def test_a_stale_golden_that_was_not_selected_is_not_run_and_not_failed() -> None:
+    left_out = replace(outcome("fk/b", "error"), error="stale, and not run")
+    page = html.render(
+        report(
+            entry("fk/a"),
+            Entry(left_out, "Title of fk/b", "golden/fk/b.yaml:3", not_run=True),
+            verdict="passed",
+        )
+    )
+    tree = lxml_html.fromstring(page.encode())
+    headings = [node.text_content() for node in tree.xpath("//h2")]
+    assert "Passed now 1" in headings
+    assert "Stale, and not run 1; neither passed nor failed" in headings
+    assert not any(heading.startswith("Failed") for heading in headings)
+    counts = [node.text_content() for node in tree.xpath("//div[contains(@class, 'count ')]")]
+    assert counts == ["1passed now", "1not run", "0still proven"]
+    assert tree.xpath("//span[@class='tag idle']/text()") == ["not run"]
+    assert tree.xpath("//*[contains(@class, 'bad')]") == []
 
 
 def test_ids_are_flat_and_readable() -> None:
@@ -230,7 +250,7 @@ def test_thousands_of_goldens_stay_a_page() -> None:
     assert len(page) < 12_000_000
     text = text_of(page)
     assert text.count("Title ") >= 2001
-    assert "and 29 more that used less" in text
+    assert "and 29 more with smaller errors" in text
     # What failed keeps its measures whatever else is cut.
     assert text.index("Title of last") < text.index("Title 0")
 
@@ -246,4 +266,4 @@ def test_plots_share_a_bound_and_failures_come_first(monkeypatch: pytest.MonkeyP
     tree = lxml_html.fromstring(page.encode())
     (source,) = tree.xpath("//img/@src")
     assert base64.b64decode(source.partition(",")[2]) == b"f" * 100
-    assert "this one lies at .twin/plots/golden/passed.svg" in text_of(page)
+    assert "the plot is in .twin/plots/golden/passed.svg" in text_of(page)
