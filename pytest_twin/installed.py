@@ -16,13 +16,24 @@ def brought(point: EntryPoint, noun: str) -> Any:
         noun: what that is called in an error.
 
     Raises:
-        SpecError: it cannot be loaded.
+        SpecError: its module or class cannot be loaded, whatever it raises but an interrupt.
     """
     try:
         return point.load()()
-    except Exception as error:  # an installed package's own code
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # an installed package's own code, SystemExit included
+        words = f"{type(error).__name__}: {error}".removesuffix(": ")
         raise SpecError(
-            f"the package that brings this {noun} cannot be loaded: {type(error).__name__}: "
-            f"{error}",
-            where=noun, value=point.name,
-        ) from error  # fmt: skip
+            f"{package_of(point)} cannot be loaded: {words}",
+            where=noun,
+            value=point.name,
+            expected=f"{point.value} to import; repair or uninstall the package",
+        ) from error
+
+
+def package_of(point: EntryPoint) -> str:
+    """The package that an entry point belongs to, for people: ``package 'boxes' 1.0``."""
+    if point.dist is None:
+        return f"the package of {point.value}"
+    return f"package {point.dist.name!r} {point.dist.version}"

@@ -7,15 +7,20 @@ from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 
 from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
+from pytest_twin.checks.checked import checked
 from pytest_twin.errors import SpecError
-from pytest_twin.installed import brought
+from pytest_twin.installed import brought, package_of
 
 __all__ = ["Check", "Measure", "Observation", "Progress", "Trace", "check_of", "kinds"]
 
 
 @functools.cache
-def _entry_points() -> Mapping[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group="pytest_twin.checks")}
+def _entry_points() -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Kind -> who brings it: one, or several that contradict one another."""
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for point in entry_points(group="pytest_twin.checks"):
+        found[point.name] = (*found.get(point.name, ()), point)
+    return found
 
 
 def kinds() -> tuple[str, ...]:
@@ -28,10 +33,19 @@ def check_of(kind: str) -> Check:
     """The check that runs goldens of ``kind``.
 
     Raises:
-        SpecError: no such kind is installed, or what brings it cannot be loaded.
+        SpecError: no such kind is installed, two packages bring it, or the package that brings it
+            cannot be loaded or has no usable check.
     """
-    point = _entry_points().get(kind)
-    if point is None:
+    points = _entry_points().get(kind, ())
+    if not points:
         raise SpecError("unknown kind", where="kind", value=kind, expected=", ".join(kinds()))
-    check: Check = brought(point, "kind")
-    return check
+    if len(points) > 1:
+        packages = " and ".join(package_of(point) for point in points)
+        raise SpecError(
+            f"{packages} both bring this kind",
+            where="kind",
+            value=kind,
+            expected="one of them; uninstall the other",
+        )
+    (point,) = points
+    return checked(brought(point, "kind"), kind, package_of(point))

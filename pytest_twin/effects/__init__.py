@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.checked import checked
 from pytest_twin.errors import SpecError
-from pytest_twin.installed import brought
+from pytest_twin.installed import brought, package_of
 
 __all__ = ["Effect", "ModelFields", "Parameter", "Values", "World", "catalogue"]
 
@@ -25,9 +25,10 @@ def catalogue() -> Mapping[str, Effect]:
     for point in entry_points(group="pytest_twin.effects"):
         if point.name in effects:
             raise SpecError(
-                "two packages define this effect; uninstall one of them",
+                f"{package_of(point)} defines an effect that another package defines too",
                 where="effect",
                 value=point.name,
+                expected="one of them; uninstall the other",
             )
-        effects[point.name] = checked(brought(point, "effect"), point.name)
+        effects[point.name] = checked(brought(point, "effect"), point.name, package_of(point))
     return effects

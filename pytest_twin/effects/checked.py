@@ -9,16 +9,25 @@ from pytest_twin.effects.base import MODES, PATHS, REFERENCES, Effect, Parameter
 from pytest_twin.errors import SpecError
 
 
-def checked(effect: object, name: str) -> Effect:
-    """The effect of an entry point, after its declaration was checked.
+def checked(effect: object, name: str, package: str) -> Effect:
+    """The effect that an entry point brings, once its class attributes can be used.
 
     Args:
         effect: an instance of the entry point's class.
         name: the entry point's name.
+        package: the package that brings it, for the error.
 
     Raises:
-        SpecError: a field is missing, unknown or inconsistent.
+        SpecError: it is no effect, or an attribute is missing or not allowed.
     """
+    try:
+        return _checked(effect, name)
+    except SpecError as error:
+        error.problem = f"{package} brings an effect that cannot be used"
+        raise
+
+
+def _checked(effect: object, name: str) -> Effect:
     if not isinstance(effect, Effect):
         _refuse(name, "class", type(effect).__name__, "a subclass of pytest_twin.effects.Effect")
     for field in ("id", "family", "law", "source", "parameters"):

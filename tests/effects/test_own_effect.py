@@ -102,4 +102,4 @@ def test_an_effect_is_brought_once(site: Path) -> None:
     module.write_text(module.read_text().replace('id = "magnet"', 'id = "cogging"'))
     done = pytest_twin("effects")
     assert done.returncode == 2
-    assert "two packages define this effect" in done.stderr
+    assert "defines an effect that another package defines too" in done.stderr

@@ -35,13 +35,76 @@ def test_it_is_collected_validated_recorded_and_run(with_kind) -> None:
     assert with_kind.releases == ["0001"]
 
 
-def test_a_package_that_does_not_load_is_one_line(with_kind) -> None:
-    (with_kind.pytester.path / "site" / "box_rest.py").write_text("import no_such_module\n")
+LOADED = "(got 'box_rest'; expected box_rest:BoxRest to import; repair or uninstall the package)"
+UNUSABLE = "kind: package 'box_rest' 0.3 brings a check that cannot be used: its"
+
+
+@pytest.mark.parametrize(
+    ("code", "problem"),
+    [
+        (
+            "import no_such_module",
+            "kind: package 'box_rest' 0.3 cannot be loaded: ModuleNotFoundError: "
+            f"No module named 'no_such_module' {LOADED}",
+        ),
+        (
+            "raise SystemExit(3)",
+            f"kind: package 'box_rest' 0.3 cannot be loaded: SystemExit: 3 {LOADED}",
+        ),
+        (
+            "raise BaseException",
+            f"kind: package 'box_rest' 0.3 cannot be loaded: BaseException {LOADED}",
+        ),
+        (
+            "import pytest; pytest.skip('no', allow_module_level=True)",
+            f"kind: package 'box_rest' 0.3 cannot be loaded: Skipped: no {LOADED}",
+        ),
+        (
+            "class BoxRest: pass",
+            f"{UNUSABLE} class (got 'BoxRest'; expected a subclass of pytest_twin.checks.Check)",
+        ),
+        (
+            KIND.replace('kind = "box_rest"', 'kind = "box"'),
+            f"{UNUSABLE} kind (got 'box'; expected 'box_rest', as the entry point says)",
+        ),
+        (
+            KIND.replace('{"height": "m"}', "None"),
+            f"{UNUSABLE} tolerances (got 'NoneType'; expected a mapping from names to SI units)",
+        ),
+        (
+            KIND.replace('frozenset({"height"})', 'frozenset({"depth"})'),
+            f"{UNUSABLE} required_tolerances (got 'depth'; expected names in tolerances)",
+        ),
+    ],
+)
+def test_a_package_that_cannot_be_used_is_one_line_that_names_it(
+    with_kind, code: str, problem: str
+) -> None:
+    (with_kind.pytester.path / "site" / "box_rest.py").write_text(f"{code}\n")
+    result = with_kind.run_apart("-k", "no_test_has_this_name")
+    assert f"{with_kind.root}/golden/box.yaml:2: {problem}" in result.stdout.str()
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    for trace in ("Traceback", "INTERNALERROR"):
+        assert trace not in result.stdout.str() + result.stderr.str()
+
+
+def test_an_interrupt_while_a_package_loads_is_an_interrupt(with_kind) -> None:
+    (with_kind.pytester.path / "site" / "box_rest.py").write_text("raise KeyboardInterrupt\n")
+    result = with_kind.run_apart("--collect-only")
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    assert "cannot be loaded" not in result.stdout.str()
+
+
+def test_a_kind_that_two_packages_bring_is_refused(with_kind) -> None:
+    folder = with_kind.pytester.path
+    pip_install([wheel(folder, "boxes", "1.0", KIND, ENTRY_POINTS)], folder / "site")
     result = with_kind.run_apart("--collect-only")
     result.stdout.fnmatch_lines(
-        ["*/golden/box.yaml:2: kind: the package that brings this kind cannot be loaded: *"]
+        [
+            "*/golden/box.yaml:2: kind: package 'box*' and package 'box*' both bring this kind "
+            "(got 'box_rest'; expected one of them; uninstall the other)"
+        ]
     )
-    assert "Traceback" not in result.stdout.str()
 
 
 def test_dependency_bump_stale_subset_failure_decision_new_release(with_kind) -> None:

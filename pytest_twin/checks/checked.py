@@ -1,0 +1,58 @@
+"""Whether a check states what the gate reads from it, whoever wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from typing import NoReturn
+
+from pytest_twin.checks.base import Check
+from pytest_twin.errors import SpecError
+from pytest_twin.units import SI_UNITS
+
+
+def checked(check: object, name: str, package: str) -> Check:
+    """The check that an entry point brings, once its class attributes can be used.
+
+    Args:
+        check: an instance of the entry point's class.
+        name: the entry point's name.
+        package: the package that brings it, for the error.
+
+    Raises:
+        SpecError: it is no check, or an attribute is missing or has another form.
+    """
+
+    def refuse(field: str, value: object, expected: str) -> NoReturn:
+        raise SpecError(
+            f"{package} brings a check that cannot be used: its {field}",
+            where="kind",
+            value=value if isinstance(value, int | float | str) else type(value).__name__,
+            expected=expected,
+        )
+
+    if not isinstance(check, Check):
+        refuse("class", type(check).__name__, "a subclass of pytest_twin.checks.Check")
+    for field in ("kind", "tolerances", "schema"):
+        if not hasattr(check, field):
+            refuse(field, "nothing", "a class attribute")
+    if check.kind != name:
+        refuse("kind", check.kind, f"{name!r}, as the entry point says")
+    if not isinstance(check.version, int):
+        refuse("version", check.version, "an integer")
+    if not isinstance(check.libraries, Sequence) or isinstance(check.libraries, str):
+        refuse("libraries", check.libraries, "a tuple of distributions")
+    if not isinstance(check.tolerances, Mapping):
+        refuse("tolerances", check.tolerances, "a mapping from names to SI units")
+    for tolerance, unit in check.tolerances.items():
+        if unit not in SI_UNITS:
+            refuse(f"tolerances.{tolerance}", unit, ", ".join(SI_UNITS))
+    if not isinstance(check.required_tolerances, Set):
+        refuse("required_tolerances", check.required_tolerances, "a frozenset of names")
+    if unknown := sorted(map(str, check.required_tolerances - check.tolerances.keys())):
+        refuse("required_tolerances", ", ".join(unknown), "names in tolerances")
+    if not isinstance(check.schema, Mapping):
+        refuse("schema", check.schema, "a mapping with the JSON Schemas of target and stimulus")
+    for part, schema in check.schema.items():
+        if not isinstance(schema, Mapping):
+            refuse(f"schema.{part}", schema, "a JSON Schema")
+    return check
