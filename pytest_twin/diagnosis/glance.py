@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +41,25 @@ _STRETCH_SHARE, _SHORTEST, _LONGEST = 0.15, 1.0, 2.5
 # Joints whose missing force stands out at least this much of the clearest one's are looked at.
 _CAUSE, _MOST_JOINTS = 0.4, 2
 _RIVALS, _ITERATIONS = 5, 3
-# A name has to earn this much evidence, and take this share of the squared error away.
+# An effect is named where it earns this much evidence and removes this share of the squared error.
 _EARNS, _WORTH = 5.0, 0.3
+# An alternative is clearly worse where it leaves this many times the squared error that the best
+# leaves, or, where that is below the noise floor, this many times the squared floor.
+_CLEARLY_WORSE, _MOST_NAMED = 3.0, 2
+# Joints that one effect does not explain are looked at by themselves, so many times.
+_MOST_LOOKS = 3
 # What a short fit leaves below this share of the model's own error speaks for no name.
 _COARSE = 0.05
 # One stretch of one recording settles nothing.
 _MOST_SURE = 0.9
 _STATE_SECONDS = 0.06
+
+Starts = dict[Term, FloatArray]
+"""Terms that are fitted together -> where their parameters start."""
+
+
+Place = tuple[str, tuple[str, ...]]
+"""An effect and the joints that have it; none where it is the whole robot's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,21 +67,19 @@ class Suspect:
     """The most likely effect.
 
     Attributes:
-        term: effect and column of the joint.
-        joint: name of the joint, None for an effect of the whole robot.
-        values: reported name of a parameter -> (value, unit).
-        share: posterior share among the effects that were fitted.
-        removed: share of the squared error that it removes.
-        rivals: (effect, joint) of effects that fit nearly as well.
-        of: joints whose errors it was fitted to; empty for all joints.
+        place: the effect and its joints.
+        values: reported name of a parameter -> (value, unit); of the first joint.
+        share: of the evidence among what was tried.
+        removed: share of the squared error over all that was looked at that it removes.
+        rivals: what explains the recording about as well, the best first.
+        of: joints whose errors it was to explain; empty for all of the robot's.
     """
 
-    term: Term
-    joint: str | None
+    place: Place
     values: dict[str, tuple[float, str]]
     share: float
     removed: float
-    rivals: tuple[tuple[str, str | None], ...] = ()
+    rivals: tuple[Place, ...] = ()
     of: tuple[str, ...] = ()
 
 
@@ -77,13 +88,16 @@ class Glance:
     """Result of a quick diagnosis.
 
     Attributes:
-        suspect: the most likely effect; None where no effect explains enough.
-        joint: joint at which a force is missing, None where none is above the sensor noise.
+        suspects: the effect that explains most, then, for joints that it does not explain, the
+            effect that explains most of theirs; empty where nothing stands out.
+        unexplained: joints that left their tolerance and that no suspect explains.
+        joint: whose force is missing, None where none stands out of the sensors' noise.
         where: when and in which regime.
         floors: RMS error of the worst joint that was to be explained, in floors.
     """
 
-    suspect: Suspect | None
+    suspects: tuple[Suspect, ...]
+    unexplained: tuple[str, ...]
     joint: str | None
     where: Where
     floors: float
@@ -119,16 +133,42 @@ def glance(
     size = np.sqrt(np.mean(before[:, :joints] ** 2, axis=0)) / whole.problem.floor
     force = missing_force(whole.problem, before, whole.floor_parts[NOISE])
     causes = _causes(force, size, counted)
-    blame = np.maximum((force.force[:, causes] / force.noise[causes]) ** 2 - 1.0, 0.0)
-    where = _where(whole, seen, since, blame[:, 0], causes[0])
-    suspect = None
-    if size[counted].max() > AT_FLOOR:
-        own = counted[causes] if counted[causes].any() else np.ones(len(causes), dtype=bool)
-        parts = _stretches(whole.problem, seen, blame[:, own].sum(axis=1))
-        suspect = _suspect(realization, parts, patched, whole, before, causes, counted)
+    where = _where(whole, seen, since, _blame(force, causes[:1]), causes[0])
+    suspects: list[Suspect] = []
+    left = counted & (size > AT_FLOOR)
+    looks = _MOST_LOOKS
+    while left.any() and looks:
+        looks -= 1
+        look = _Look(realization, patched, seen, whole, before, counted if not suspects else left)
+        found = look.suspect(force, size)
+        if found is None:
+            break
+        suspect, after = found
+        suspects.append(suspect)
+        left = left & ~_explained(before, after, joints)
     stands = bool(force.strength[causes[0]] > 1.0)
-    joint = whole.problem.joints[causes[0]] if stands else None
-    return Glance(suspect, joint, where, float(size[counted].max()))
+    names = whole.problem.joints
+    return Glance(
+        suspects=tuple(suspects),
+        unexplained=tuple(n for n, out in zip(names, left, strict=True) if out and n in failed),
+        joint=names[causes[0]] if stands else None,
+        where=where,
+        floors=float(size[counted].max()),
+    )
+
+
+def _blame(force: MissingForce, causes: Sequence[int]) -> FloatArray:
+    """(samples,) what of the force that is missing at joints stands out of its noise, squared."""
+    squared: FloatArray = (force.force[:, causes] / force.noise[list(causes)]) ** 2
+    blame: FloatArray = np.maximum(squared - 1.0, 0.0).sum(axis=1)
+    return blame
+
+
+def _explained(before: FloatArray, after: FloatArray, joints: int) -> NDArray[np.bool_]:
+    """(joints,) of whose squared error an effect removes at least what a name has to."""
+    left, whole = (np.sum(r[:, :joints] ** 2, axis=0) for r in (after, before))
+    explained: NDArray[np.bool_] = left <= (1.0 - _WORTH) * whole
+    return explained
 
 
 def cut(trial: Trial, start: float, end: float) -> Trial:
@@ -237,18 +277,75 @@ def _fullest(time: FloatArray, blame: FloatArray, length: float) -> float:
     return float(time[begin[int(np.argmax(summed[end] - summed[begin]))]])
 
 
-def _suspect(
-    realization: Realization,
-    parts: Sequence[Trial],
-    patched: Patched | None,
-    whole: Prepared,
-    before: FloatArray,
-    causes: Sequence[int],
-    counted: NDArray[np.bool_],
-) -> Suspect | None:
-    problem = _prepared(realization, parts[:1], parts[1:], patched).problem
-    # One measure of parameters, so that a fit of the stretch means the same on the whole.
-    problem.scales, problem.floor = whole.problem.scales, whole.problem.floor
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """What is asked of one look.
+
+    Attributes:
+        seen: the trial, or its worst part.
+        whole: the problem over all of it.
+        before: (samples, signals) residual of the nominal model over all of it.
+        counted: (joints,) whose errors are to be explained.
+    """
+
+    realization: Realization
+    patched: Patched | None
+    seen: Trial
+    whole: Prepared
+    before: FloatArray
+    counted: NDArray[np.bool_]
+
+    def suspect(self, force: MissingForce, size: FloatArray) -> tuple[Suspect, FloatArray] | None:
+        """The effect that explains most, and the residual over all of the trial with it."""
+        whole, counted = self.whole.problem, self.counted
+        causes = _causes(force, size, counted)
+        own = [j for j in causes if counted[j]] or causes
+        parts = _stretches(whole, self.seen, _blame(force, own))
+        problem = _prepared(self.realization, parts[:1], parts[1:], self.patched).problem
+        # One measure of parameters, so that a fit of the stretch means the same on the whole.
+        problem.scales, problem.floor = whole.scales, whole.floor
+        signals = np.flatnonzero(counted)
+        nominal = problem.residuals([EMPTY], problem.fit)[0]
+        tried = _tried(problem, causes, nominal, signals)
+        if not tried:
+            return None
+        fitted, evidence = _weighed(problem, tried, nominal, signals)
+        best = int(np.argmax(evidence))
+        after = whole.residuals([f.hypothesis for f in fitted], whole.fit)
+        removed = 1.0 - _squared(after[best], whole, counted) / _squared(
+            self.before, whole, counted
+        )
+        if evidence[best] < _EARNS or not removed >= _WORTH:
+            return None
+        named = tried[best]
+        place = _place(problem, named)
+        places = [_place(problem, starts) for starts in tried]
+        # Two forms of one law are one name. What holds the named one and more is no other name.
+        same = np.array([p == place for p in places])
+        other = np.array([not _holds(starts, named) for starts in tried]) & ~same
+        share = np.exp(np.maximum(evidence - evidence.max(), -700.0)) * (same | other)
+        share /= share.sum()
+        explained = counted & _explained(self.before, after[best], len(counted))
+        left = np.array([_squared(r, whole, explained) for r in after])
+        floor = float(len(self.before) * explained.sum())
+        close = (left <= _CLEARLY_WORSE * max(left[best], floor)) | (share >= 1.0 - _MOST_SURE)
+        order = np.argsort(-evidence, kind="stable")
+        rivals = dict.fromkeys(places[i] for i in order if close[i] and other[i])
+        suspect = Suspect(
+            place=place,
+            values=_values(problem, fitted[best].hypothesis),
+            share=min(float(share[same].sum()), _MOST_SURE),
+            removed=float(removed),
+            rivals=tuple(rivals)[:_MOST_NAMED],
+            of=() if counted.all() else tuple(np.array(problem.joints)[counted].tolist()),
+        )
+        return suspect, after[best]
+
+
+def _tried(
+    problem: Problem, causes: Sequence[int], nominal: FloatArray, signals: NDArray[np.int64]
+) -> list[Starts]:
+    """Effects worth a fit: the best to first order, and what the first of them is confused with."""
     terms = [
         t
         for t in candidates(problem)
@@ -256,52 +353,45 @@ def _suspect(
         if (t.joint < 0 or t.joint in causes) and not t.law.asks_temperature
     ]
     # Positions come first, and are what is held; what efforts are off may be another law's.
-    signals = np.flatnonzero(counted)
-    nominal = problem.residuals([EMPTY], problem.fit)[0]
     answers, mean = responses(problem, terms, problem.fit, residual=nominal)
     seen = [replace(r, change=r.change[:, signals]) for r in answers if r.change[:, signals].any()]
     binned = bins(problem, problem.fit)
     left = mean[:, signals]
     view = View(left, np.empty((*left.shape, 0)), problem.signal_floor[signals], binned.lengths)
     lens = Lens(view, Answers(seen))
-    found = [
-        next(iter(lens.structure(chosen).starts.items()))
-        for chosen in lens.children(lens.bare, _RIVALS)
-    ]
-    if not found:
-        return None
-    fitted, evidence = _weighed(problem, found, nominal, signals)
-    best = int(np.argmax(evidence))
-    named = found[best][0]
-    share = np.exp(np.clip(evidence - evidence.max(), -700.0, 0.0))
-    # A law that is the named one without what more it has is no other name for it.
-    share[[t.joint == named.joint and named.effect in _plainer(t) for t, _ in found]] = 0.0
-    share /= share.sum()
-    after = whole.problem.residuals([fitted[best].hypothesis], whole.problem.fit)[0]
-    squared_after, squared_before = (_squared(r, whole.problem, counted) for r in (after, before))
-    removed = 1.0 - squared_after / squared_before
-    if evidence[best] < _EARNS or not removed >= _WORTH:
-        return None
-    rivals = [i for i in np.argsort(-share) if i != best and share[i] >= 1.0 - _MOST_SURE]
-    return Suspect(
-        term=named,
-        joint=_joint(problem, named),
-        values=_values(problem, fitted[best].hypothesis),
-        share=min(float(share[best]), _MOST_SURE),
-        removed=float(removed),
-        rivals=tuple((found[i][0].effect, _joint(problem, found[i][0])) for i in rivals),
-        of=() if counted.all() else tuple(np.array(problem.joints)[counted].tolist()),
-    )
+    chosen = list(lens.children(lens.bare, _RIVALS))
+    if not chosen:
+        return []
+    first = seen[chosen[0][0]].term
+    chosen += [(at,) for at, response in enumerate(seen) if _confused(first, response.term)]
+    # What the whole robot has and what each of its joints has may look the same.
+    for robot in [seen[at].term for (at,) in chosen if seen[at].term.joint < 0]:
+        alike: dict[str, list[int]] = {}
+        for at, response in enumerate(seen):
+            if response.term.joint >= 0 and _confused(robot, response.term):
+                alike.setdefault(response.term.effect, []).append(at)
+        chosen += [tuple(joints) for joints in alike.values() if len(joints) > 1]
+    return [lens.structure(c).starts for c in dict.fromkeys(chosen)]
 
 
-def _plainer(term: Term) -> Collection[str]:
-    """Laws with fewer parameters that a term's comes to."""
-    return term.law.special_cases({p.name: p.starts[0] for p in term.parameters}).keys()
+def _confused(one: Term, other: Term) -> bool:
+    """Whether the catalogue says that two effects, at one joint or the robot's, are confused."""
+    same = one.joint == other.joint or min(one.joint, other.joint) < 0
+    return same and (other.effect in one.law.confused_with or one.effect in other.law.confused_with)
+
+
+def _holds(starts: Starts, named: Starts) -> bool:
+    """Whether a candidate is the named one with further joints, or with further parameters."""
+    if named.keys() < starts.keys():
+        return True
+    (term,), (other,) = (list(starts)[:1], list(named)[:1])
+    special = term.law.special_cases({p.name: p.starts[0] for p in term.parameters})
+    return term.joint == other.joint and other.effect in special
 
 
 def _weighed(
     problem: Problem,
-    found: Sequence[tuple[Term, FloatArray]],
+    found: Sequence[Starts],
     nominal: FloatArray,
     signals: NDArray[np.int64],
 ) -> tuple[list[Fitted], FloatArray]:
@@ -314,7 +404,9 @@ def _weighed(
     left = nominal[:, signals]
     mean_square = np.mean(left**2, axis=0)
     floor = np.maximum(problem.signal_floor[signals], _COARSE * np.sqrt(mean_square))
-    starts = [EMPTY.with_term(term, start) for term, start in found]
+    starts = [
+        reduce(lambda made, term: made.with_term(*term), terms.items(), EMPTY) for terms in found
+    ]
     weights = np.zeros(nominal.shape[1])
     weights[signals] = 1.0 / np.sqrt(mean_square + floor**2)
     fitted = fit(problem, starts, weights, problem.fit, iterations=_ITERATIONS)
@@ -342,12 +434,14 @@ def _squared(residual: FloatArray, problem: Problem, counted: NDArray[np.bool_])
     return value if np.isfinite(value) else float("inf")
 
 
-def _joint(problem: Problem, term: Term) -> str | None:
-    return None if term.joint < 0 else problem.joints[term.joint]
+def _place(problem: Problem, starts: Starts) -> Place:
+    (effect,) = {term.effect for term in starts}
+    return effect, tuple(problem.joints[term.joint] for term in starts if term.joint >= 0)
 
 
 def _values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, str]]:
-    (term,) = hypothesis.terms
+    """Of the first term; without what only says which form of its law acts."""
+    term = hypothesis.terms[0]
     simulator = problem.simulator
     kind = "slide" if simulator.layout.slides[max(term.joint, 0)] else "hinge"
     servo = str(simulator.layout.servo[max(term.joint, 0)])
@@ -356,5 +450,6 @@ def _values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, 
             p.reported(float(value * problem.scales.value(p, term.joint))),
             p.unit(kind, servo),
         )
-        for p, value in zip(term.parameters, hypothesis.theta, strict=True)
+        for p, value in zip(term.parameters, hypothesis.theta, strict=False)
+        if not p.choice
     }

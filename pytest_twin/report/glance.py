@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pytest_twin.report.finding_words import meaning_of, place, readable
 from pytest_twin.report.text import printable, quantity
 
 if TYPE_CHECKING:
-    from pytest_twin.diagnosis.glance import Glance, Suspect
+    from pytest_twin.diagnosis.glance import Glance, Place, Suspect
 
 _MOST_PARAMETERS = 2
 _MOST_WINDOWS = 2
 
 
 def glance_words(seen: Glance) -> str:
-    """The most likely effect with its confidence, or where and when a force is missing."""
-    if seen.suspect is not None:
-        return printable(_suspect(seen.suspect))
+    """The most likely effects with their confidence, or where and when a force is missing."""
+    if seen.suspects:
+        parts = [_suspect(found) for found in seen.suspects]
+        if seen.unexplained:
+            parts.append(
+                f"no known effect explains the error of {_listed(seen.unexplained, 'and')}"
+            )
+        return printable("; ".join(parts))
     when = f"{seen.where.summary}{_spans(seen)}"
     if seen.joint is None:
         return printable(
@@ -32,19 +38,32 @@ def glance_words(seen: Glance) -> str:
 
 
 def _suspect(found: Suspect) -> str:
-    effect = found.term.effect
-    values = [
+    effect = found.place[0]
+    shown = [(name, *value) for name, value in found.values.items() if value[0] != 0.0]
+    values = ", ".join(
         f"{meaning_of(effect, name)} about {_about(value, unit)}"
-        for name, (value, unit) in list(found.values.items())[:_MOST_PARAMETERS]
-    ]
-    of = f" of {' and '.join(found.of)}" if found.of else ""
-    rivals = " or ".join(place({"effect": e, "joint": j}) for e, j in found.rivals)
-    return (
-        f"probably {place({'effect': effect, 'joint': found.joint})}: {', '.join(values)}; "
-        f"confidence {math.floor(100 * found.share)} %"
-        f"{f', it could also be {rivals}' if rivals else ''}; correcting it would remove "
-        f"{math.floor(100 * found.removed)} % of the squared error{of}"
+        for name, value, unit in shown[:_MOST_PARAMETERS]
     )
+    of = f" of {_listed(found.of, 'and')}" if found.of else ""
+    removes = f"would remove {math.floor(100 * found.removed)} % of the squared error{of}"
+    if found.rivals:
+        places = [f"{_named(found.place)} ({values})", *map(_named, found.rivals)]
+        return f"could be {_listed(places, 'or')}; correcting the first {removes}"
+    return (
+        f"probably {_named(found.place)}: {values}; confidence {math.floor(100 * found.share)} %; "
+        f"correcting it {removes}"
+    )
+
+
+def _named(where: Place) -> str:
+    effect, joints = where
+    return place({"effect": effect, "joint": _listed(joints, "and") if joints else None})
+
+
+def _listed(names: Sequence[str], word: str) -> str:
+    """``a``, ``a or b``, ``a, b or c``."""
+    *most, last = names
+    return f"{', '.join(most)} {word} {last}" if most else last
 
 
 def _about(value: float, unit: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from two_pendulums import DAMPING, mjcf, record
+from two_pendulums import DAMPING, MASS, mjcf, record
 
 from pytest_twin.diagnosis.glance import Suspect, glance
 from pytest_twin.formats.mcap import read_recording
@@ -33,13 +33,12 @@ def both_off(tmp_path_factory: pytest.TempPathFactory) -> tuple[Realization, Tri
 
 def suspect(both_off: tuple[Realization, Trial], *failed: str) -> Suspect:
     seen = glance(*both_off, failed=failed)
-    assert seen.suspect is not None
-    return seen.suspect
+    return seen.suspects[0]
 
 
 def test_the_joint_that_failed_is_explained(both_off: tuple[Realization, Trial]) -> None:
     found = suspect(both_off, "right")
-    assert (found.term.effect, found.joint, found.of) == ("viscous_friction", "right", ("right",))
+    assert (found.place, found.of) == (("viscous_friction", ("right",)), ("right",))
     value, unit = found.values["coefficient"]
     assert unit == "N*m*s/rad"
     assert value == pytest.approx(-TOO_MUCH, rel=0.15)
@@ -48,7 +47,7 @@ def test_the_joint_that_failed_is_explained(both_off: tuple[Realization, Trial])
 
 def test_so_is_one_whose_error_is_the_smaller(both_off: tuple[Realization, Trial]) -> None:
     found = suspect(both_off, "left")
-    assert (found.term.effect, found.joint, found.of) == ("command_delay", "left", ("left",))
+    assert (found.place, found.of) == (("command_delay", ("left",)), ("left",))
     assert found.values["delay"][0] == pytest.approx(0.02, abs=0.002)
 
 
@@ -57,7 +56,53 @@ def test_where_no_joint_is_told_from_others_all_count(
     both_off: tuple[Realization, Trial], failed: tuple[str, ...]
 ) -> None:
     found = suspect(both_off, *failed)
-    assert (found.term.effect, found.joint, found.of) == ("viscous_friction", "right", ())
+    assert (found.place, found.of) == (("viscous_friction", ("right",)), ())
+
+
+def test_each_joint_that_failed_is_explained_by_its_own_cause(
+    both_off: tuple[Realization, Trial],
+) -> None:
+    seen = glance(*both_off, failed=("left", "right"))
+    assert [(s.place, s.of) for s in seen.suspects] == [
+        (("viscous_friction", ("right",)), ()),
+        (("command_delay", ("left",)), ("left",)),
+    ]
+    assert seen.unexplained == ()
+
+
+def looked_at(folder: Path, text: str, **hidden: float) -> Suspect:
+    """The only suspect of a recording whose left joint failed, on the model in ``text``."""
+    (folder / "model.xml").write_text(text)
+    trial = make_trial(read_recording(record(folder / "seen.mcap", 1, **hidden)))
+    (found,) = glance(load(folder / "model.xml"), trial, failed=("left",)).suspects
+    return found
+
+
+LIGHTER = mjcf().replace(f'mass="{MASS}"', f'mass="{0.7 * MASS}"', 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "hidden", "effect"),
+    [
+        (mjcf(), {"delay": 0.02}, "command_delay"),
+        (mjcf(), {"lag": 0.02}, "actuator_lag"),
+        (mjcf(), {"lag": 0.05}, "actuator_lag"),
+        (mjcf(), {"dry": 0.1}, "coulomb_friction"),
+        (LIGHTER, {}, "inertial_parameters"),
+    ],
+)
+def test_a_cause_that_others_explain_clearly_worse_is_named_alone(
+    tmp_path: Path, text: str, hidden: dict[str, float], effect: str
+) -> None:
+    found = looked_at(tmp_path, text, **hidden)
+    assert (found.place, found.rivals) == ((effect, ("left",)), ())
+    assert found.removed > 0.95
+
+
+def test_a_delay_too_short_to_part_from_a_lag_is_named_beside_it(tmp_path: Path) -> None:
+    found = looked_at(tmp_path, mjcf(), delay=0.008)
+    named = {found.place, *found.rivals}
+    assert {("command_delay", ("left",)), ("actuator_lag", ("left",))} <= named
 
 
 def test_of_a_long_recording_it_looks_where_what_failed_is_worst(tmp_path: Path) -> None:
