@@ -12,6 +12,7 @@ from pytest_twin import __version__
 from pytest_twin.commands import json_output, terminal
 from pytest_twin.commands.help import UNUSABLE_INPUT, Parser, did_you_mean, epilog, options_of
 from pytest_twin.errors import TwinError
+from pytest_twin.systems import unsupported_system
 
 COMMANDS: tuple[str, ...] = (
     "init",
@@ -59,6 +60,9 @@ def parser(commands: Sequence[str] = COMMANDS) -> Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit status, or 2 with one line on standard error."""
+    if (problem := unsupported_system()) is not None:
+        print(problem, file=sys.stderr)
+        return UNUSABLE_INPUT
     words = list(sys.argv[1:] if arguments is None else arguments)
     args = _parsed(words)
     try:

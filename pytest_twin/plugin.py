@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_twin.session.options import Options, add_options, read_options
+from pytest_twin.systems import unsupported_system
 
 if TYPE_CHECKING:
     from pytest_twin.session.session import TwinSession
@@ -92,6 +93,8 @@ def pytest_configure_node(node: Any) -> None:
 
 def _session(config: pytest.Config) -> TwinSession:
     if _SESSION not in config.stash:
+        if (problem := unsupported_system()) is not None:
+            raise pytest.UsageError(problem)
         from pytest_twin.session.session import TwinSession
 
         config.stash[_SESSION] = session = TwinSession(config, config.stash[_OPTIONS])

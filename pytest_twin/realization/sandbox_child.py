@@ -21,7 +21,7 @@ from pytest_twin.errors import LimitError, SimulationError, TwinError
 def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
     """Answer calls until the parent closes its end."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    _bound_memory(memory_bytes)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     os.set_inheritable(request_descriptor, False)
     os.set_inheritable(answer_descriptor, False)
@@ -83,7 +83,26 @@ def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
 
 def _out_of_memory() -> LimitError:
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return LimitError("ran out of memory")
     return LimitError("ran out of memory", expected=f"at most {limit / 2**20:.0f} MiB")
+
+
+def _bound_memory(memory_bytes: int) -> None:
+    """Bound the address space, or keep a lower bound that the machine sets."""
+    bound = _at_most(memory_bytes, resource.RLIMIT_AS)
+    try:
+        resource.setrlimit(resource.RLIMIT_AS, (bound, bound))
+    except (ValueError, OSError):
+        # macOS has no such bound; those on time hold there alone.
+        if sys.platform == "linux":
+            raise
+
+
+def _at_most(wanted: int, limit: int) -> int:
+    """``wanted``, or the hard limit of this process where that is lower."""
+    hard = resource.getrlimit(limit)[1]
+    return wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
 
 
 def _bound_cpu(seconds: float) -> None:
@@ -91,7 +110,8 @@ def _bound_cpu(seconds: float) -> None:
     usage = resource.getrusage(resource.RUSAGE_SELF)
     used = usage.ru_utime + usage.ru_stime
     soft = int(used + seconds * (os.cpu_count() or 1) + 5)
-    resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.RLIM_INFINITY))
+    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+    resource.setrlimit(resource.RLIMIT_CPU, (_at_most(soft, resource.RLIMIT_CPU), hard))
 
 
 def _call(function: str, arguments: Mapping[str, Any], answers: BinaryIO) -> Any:

@@ -1,0 +1,69 @@
+"""Systems that are not supported are told so in one line, before anything else fails."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from pytest_twin import cli
+from pytest_twin.systems import unsupported_system
+
+WINDOWS = (
+    "pytest-twin does not run on Windows, only on Linux and macOS: "
+    "use a container or, on Windows, WSL 2"
+)
+
+
+@pytest.fixture
+def on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "win32")
+    monkeypatch.setattr("platform.system", lambda: "Windows")
+
+
+@pytest.mark.parametrize("platform", ["linux", "darwin"])
+def test_linux_and_macos_are_supported(monkeypatch: pytest.MonkeyPatch, platform: str) -> None:
+    monkeypatch.setattr("sys.platform", platform)
+    assert unsupported_system() is None
+
+
+@pytest.mark.usefixtures("on_windows")
+def test_the_command_refuses_windows_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["audit", "arm.urdf"]) == 2
+    assert capsys.readouterr().err == WINDOWS + "\n"
+
+
+@pytest.mark.parametrize(("twin", "status"), [("", 0), ("name: arm\nmodel: arm.xml\n", 4)])
+def test_the_plugin_refuses_windows_where_a_twin_is_and_disturbs_no_other_project(
+    tmp_path, twin: str, status: int
+) -> None:
+    (tmp_path / "test_other.py").write_text("def test_it():\n    pass\n")
+    if twin:
+        (tmp_path / "twin.yaml").write_text(twin)
+    (tmp_path / "run.py").write_text(
+        "import pytest, sys, pytest_twin.systems as systems\n"
+        f"systems.unsupported_system = lambda: {WINDOWS!r}\n"
+        "sys.exit(pytest.main(['-q', '-p', 'no:cacheprovider']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "run.py"], cwd=tmp_path, capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == status, done.stdout + done.stderr
+    assert (WINDOWS in done.stderr) == bool(twin)
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+def test_a_child_keeps_a_lower_bound_of_memory_that_the_machine_sets() -> None:
+    program = (
+        "import resource\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (4 * 2**30, 4 * 2**30))\n"
+        "resource.setrlimit(resource.RLIMIT_CPU, (60, 90))\n"
+        "from pytest_twin.realization.sandbox import Sandbox\n"
+        "with Sandbox() as sandbox:\n"
+        "    print(sandbox.call('pytest_twin.systems:unsupported_system'))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=100
+    )
+    assert done.stdout == "None\n", done.stderr
