@@ -47,6 +47,18 @@ def open_replacement(path: Path) -> Iterator[BinaryIO]:
     _sync_folder(path.parent)
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, where they are missing.
+
+    Raises:
+        PathError: a file lies in the way, or the disk refuses.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PathError(f"cannot be written: {error.strerror}", path=path) from None
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write ``data`` as ``path``, whole or not at all.
 

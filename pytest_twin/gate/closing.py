@@ -68,6 +68,8 @@ def close(
     if proven and plan.baseline is not None:
         lines.append(f"{len(proven)} still proven by release {plan.baseline.number:04d}")
     lines += [f"changed while it ran: {changed}" for changed in facts.changed]
+    if gate.unsaved_plots is not None:
+        lines.append(f"plots are not saved: {gate.unsaved_plots}")
     refusals: tuple[str, ...] = ()
     released: Release | None = None
     verdict = judge(facts) if policy.sign else None
@@ -115,7 +117,7 @@ def _reported(
     try:
         links = _links(path.parent, diagnosed)
         _write_report(path, _report(gate, facts, verdict, refusals, header, links))
-    except (TwinError, OSError) as error:
+    except TwinError as error:
         return f"no report: {error}"
     return f"report: {path}"
 
@@ -262,5 +264,5 @@ def _plot(gate: Gate, outcome: Outcome) -> bytes | None:
 def _write_report(path: Path, report: Report) -> None:
     from pytest_twin.report.html import render
 
-    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic.make_folder(path.parent)
     atomic.write_text(path, render(report))

@@ -118,7 +118,7 @@ def _written(
     progress: Progress | None,
 ) -> tuple[Path, tuple[str, ...]]:
     folder = gate.root / FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
+    atomic.make_folder(folder)
     with tempfile.TemporaryDirectory(prefix=".twin-", dir=folder) as scratch:
         staging = Path(scratch) / "diagnosis"
         staging.mkdir()

@@ -48,6 +48,7 @@ class Gate:
         self.signing = signing
         self.outcomes: dict[str, Outcome] = {}
         self.updates: list[Update] = []
+        self.unsaved_plots: str | None = None
         self._goldens: dict[Path, Golden | TwinError] = {}
         self._folders: dict[Path, bool] = {}
         self._plan: Plan | None = None

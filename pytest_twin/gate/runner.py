@@ -31,16 +31,24 @@ class Runner:
 
     Args:
         seconds: bound on the wall time of one golden.
+        confine: whether the child may read only its twin's roots and Python's files, and write
+            only a scratch folder.
     """
 
-    def __init__(self, seconds: float = SECONDS) -> None:
+    def __init__(self, seconds: float = SECONDS, *, confine: bool = False) -> None:
         self.seconds = seconds
+        self.confine = confine
+        self.unsaved_plots: dict[Path, str] = {}
+        """Root of a twin -> why the first of its plots could not be saved."""
         self._children: dict[Path, Sandbox] = {}
 
     def child(self, twin: Twin) -> Sandbox:
         """The process that loads and steps this twin's models; it starts with its first call."""
         if twin.root not in self._children:
-            self._children[twin.root] = Sandbox(seconds=self.seconds, cwd=twin.root)
+            roots = (twin.root, *twin.roots.values()) if self.confine else None
+            self._children[twin.root] = Sandbox(
+                seconds=self.seconds, cwd=twin.root, confined_to=roots
+            )
         return self._children[twin.root]
 
     def prove(
@@ -78,7 +86,7 @@ class Runner:
             measures=measures,
             error=error,
             reasons=reasons,
-            plot=_keep_plot(twin, golden, realization, result.get("plot")),
+            plot=self._save_plot(twin, golden, realization, result.get("plot")),
             diagnosis=look,
             seconds=seconds,
         )
@@ -93,6 +101,23 @@ class Runner:
         except TwinError as problem:
             return f"could not be made: {' '.join(str(problem).split())}"
         return str(said["line"])
+
+    def _save_plot(
+        self, twin: Twin, golden: Golden, realization: str, svg: str | None
+    ) -> str | None:
+        """Path of the plot relative to the twin's root; None where there is none on the disk."""
+        if svg is None:
+            return None
+        relative = plot_path(golden.id, realization)
+        path = twin.root / relative
+        try:
+            atomic.make_folder(path.parent)
+            atomic.write_text(path, svg)
+        except TwinError as problem:
+            # The verdict does not depend on the plot: a read-only checkout is proven as well.
+            self.unsaved_plots.setdefault(twin.root, str(problem))
+            return None
+        return relative.as_posix()
 
     def record(
         self, twin: Twin, golden: Golden, realization: str, *, progress: Progress | None = None
@@ -148,13 +173,3 @@ class Runner:
 def plot_path(golden_id: str, realization: str) -> Path:
     """Where the plot of a golden lies, relative to the twin's root."""
     return Path(".twin") / "plots" / f"{golden_id}@{realization}.svg"
-
-
-def _keep_plot(twin: Twin, golden: Golden, realization: str, svg: str | None) -> str | None:
-    if svg is None:
-        return None
-    relative = plot_path(golden.id, realization)
-    path = twin.root / relative
-    path.parent.mkdir(parents=True, exist_ok=True)
-    atomic.write_text(path, svg)
-    return relative.as_posix()

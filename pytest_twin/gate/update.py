@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import hashlib
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -115,7 +116,7 @@ def record(
     digests = layer_digests(parts)
     simulator = twin.realizations[realization].simulator
     recorded["provenance"] = {
-        "recorded_by": recorded_by or getpass.getuser(),
+        "recorded_by": recorded_by or _user(),
         "recorded_at": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "realization": realization,
         "simulator": f"{simulator} {metadata.version(simulator)}",
@@ -133,6 +134,14 @@ def record(
         measures=tuple(Measure.from_json(fields) for fields in result["measures"]),
         written=tuple(path.relative_to(twin.root).as_posix() for path in written),
     )
+
+
+def _user() -> str:
+    """Who runs this; in a container that may be a number without a name."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return f"user {os.getuid()}"
 
 
 def layer_digests(parts: Iterable[Part]) -> dict[str, str]:

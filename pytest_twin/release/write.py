@@ -80,7 +80,7 @@ def write(
         if not atomic.create_directory(staging, releases / f"{header.number:04d}"):
             raise _meanwhile(header.number, releases)
     except OSError as error:
-        raise PathError(f"cannot be written: {error.strerror or error}", path=staging) from None
+        raise PathError(f"cannot be written: {error.strerror or error}", path=releases) from None
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     note = seen.remember(header.series, header.number)
