@@ -38,9 +38,10 @@ _LARGEST_OUTPUT = 10_000
 
 
 class Task(Check):
-    """What a user's function makes of a realization.
+    """What a user's function computes from a realization.
 
-    The function is called ``function(realization, **stimulus)`` in the child process and returns
+    The function runs with the rights of the user who runs pytest, unless goldens are confined. It
+    is called ``function(realization, **stimulus)`` in the child process and returns
     a mapping from each declared output to a number or a list of numbers, in SI units.
 
     ``values``: output -> number or list.
@@ -57,14 +58,15 @@ class Task(Check):
                     "type": "string",
                     "pattern": r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$",
                     "description": "'tasks.py:pick_and_place', a file relative to the twin's "
-                    "folder or to one of its roots, or 'package.module:function', installed.",
+                    "folder or to one of its roots, or 'package.module:function', installed. It runs "
+                    "with your rights; pytest --twin-confine takes them away.",
                 },
                 "files": {
                     "type": "array",
                     "uniqueItems": True,
                     "items": _NAME,
-                    "description": "What else the result rests on: modules that the function "
-                    "imports, tables that it reads.",
+                    "description": "Further files that the result depends on: modules that the "
+                    "function imports, tables that it reads.",
                 },
                 "outputs": {
                     "type": "object",

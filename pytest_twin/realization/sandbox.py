@@ -13,16 +13,18 @@ import selectors
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from pytest_twin import errors
 from pytest_twin.errors import LimitError, SimulationError, TwinError
+from pytest_twin.realization.confinement import confined_command, confined_environment
 
 MEMORY_BYTES = 8 * 2**30
 SECONDS = 300.0
@@ -37,6 +39,8 @@ class Sandbox:
         memory_bytes: bound on the child's address space.
         seconds: bound on the wall time of one call, and nearly so on its CPU time per core.
         cwd: the child's working folder.
+        confined_to: folders that the child may read besides Python's own; it may then write its
+            scratch folder alone. None for a child with the user's rights.
 
     A child that was killed or crashed is replaced at the next call. Calls from several threads
     wait for one another.
@@ -48,8 +52,10 @@ class Sandbox:
         memory_bytes: int = MEMORY_BYTES,
         seconds: float = SECONDS,
         cwd: Path | None = None,
+        confined_to: Collection[Path] | None = None,
     ) -> None:
         self.memory_bytes = memory_bytes
+        self.confined_to = confined_to
         self.seconds = seconds
         self.cwd = cwd
         self._lock = threading.Lock()
@@ -90,7 +96,7 @@ class Sandbox:
         with self._lock:
             self._output = b""
             if self._child is None:
-                self._child = _Child(self.memory_bytes, self.cwd)
+                self._child = _Child(self.memory_bytes, self.cwd, self.confined_to)
             request = {
                 "function": function,
                 "arguments": dict(arguments or {}),
@@ -207,7 +213,9 @@ def _frames(buffer: bytearray) -> list[dict[str, Any]]:
 class _Child:
     """One interpreter and the pipes to it."""
 
-    def __init__(self, memory_bytes: int, cwd: Path | None) -> None:
+    def __init__(
+        self, memory_bytes: int, cwd: Path | None, confined_to: Collection[Path] | None
+    ) -> None:
         request_read, self.requests = os.pipe()
         self.answers, answer_write = os.pipe()
         self.output, output_write = os.pipe()
@@ -215,16 +223,23 @@ class _Child:
         environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
         # Forks share work out already, and a sum that threads divide rounds by how many they are.
         environment.setdefault("OPENBLAS_NUM_THREADS", "1")
+        command = [
+            sys.executable,
+            "-m",
+            "pytest_twin.realization.sandbox_child",
+            str(request_read),
+            str(answer_write),
+            str(memory_bytes),
+        ]
+        scratch = None
+        if confined_to is not None:
+            scratch = tempfile.TemporaryDirectory(prefix="twin-", ignore_cleanup_errors=True)
+            place = Path(scratch.name)
+            command = confined_command(command, confined_to, place)
+            environment = confined_environment(environment, place)
         try:
             self.process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "pytest_twin.realization.sandbox_child",
-                    str(request_read),
-                    str(answer_write),
-                    str(memory_bytes),
-                ],
+                command,
                 stdin=subprocess.DEVNULL,
                 stdout=output_write,
                 stderr=output_write,
@@ -238,7 +253,7 @@ class _Child:
             for descriptor in (request_read, answer_write, output_write):
                 os.close(descriptor)
         self.kill = weakref.finalize(
-            self, _end, self.process, (self.requests, self.answers, self.output)
+            self, _end, self.process, (self.requests, self.answers, self.output), scratch
         )
 
     def send(self, content: bytes) -> None:
@@ -266,13 +281,19 @@ class _Child:
         return SimulationError(f"the simulator crashed ({name}){said}")
 
 
-def _end(process: subprocess.Popen[bytes], descriptors: tuple[int, ...]) -> None:
+def _end(
+    process: subprocess.Popen[bytes],
+    descriptors: tuple[int, ...],
+    scratch: tempfile.TemporaryDirectory[str] | None,
+) -> None:
     for descriptor in descriptors:
         with contextlib.suppress(OSError):
             os.close(descriptor)
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
+    if scratch is not None:
+        scratch.cleanup()
 
 
 def _rebuild(answer: Mapping[str, Any]) -> TwinError:

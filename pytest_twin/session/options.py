@@ -13,6 +13,7 @@ SWITCHES = {
     "twin-update": "record goldens afresh, with provenance and a diff of old and new",
     "twin-all": "run every golden, also those that the last release still proves",
     "twin-diagnose": "say in full why goldens of kind replay fail, with a patched model",
+    "twin-confine": "run goldens without rights to other files and the network (Linux, Landlock)",
     "twin-why": "say for every golden why it is fresh or stale; run nothing",
 }
 VALUES = {
@@ -31,6 +32,7 @@ class Options:
         report: None for the default place.
         key, ini_key: the signing key by flag and by configuration file.
         seconds: bound on the wall time of one golden.
+        confine: whether goldens run without the user's rights.
     """
 
     release: bool
@@ -42,6 +44,7 @@ class Options:
     key: str | None
     ini_key: str | None
     seconds: float
+    confine: bool
 
     @property
     def needs_twin(self) -> bool:
@@ -89,6 +92,7 @@ def read_options(config: pytest.Config) -> Options:
         key=None if key is None else str(config.invocation_params.dir / str(key)),
         ini_key=_ini_path(config, "twin-key"),
         seconds=_seconds(_value(config, "twin-timeout")),
+        confine=switches["twin-confine"],
     )
 
 

@@ -23,6 +23,7 @@ from pytest_twin.gate.verdict import SessionFacts
 from pytest_twin.gate.why import update_lines, why_lines
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
+from pytest_twin.realization import confinement
 from pytest_twin.report.failure import failure_text, what
 from pytest_twin.report.text import quantity
 from pytest_twin.session import selection
@@ -54,7 +55,9 @@ class TwinSession:
         self.gates: dict[Path, Gate] = {}
         self.broken: dict[Path, TwinError] = {}
         self.said: set[Path] = set()
-        self.runner = Runner(options.seconds)
+        if options.confine and (problem := confinement.obstacle()) is not None:
+            raise pytest.UsageError(f"--twin-confine: {problem}")
+        self.runner = Runner(options.seconds, confine=options.confine)
         self.progress = ProgressLine(config)
         self.failures: list[str] = []
         self.collection_errors: list[str] = []
@@ -199,6 +202,7 @@ class TwinSession:
                     progress=progress,
                 )
         travels["outcome"] = outcome.to_json()
+        travels["unsaved_plots"] = self.runner.unsaved_plots.get(gate.root)
         item.travels = json.dumps(travels)
         item.user_properties.extend(_properties(outcome))
         if outcome.status != "passed":
@@ -260,6 +264,7 @@ class TwinSession:
         gate = self.gate(Path(told["twin"]))
         if gate is None:
             return
+        gate.unsaved_plots = gate.unsaved_plots or told["unsaved_plots"]
         if "update" not in told:
             gate.outcomes[outcome.key] = outcome
             if outcome.status == "failed":

@@ -1,0 +1,129 @@
+"""Confine a child process to the files it needs, by Landlock (Linux 5.13 and later).
+
+Run as a script, it gives up all other files and then becomes the command that it is given. The
+kernel holds that command, its threads and its children to it, whatever code they run:
+
+- Files of the twin's roots, of Python and of the system's libraries can be read.
+- A scratch folder can be written, nothing else.
+- No TCP connection (Linux 6.7), no signal to another process, no abstract socket (Linux 6.12).
+
+Landlock has no rules yet for UDP and for named Unix sockets: those stay open.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+_SYSTEM = (
+    *("/usr", "/bin", "/sbin", "/lib", "/lib64", "/nix/store"),
+    *("/etc/ld.so.cache", "/etc/ld.so.conf", "/etc/localtime", "/etc/passwd", "/etc/group"),
+    *("/etc/nsswitch.conf", "/etc/fonts", "/etc/alternatives"),
+    # What other processes hold (environment, memory) Landlock closes by itself.
+    *("/proc", "/sys/devices/system", "/dev/zero", "/dev/random", "/dev/urandom"),
+)
+_VARIABLES = ("PATH", "LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
+_VARIABLE_PREFIXES = ("LC_", "PYTHON", "OMP_", "OPENBLAS_", "MKL_", "MUJOCO_")
+# Landlock's ABI versions that know network rules and scopes, and the bits of both.
+_ABI_NETWORK, _ABI_SCOPES = 4, 6
+_BIND_AND_CONNECT_TCP = 0b11
+_SIGNALS_AND_SOCKETS = 0b11
+
+
+def obstacle() -> str | None:
+    """Why this machine cannot confine a process, with what to do; None where it can."""
+    if sys.platform != "linux":
+        return "confinement needs Linux; run without it, or in a container"
+    try:
+        import landlock
+    except ImportError:
+        return "confinement needs the package landlock: pip install 'pytest-twin[confine]'"
+    try:
+        landlock.landlock_abi_version()
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        return (
+            f"this kernel offers no Landlock ({reason}): confinement needs Linux 5.13 or later "
+            "with landlock among its security modules (boot option lsm=landlock,...)"
+        )
+    return None
+
+
+def confined_command(command: Iterable[str], read: Iterable[Path], scratch: Path) -> list[str]:
+    """The command that runs ``command`` confined.
+
+    Args:
+        command: starts with the path of a program.
+        read: folders and files that it may read besides Python's and the system's.
+        scratch: the folder that it may write.
+    """
+    home = Path.home().resolve()
+    # `python -m pytest` in the user's home puts all of it on the import path.
+    imports = [p for p in sys.path if p and not home.is_relative_to(Path(p).resolve())]
+    readable = [*_SYSTEM, sys.prefix, sys.base_prefix, *imports, *map(str, read)]
+    # -P: no module of the working folder comes before an installed one.
+    start = [sys.executable, "-P", "-m", __name__, str(scratch)]
+    return [*start, *dict.fromkeys(readable), "--", *command]
+
+
+def confined_environment(environment: Mapping[str, str], scratch: Path) -> dict[str, str]:
+    """The variables that a program needs to run: no tokens, and ``scratch`` as its home."""
+    kept = {
+        name: value
+        for name, value in environment.items()
+        if name in _VARIABLES or name.startswith(_VARIABLE_PREFIXES)
+    }
+    place = str(scratch)
+    return kept | {"HOME": place, "TMPDIR": place, "MPLCONFIGDIR": place}
+
+
+def confine(read: Iterable[str], scratch: str) -> None:
+    """Give up, for this process and those it starts, what the module's docstring excludes.
+
+    Args:
+        read: folders and files that stay readable, where they exist.
+        scratch: the folder that stays writable.
+
+    Raises:
+        OSError: the kernel refuses.
+    """
+    import landlock
+    from landlock import plumbing
+
+    class NoNetwork(plumbing.RulesetAttr):  # type: ignore[misc]
+        """The ruleset's later fields, which the library does not know yet."""
+
+        _fields_ = (("handled_access_net", ctypes.c_uint64), ("scoped", ctypes.c_uint64))
+
+    rights = landlock.FSAccess
+    rules = landlock.Ruleset()
+    for path in map(Path, read):
+        if path.is_dir():
+            rules.allow(path, rules=rights.READ_FILE | rights.READ_DIR | rights.EXECUTE)
+        elif path.exists():
+            rules.allow(path, rules=rights.READ_FILE | rights.EXECUTE)
+    rules.allow(os.devnull, rules=rights.READ_FILE | rights.WRITE_FILE)
+    rules.allow(scratch)
+    rules.apply()
+    abi = plumbing.landlock_abi_version()
+    if abi >= _ABI_NETWORK:
+        scoped = abi >= _ABI_SCOPES
+        attributes = NoNetwork(0, _BIND_AND_CONNECT_TCP, _SIGNALS_AND_SOCKETS if scoped else 0)
+        size = ctypes.sizeof(attributes) - (0 if scoped else ctypes.sizeof(ctypes.c_uint64))
+        ruleset = plumbing.get_create_ruleset()(ctypes.byref(attributes), size, 0)
+        plumbing.get_restrict_self()(ruleset, 0)
+
+
+def main(arguments: list[str]) -> None:
+    """Confine this process and become the command after ``--``."""
+    scratch, *read = arguments[: arguments.index("--")]
+    command = arguments[arguments.index("--") + 1 :]
+    confine(read, scratch)
+    os.execv(command[0], command)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,133 @@
+"""--twin-confine: goldens read their twin and Python's files, and write a scratch folder alone."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pytest_twin.realization import confinement
+
+needs_landlock = pytest.mark.skipif(
+    confinement.obstacle() is not None, reason=str(confinement.obstacle())
+)
+
+TRY = """\
+def tried(action):
+    try:
+        action()
+    except OSError as error:
+        return error.errno
+    return 0
+return {'reach': tried(lambda: ACTION)}
+"""
+
+
+def errno_of(folder, action: str, *flags: str) -> float:
+    """The errno of what a golden's function tries, 0 where it may."""
+    folder.task("probe", TRY.replace("ACTION", action))
+    assert folder.run("--twin-update", "-k", "probe", *flags).ret == 0
+    return recorded_reach(folder)
+
+
+def recorded_reach(folder) -> float:
+    """What the function of the golden ``task/probe`` returned."""
+    return yaml.safe_load((folder.root / "golden/task/probe.yaml").read_text())["expected"]["reach"]
+
+
+@needs_landlock
+def test_every_kind_of_golden_passes_confined(recorded) -> None:
+    recorded.task(
+        "mean", "import numpy, scipy.linalg\nreturn {'reach': float(numpy.ones(3).sum())}"
+    )
+    assert recorded.run("--twin-update", "--twin-confine").ret == 0
+    recorded.run("--twin-all", "--twin-confine").assert_outcomes(passed=3)
+
+
+@needs_landlock
+def test_a_private_file_is_readable_by_a_golden_unless_it_is_confined(recorded) -> None:
+    secret = recorded.pytester.path / "home" / ".ssh" / "id_ed25519"
+    secret.parent.mkdir(parents=True)
+    secret.write_text("private")
+    action = f"open({str(secret)!r}).close()"
+    assert errno_of(recorded, action) == 0
+    assert errno_of(recorded, action, "--twin-confine") == errno.EACCES
+
+
+@needs_landlock
+@pytest.mark.parametrize("place", ["arm.xml", "new.txt", "golden/fk/home.yaml", "../beside.txt"])
+def test_a_confined_golden_writes_neither_its_twin_nor_beside_it(recorded, place: str) -> None:
+    path = recorded.root / place
+    before = path.read_bytes() if path.exists() else None
+    assert (
+        errno_of(recorded, f"open({str(path)!r}, 'a').write('x')", "--twin-confine") == errno.EACCES
+    )
+    assert (path.read_bytes() if path.exists() else None) == before
+
+
+@needs_landlock
+def test_a_confined_golden_deletes_and_renames_nothing(recorded) -> None:
+    path = recorded.root / "arm.xml"
+    name = str(path)
+    for action in (f"os.unlink({name!r})", f"os.rename({name!r}, {name + '-moved'!r})"):
+        asked = f"__import__('os').{action.removeprefix('os.')}"
+        assert errno_of(recorded, asked, "--twin-confine") == errno.EACCES
+    assert path.exists()
+
+
+@needs_landlock
+def test_a_confined_golden_has_a_scratch_folder_that_goes_with_the_run(recorded) -> None:
+    note = "__import__('tempfile').mkstemp('.kept')[1]"
+    assert errno_of(recorded, note, "--twin-confine") == 0
+    assert list(Path(tempfile.gettempdir()).glob("twin-*/*.kept")) == []
+
+
+@needs_landlock
+def test_a_program_that_a_confined_golden_starts_is_confined_too(recorded) -> None:
+    target = recorded.pytester.path / "beside.txt"
+    action = f"__import__('os').system('echo x > {target}')"
+    assert errno_of(recorded, action, "--twin-confine") == 0
+    assert not target.exists()
+
+
+@needs_landlock
+def test_a_confined_golden_connects_nowhere(recorded) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        action = f"__import__('socket').create_connection({server.getsockname()!r}, 5).close()"
+        assert errno_of(recorded, action) == 0
+        assert errno_of(recorded, action, "--twin-confine") == errno.EACCES
+
+
+@needs_landlock
+def test_a_confined_golden_does_not_see_tokens_of_the_environment(recorded, monkeypatch) -> None:
+    monkeypatch.setenv("CLOUD_TOKEN", "secret")
+    recorded.task("probe", "import os\nreturn {'reach': float('CLOUD_TOKEN' in os.environ)}")
+    recorded.run("--twin-update", "-k", "probe")
+    assert recorded_reach(recorded) == 1
+    recorded.run("--twin-update", "-k", "probe", "--twin-confine")
+    assert recorded_reach(recorded) == 0
+
+
+def test_where_confinement_is_not_possible_nothing_runs(recorded, monkeypatch) -> None:
+    monkeypatch.setattr(confinement, "obstacle", lambda: "no Landlock here")
+    result = recorded.run("--twin-confine")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert "--twin-confine: no Landlock here" in result.stderr.str() + result.stdout.str()
+    result.assert_outcomes()
+
+
+def test_a_missing_package_is_named_with_its_extra(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "landlock", None)
+    assert confinement.obstacle() == (
+        "confinement needs the package landlock: pip install 'pytest-twin[confine]'"
+    )
+
+
+def test_other_systems_are_told_so(monkeypatch) -> None:
+    monkeypatch.setattr("sys.platform", "darwin")
+    assert confinement.obstacle() == "confinement needs Linux; run without it, or in a container"
