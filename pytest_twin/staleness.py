@@ -336,7 +336,7 @@ def staleness(today: Stock, baseline: Baseline | None) -> dict[str, tuple[Reason
     absent = frozenset().union(*today.rests_on.values()) - today.parts.keys()
 
     def missing(ids: frozenset[str]) -> list[Reason]:
-        return [Reason(ident, "is not there") for ident in sorted(ids & absent)]
+        return [Reason(ident, "is missing") for ident in sorted(ids & absent)]
 
     if baseline is None:
         return {key: (NO_RELEASE, *missing(ids)) for key, ids in today.rests_on.items()}
@@ -354,7 +354,7 @@ def staleness(today: Stock, baseline: Baseline | None) -> dict[str, tuple[Reason
                 reasons += moved.reasons(ident)
             if ids != before:
                 reasons += [_set_change(ident, "added") for ident in sorted(ids - before)]
-                reasons += [_set_change(ident, "gone") for ident in sorted(before - ids)]
+                reasons += [_set_change(ident, "removed") for ident in sorted(before - ids)]
         found[key] = (*reasons, *missing(ids))
     return found
 
@@ -385,7 +385,7 @@ class _Moved:
             self._reasons[ident] = (
                 tuple(changes(self.before[ident], self.today[ident]))
                 if ident in self.before
-                else (Reason(ident, "is not in the release"),)
+                else (Reason(ident, "is new since the release"),)
             )
         return self._reasons[ident]
 

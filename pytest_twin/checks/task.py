@@ -58,8 +58,8 @@ class Task(Check):
                     "type": "string",
                     "pattern": r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$",
                     "description": "'tasks.py:pick_and_place', a file relative to the twin's "
-                    "folder or to one of its roots, or 'package.module:function', installed. It runs "
-                    "with your rights; pytest --twin-confine takes them away.",
+                    "folder or to one of its roots, or 'package.module:function', installed. It "
+                    "runs with your rights; pytest --twin-confine takes them away.",
                 },
                 "files": {
                     "type": "array",

@@ -67,7 +67,7 @@ def close(
     proven = facts.proven.keys() - facts.outcomes.keys()
     if proven and plan.baseline is not None:
         lines.append(f"{len(proven)} still proven by release {plan.baseline.number:04d}")
-    lines += [f"changed while it ran: {changed}" for changed in facts.changed]
+    lines += [f"changed during the run: {changed}" for changed in facts.changed]
     if gate.unsaved_plots is not None:
         lines.append(f"plots are not saved: {gate.unsaved_plots}")
     refusals: tuple[str, ...] = ()
@@ -118,7 +118,7 @@ def _reported(
         links = _links(path.parent, diagnosed)
         _write_report(path, _report(gate, facts, verdict, refusals, header, links))
     except TwinError as error:
-        return f"no report: {error}"
+        return f"the report is not saved: {error}"
     return f"report: {path}"
 
 

@@ -244,7 +244,7 @@ class Gate:
         paths = set(specs.spec_paths(self.twin)) - plan.files.keys()
         return (
             *changed_since(plan.parts, plan.files),
-            *(f"{path}: a spec that was not there" for path in sorted(paths)),
+            *(f"{path}: a new spec" for path in sorted(paths)),
         )
 
     def ids(self) -> dict[str, object]:

@@ -117,7 +117,7 @@ class _Guarded:
             words = (
                 str(error) if isinstance(error, TwinError) else f"{type(error).__name__}: {error}"
             )
-            self._problems.append(f"{golden.id}: what it rests on cannot be told: {words}")
+            self._problems.append(f"{golden.id}: its dependencies cannot be determined: {words}")
             return (f"dependencies:{golden.id}",)
 
 

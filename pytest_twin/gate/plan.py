@@ -15,7 +15,7 @@ from pytest_twin.outcome import Outcome, Reason
 if TYPE_CHECKING:
     from pytest_twin.release import Proof, Release
 
-NEVER_PROVEN = "never proven: run pytest --twin-update"
+NEVER_PROVEN = "never recorded: run pytest --twin-update"
 
 
 @dataclass(frozen=True, slots=True)

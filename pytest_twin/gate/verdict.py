@@ -95,13 +95,15 @@ def judge(facts: Facts) -> Verdict:
 def _reasons(facts: Facts) -> Iterator[str]:
     session = facts.session
     if session.selection:
-        yield "a selected subset never signs: " + ", ".join(session.selection)
+        yield "only a part was selected, and a part is not released: " + ", ".join(
+            session.selection
+        )
     if session.interrupted is not None:
-        yield f"the run did not end: {session.interrupted}"
+        yield f"the run was stopped: {session.interrupted}"
     for error in session.collection_errors:
         yield f"could not be collected: {error}"
     for changed in facts.changed:
-        yield f"changed while it ran: {changed}"
+        yield f"changed during the run: {changed}"
     yield from (problem for problem in facts.problems if problem not in session.collection_errors)
     # What did not run for one of these reasons needs no line of its own.
     explained = session.selection or session.collection_errors or session.interrupted is not None
@@ -118,19 +120,19 @@ def _reasons(facts: Facts) -> Iterator[str]:
             yield f"{key}: {broken.name} of {broken.subject} is not finite"
         elif outcome.status == "error":
             # Advisory goldens may fail; one that gave no number proves nothing at all.
-            yield f"{key}: nothing to compare: {outcome.error}"
+            yield f"{key}: could not be compared: {outcome.error}"
         elif criticality == "critical" and outcome.status != "passed":
-            yield f"{key}: critical, and it failed"
+            yield f"{key}: a critical golden failed"
     for golden in facts.unproven:
-        yield f"{golden}: never proven: run pytest --twin-update"
+        yield f"{golden}: never recorded: run pytest --twin-update"
     for trace in facts.orphans:
-        yield f"{trace}: a trace that no spec refers to: delete it, or restore its spec"
+        yield f"{trace}: no spec refers to this trace: delete it, or restore its spec"
     for golden in facts.missing:
-        yield f"{golden}: missing: restore it, or give its reason under 'retired:' in twin.yaml"
+        yield f"{golden}: no spec: restore it, or give a reason under 'retired:' in twin.yaml"
     for failure in session.failures:
-        yield f"{failure}: failed in the same session"
+        yield f"{failure}: an ordinary test failed in the same run"
     if not facts.criticality:
-        yield "no golden to prove: specs are YAML files below a folder called golden"
+        yield "no golden: specs are YAML files below a folder named golden"
 
 
 def not_finite(outcome: Outcome) -> Measure | None:

@@ -12,7 +12,7 @@ MAX_CHANGES = 60
 
 
 def why_lines(plan: Plan) -> list[str]:
-    """For every golden: fresh or stale, and because of which part, its old and new value."""
+    """For every golden: fresh or stale, and the part that changed with its old and new value."""
     lines = list(plan.notes)
     for task in plan.tasks.values():
         if not task.stale:
@@ -22,7 +22,7 @@ def why_lines(plan: Plan) -> list[str]:
         lines.append(f"stale  {task.key}")
         lines += [f"         {reason}" for reason in task.reasons]
     lines += [f"missing  {ident}" for ident in plan.missing]
-    lines += [f"given up  {key}" for key in plan.dropped]
+    lines += [f"dropped  {key}  (retired, or its realization was removed)" for key in plan.dropped]
     lines += [f"orphaned trace  {name}" for name in plan.orphans]
     lines += list(plan.problems)
     lines.append(f"{len(plan.stale)} stale, {len(plan.fresh)} fresh")
@@ -59,6 +59,6 @@ def _update(update: Update) -> Iterator[str]:
     for measure in update.measures:
         if not measure.passed:
             yield (
-                f"  yet {measure.name} of {measure.subject} leaves its tolerance of "
+                f"  but {measure.name} of {measure.subject} exceeds its tolerance of "
                 f"{quantity(measure.tolerance, measure.unit)} against {measure.against}"
             )

@@ -69,7 +69,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
-            raise ValueError(f"key {key[:80]!r} stands twice")
+            raise ValueError(f"key {key[:80]!r} occurs twice")
         found[key] = value
     return found
 

@@ -59,7 +59,7 @@ def open_envelope(data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMI
         raise ReleaseError("the envelope is not canonical", expected="the bytes that were signed")
     if envelope.payload_type != PAYLOAD_TYPE:
         raise ReleaseError(
-            "the envelope holds something else",
+            "the envelope contains another type of payload",
             where="payloadType",
             value=envelope.payload_type,
             expected=PAYLOAD_TYPE,

@@ -92,16 +92,16 @@ def signer(
         path = platformdirs.user_config_path("pytest-twin") / "signing_key.pem"
         if not path.exists():
             _create(path)
-            notes.append(f"made a signing key for you: {path} (keep it private, and keep a copy)")
+            notes.append(f"created a signing key: {path} (keep it private, and keep a copy)")
     if path.resolve().is_relative_to(root.resolve()):
         raise ReleaseError(
-            "the signing key lies inside the twin, where it would be published",
+            "the signing key is inside the twin, where it would be published",
             path=path,
             expected="a path outside " + str(root),
         )
     found = _load_private(path)
     if path.stat().st_mode & 0o077:
-        notes.append(f"others can read the signing key {path}: chmod 600 it")
+        notes.append(f"other users can read the signing key: run chmod 600 {path}")
     trusted = load_trusted(root / FOLDER)
     if trusted:
         require_trusted(found, trusted, root)
@@ -117,10 +117,10 @@ def require_trusted(signer: CryptoSigner, trusted: Sequence[Key], root: Path) ->
     key_id = signer.public_key.keyid
     if key_id not in {key.keyid for key in trusted}:
         raise ReleaseError(
-            f"the signing key {short(key_id)} is not among the keys that this twin trusts",
+            f"the signing key {short(key_id)} is not a key that this twin trusts",
             path=root / FOLDER,
             expected=", ".join(sorted(short(key.keyid) for key in trusted))
-            + f", or its public key added to {FOLDER}/ by someone who may",
+            + f", or its public key added to {FOLDER}/ by an owner of the twin",
         )
 
 
@@ -190,4 +190,4 @@ def _create(path: Path) -> None:
         finally:
             Path(temporary).unlink(missing_ok=True)
     except OSError as error:
-        raise PathError(f"no signing key can be made here: {error.strerror}", path=path) from None
+        raise PathError(f"no signing key can be created: {error.strerror}", path=path) from None

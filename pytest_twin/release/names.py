@@ -22,7 +22,7 @@ def problem_with(name: str, limits: ReleaseLimits = LIMITS) -> str | None:
     if not name or length > limits.name_bytes:
         return f"is empty or longer than {limits.name_bytes} bytes"
     if any(char in _FORBIDDEN or unicodedata.category(char)[0] == "C" for char in name):
-        return "holds a character that is no part of a portable file name"
+        return "contains a character that is not portable in file names"
     if unicodedata.normalize("NFC", name) != name:
         return "is not in Unicode normal form C"
     for part in name.split("/"):

@@ -33,9 +33,9 @@ def highest(series: str) -> int | None:
         number = None
     if type(number) is not int:
         raise ReleaseError(
-            "what was remembered of earlier releases cannot be read",
+            "the record of accepted releases cannot be read",
             path=path,
-            expected='{"number": N}; delete the file to forget',
+            expected='{"number": N}; delete the file to accept any release again',
         )
     return number
 
@@ -50,7 +50,9 @@ def remember(series: str, number: int) -> str | None:
         path.parent.mkdir(parents=True, exist_ok=True)
         atomic.write_text(path, json.dumps({"number": number}) + "\n")
     except (OSError, PathError):
-        return f"cannot remember this release in {path.parent}: an older one will not be noticed"
+        return (
+            f"cannot remember this release in {path.parent}: an older release will not be noticed"
+        )
     return None
 
 

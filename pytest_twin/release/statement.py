@@ -211,11 +211,11 @@ def write(
     for proof in draft.proofs:
         key = proof.outcome.key
         if key in goldens:
-            raise ReleaseError("proven twice", where=key)
+            raise ReleaseError("the release states this golden twice", where=key)
         missing = sorted(set(proof.parts) - set(draft.parts))
         if missing:
             raise ReleaseError(
-                "rests on a part that the release lacks", where=key, value=missing[0]
+                "depends on a part that the release does not contain", where=key, value=missing[0]
             )
         goldens[key] = proof_to_json(
             proof if proof.release else replace(proof, release=header.number, at=header.created)
@@ -284,9 +284,11 @@ def _read(statement: Any, key_id: str, sha256: str, limits: ReleaseLimits) -> Re
     for fields in predicate["goldens"]:
         proof = _read_proof(fields)
         if proof.outcome.key in goldens:
-            raise ReleaseError("proven twice", where=proof.outcome.key)
+            raise ReleaseError("the release states this golden twice", where=proof.outcome.key)
         if not set(proof.parts) <= set(parts) or not 1 <= proof.release <= header.number:
-            raise ReleaseError("rests on what the release does not hold", where=proof.outcome.key)
+            raise ReleaseError(
+                "depends on a part that the release does not contain", where=proof.outcome.key
+            )
         goldens[proof.outcome.key] = proof
     if not isinstance(predicate["ids"], dict):
         raise TypeError("ids is not a table")
@@ -314,7 +316,7 @@ def _read_header(predicate: Mapping[str, Any], key_id: str) -> Header:
             raise ReleaseError("not a release before this one", value=previous["number"])
         previous = Previous(previous["number"], _require_sha256(previous["sha256"]))
     if moment(predicate["expires"]) <= moment(predicate["created"]):
-        raise ReleaseError("expires before it was made", value=predicate["expires"])
+        raise ReleaseError("expires before its creation", value=predicate["expires"])
     return Header(
         twin=predicate["twin"],
         series=predicate["series"],
@@ -352,7 +354,7 @@ def _check_files(files: Sequence[FileEntry], limits: ReleaseLimits) -> None:
         if problem:
             raise ReleaseError(f"the name of a file {problem}", value=entry.name)
     for one, other in names.colliding(entry.name for entry in files):
-        raise ReleaseError(f"two files are one on other systems: {one!r} and {other!r}")
+        raise ReleaseError(f"two files have the same name on other systems: {one!r} and {other!r}")
 
 
 def _name(entry: FileEntry) -> str:

@@ -187,11 +187,11 @@ def _files(release: Release, listing: Mapping[str, Found]) -> Iterator[Problem]:
             yield Problem("files", f"{name}: a release without it")
     for name in stated:
         if name not in (RESULTS, REPORT) and not name.startswith(f"{FILES}/"):
-            yield Problem("files", f"{name}: stated where no file of a release lies")
+            yield Problem("files", f"{name}: not a place for a file of a release")
     folders = set(_folders(stated))
     for name, found in sorted(listing.items()):
         if found.kind == "link":
-            yield Problem("files", f"{name}: a link, where only files may be")
+            yield Problem("files", f"{name}: a link instead of a file")
         elif found.kind == "other":
             yield Problem("files", f"{name}: neither a file nor a folder")
         elif found.kind == "folder":
@@ -234,21 +234,23 @@ def _place(release: Release, known: Circumstances) -> Iterator[Problem]:
     header = release.header
     if known.folder_number is not None and known.folder_number != header.number:
         yield Problem(
-            "folder", f"release {header.number} lies in the folder of {known.folder_number}"
+            "folder", f"release {header.number} is in the folder of release {known.folder_number}"
         )
     if known.twin is not None and known.twin != header.twin:
         yield Problem("twin", f"a release of the twin {header.twin!r}, not of {known.twin!r}")
     if known.newer is not None and known.newer.number > header.number:
-        yield Problem("rollback", f"older than release {known.newer.number}, which lies beside it")
+        yield Problem("rollback", f"older than release {known.newer.number} beside it")
     elif known.seen is not None and known.seen > header.number:
         yield Problem("rollback", f"older than release {known.seen}, which was accepted here")
     before = known.before
     if before is not None:
         stated = header.previous
         if stated is None or stated.number < before.number:
-            yield Problem("order", f"does not follow release {before.number}, which lies before it")
+            yield Problem("order", f"does not follow release {before.number} before it")
         elif stated.number == before.number and stated.sha256 != before.sha256:
-            yield Problem("order", f"follows another release {before.number} than lies before it")
+            yield Problem(
+                "order", f"follows a release {before.number} other than the one before it"
+            )
 
 
 def _time(release: Release, now: datetime, limits: ReleaseLimits) -> Iterator[Problem]:

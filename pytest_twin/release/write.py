@@ -92,7 +92,7 @@ def _require_passed(draft: Draft) -> None:
         outcome = proof.outcome
         if outcome.criticality == "critical" and outcome.status != "passed":
             raise ReleaseError(
-                "a critical golden that did not pass is not released",
+                "a critical golden did not pass, so nothing is released",
                 where=outcome.key,
                 value=outcome.status,
                 expected="passed",
@@ -107,7 +107,7 @@ def _require_trust(root: Path, releases: Path, signer: CryptoSigner) -> bool:
         return False
     if folders.numbered(releases):
         raise ReleaseError(
-            "there are releases and no trusted keys",
+            "there are releases but no trusted keys",
             path=root / trusted_keys.FOLDER,
             expected="the *.pub files that were there when they were signed",
         )
@@ -116,7 +116,7 @@ def _require_trust(root: Path, releases: Path, signer: CryptoSigner) -> bool:
 
 def _meanwhile(number: int, releases: Path) -> ReleaseError:
     return ReleaseError(
-        f"release {number} was written by someone else meanwhile; run again", path=releases
+        f"release {number} was written by another process meanwhile; run again", path=releases
     )
 
 
@@ -175,7 +175,7 @@ def _copy(staging: Path, root: Path, draft: Draft) -> tuple[list[FileEntry], lis
         copy = staging / FILES / copies[name] if inside else None
         sha256, size = _digest_into(real, copy)
         if sha256 != expected:
-            raise ReleaseError("changed under the run; nothing was released", path=path)
+            raise ReleaseError("changed during the run, so nothing was released", path=path)
         if inside:
             original = None if copies[name] == name else _as_text(name)
             files.append(FileEntry(f"{FILES}/{copies[name]}", sha256, size, original))
@@ -231,7 +231,7 @@ def _check_staged(staging: Path, release: Release, header: Header) -> None:
     verdict = judge(release, folders.listing(staging), now=statement.moment(header.created))
     if not verdict.holds:
         raise ReleaseError(
-            "what was written does not hold: " + verdict.problems[0].text, path=staging
+            "the written release does not verify: " + verdict.problems[0].text, path=staging
         )
 
 

@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 
 SWITCHES = {
-    "twin-release": "run what is stale, refuse on anything critical or unproven, sign a release",
-    "twin-update": "record goldens afresh, with provenance and a diff of old and new",
-    "twin-all": "run every golden, also those that the last release still proves",
-    "twin-diagnose": "say in full why goldens of kind replay fail, with a patched model",
+    "twin-release": "run the stale goldens and sign a release, unless a critical one fails",
+    "twin-update": "record goldens again, with provenance; show old and new values",
+    "twin-all": "run every golden, including those that the last release still proves",
+    "twin-diagnose": "diagnose why goldens of kind replay fail, and write the patched model",
     "twin-confine": "run goldens without rights to other files and the network (Linux, Landlock)",
-    "twin-why": "say for every golden why it is fresh or stale; run nothing",
+    "twin-why": "list for every golden why it is fresh or stale; run nothing",
 }
 VALUES = {
-    "twin-report": ("PATH", "where the HTML report goes (default: <twin>/.twin/report.html)"),
+    "twin-report": ("PATH", "file of the HTML report (default: <twin>/.twin/report.html)"),
     "twin-key": ("PATH", "private key that signs the release"),
-    "twin-timeout": ("SECONDS", "bound on the time of one golden (default: 600)"),
+    "twin-timeout": ("SECONDS", "time limit of one golden in s (default: 600)"),
 }
 DEFAULT_SECONDS = 600.0
 
@@ -73,12 +73,12 @@ def read_options(config: pytest.Config) -> Options:
     if switches["twin-release"] and switches["twin-update"]:
         raise pytest.UsageError(
             "--twin-release and --twin-update exclude each other: "
-            "record first, look at the diff, then release"
+            "record first, check the differences, then release"
         )
     if switches["twin-update"] and in_ci():
         raise pytest.UsageError(
             "--twin-update refuses to run in CI (the environment variable CI is set): "
-            "what a golden holds is a person's decision"
+            "a person decides what a golden records"
         )
     report = _value(config, "twin-report")
     key = config.getoption(_key("twin-key"))
@@ -123,5 +123,7 @@ def _seconds(value: object) -> float:
     except ValueError:
         seconds = float("nan")
     if not 0 < seconds < float("inf"):
-        raise pytest.UsageError(f"--twin-timeout: got {value!r}, expected a number of seconds")
+        raise pytest.UsageError(
+            f"--twin-timeout: got {value!r}, expected a number of seconds above 0"
+        )
     return seconds

@@ -70,14 +70,14 @@ def test_advisory_failures_do_not_block(criticality: str) -> None:
 def test_criticality_is_that_of_today() -> None:
     carried = outcome("failed", replace(FINE, error=1.0), "advisory")
     assert refusals(facts(outcomes={}, proven={KEY: carried}, baseline=1)) == (
-        f"{KEY}: critical, and it failed",
+        f"{KEY}: a critical golden failed",
     )
 
 
 def test_an_advisory_golden_that_gave_no_number_blocks() -> None:
     crashed = outcome("error", criticality="advisory")
     assert refusals(facts(criticality={KEY: "advisory"}, outcomes={KEY: crashed})) == (
-        f"{KEY}: nothing to compare: it crashed",
+        f"{KEY}: could not be compared: it crashed",
     )
 
 
@@ -96,33 +96,33 @@ def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: fl
         ({"outcomes": {}}, f"{KEY}: did not run"),
         (
             {"outcomes": {KEY: outcome("failed")}},
-            f"{KEY}: critical, and it failed",
+            f"{KEY}: a critical golden failed",
         ),
         (
             {"outcomes": {KEY: outcome("error")}},
-            f"{KEY}: nothing to compare: it crashed",
+            f"{KEY}: could not be compared: it crashed",
         ),
         (
             {"unproven": ("golden/fk/home",), "outcomes": {}},
-            "golden/fk/home: never proven: run pytest --twin-update",
+            "golden/fk/home: never recorded: run pytest --twin-update",
         ),
         (
             {"orphans": ("golden/old.trace.csv",)},
-            "golden/old.trace.csv: a trace that no spec refers to: delete it, or restore its spec",
+            "golden/old.trace.csv: no spec refers to this trace: delete it, or restore its spec",
         ),
         (
             {"missing": ("golden/gone",)},
-            "golden/gone: missing: restore it, or give its reason under 'retired:' in twin.yaml",
+            "golden/gone: no spec: restore it, or give a reason under 'retired:' in twin.yaml",
         ),
-        ({"changed": ("arm.xml",)}, "changed while it ran: arm.xml"),
+        ({"changed": ("arm.xml",)}, "changed during the run: arm.xml"),
         ({"problems": ("the map cannot be made",)}, "the map cannot be made"),
         (
             {"criticality": {}, "outcomes": {}},
-            "no golden to prove: specs are YAML files below a folder called golden",
+            "no golden: specs are YAML files below a folder named golden",
         ),
         (
             {"session": SessionFacts(selection=("-k home",))},
-            "a selected subset never signs: -k home",
+            "only a part was selected, and a part is not released: -k home",
         ),
         (
             {"session": SessionFacts(collection_errors=("a.yaml:3: no",))},
@@ -130,11 +130,11 @@ def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: fl
         ),
         (
             {"session": SessionFacts(failures=("test_a.py::test_b",))},
-            "test_a.py::test_b: failed in the same session",
+            "test_a.py::test_b: an ordinary test failed in the same run",
         ),
         (
             {"session": SessionFacts(interrupted="stopping after 1 failures")},
-            "the run did not end: stopping after 1 failures",
+            "the run was stopped: stopping after 1 failures",
         ),
     ],
 )

@@ -26,7 +26,7 @@ def test_a_damaged_release_still_says_which_goldens_there_were(released) -> None
     (released.root / "releases" / "0001" / "results.json").write_text("{}")
     (released.root / "golden/fk/home.yaml").unlink()
     result = released.run("--twin-release")
-    result.stdout.fnmatch_lines(["  golden/fk/home: missing: *"])
+    result.stdout.fnmatch_lines(["  golden/fk/home: no spec: *"])
     assert released.releases == ["0001"]
 
 

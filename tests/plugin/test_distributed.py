@@ -49,7 +49,9 @@ def test_the_same_refusal_and_the_same_words(released) -> None:
 
 def test_a_selected_subset_never_signs(released) -> None:
     result = released.run_apart("-n", "2", "--twin-release", "-k", "home")
-    result.stdout.fnmatch_lines(["  a selected subset never signs: -k 'home', 1 deselected"])
+    result.stdout.fnmatch_lines(
+        ["  only a part was selected, and a part is not released: -k 'home', 1 deselected"]
+    )
     assert result.ret == 1
 
 
@@ -65,6 +67,6 @@ def test_why_and_a_run_cut_short(released) -> None:
     result.stdout.fnmatch_lines(["stale  golden/mass/arm@mujoco", "1 stale, 1 fresh"])
     assert result.ret == 0
     result = released.run_apart("-n", "2", "-x", "--twin-release")
-    result.stdout.fnmatch_lines(["  the run did not end: stopping after 1 failures"])
+    result.stdout.fnmatch_lines(["  the run was stopped: stopping after 1 failures"])
     assert result.ret != 0
     assert released.releases == ["0001"]

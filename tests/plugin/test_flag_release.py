@@ -91,11 +91,11 @@ def refused(twin, *words: str, arguments: tuple[str, ...] = ()) -> None:
 
 def test_a_critical_failure_is_refused(recorded) -> None:
     recorded.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
-    refused(recorded, "golden/mass/arm@mujoco: critical, and it failed")
+    refused(recorded, "golden/mass/arm@mujoco: a critical golden failed")
 
 
 def test_a_golden_never_proven_is_refused(twin) -> None:
-    refused(twin, "golden/fk/home: never proven: run pytest --twin-update")
+    refused(twin, "golden/fk/home: never recorded: run pytest --twin-update")
     twin.run().stdout.fnmatch_lines(["*golden/fk/home@mujoco: never proven: run pytest --twin-*"])
 
 
@@ -106,7 +106,7 @@ def test_an_orphaned_trace_is_refused(released) -> None:
 
 def test_a_missing_golden_is_refused_until_it_is_retired(released) -> None:
     (released.root / "golden/fk/home.yaml").unlink()
-    refused(released, "golden/fk/home: missing: restore it, or give its reason under 'retired:'")
+    refused(released, "golden/fk/home: no spec: restore it, or give a reason under 'retired:'")
     released.edit("twin.yaml", "tcp: tcp", "retired: {golden/fk/home: replaced by a better one}")
     released.run("--twin-release").stdout.fnmatch_lines(["release 0002 signed: *"])
     assert list(_results(released, "0002")) == ["golden/mass/arm"]
@@ -114,19 +114,19 @@ def test_a_missing_golden_is_refused_until_it_is_retired(released) -> None:
 
 def test_all_goldens_gone_is_refused(released) -> None:
     shutil.rmtree(released.root / "golden")
-    refused(released, "golden/fk/home: missing", "golden/mass/arm: missing", "no golden to prove")
+    refused(released, "golden/fk/home: no spec", "golden/mass/arm: no spec", "no golden")
 
 
 def test_what_is_not_finite_is_refused_even_where_advisory(recorded) -> None:
     recorded.task("odd", "return {'reach': 1.0}", criticality="advisory")
     assert recorded.run("--twin-update", "-k", "odd").ret == 0
     recorded.write("odd.py", "def run(realization):\n    return {'reach': float('nan')}\n")
-    refused(recorded, "golden/task/odd@mujoco: nothing to compare: ")
+    refused(recorded, "golden/task/odd@mujoco: could not be compared: ")
 
 
 def test_a_failing_ordinary_test_is_refused(released) -> None:
     released.write("test_a.py", "def test_b(): assert False")
-    refused(released, "test_a.py::test_b: failed in the same session")
+    refused(released, "test_a.py::test_b: an ordinary test failed in the same run")
 
 
 def test_a_broken_spec_is_refused(released) -> None:
@@ -156,7 +156,11 @@ def test_what_a_broken_spec_stands_for_is_not_gone(released) -> None:
     ],
 )
 def test_a_selected_subset_never_signs(released, arguments, words) -> None:
-    refused(released, f"a selected subset never signs: {words}", arguments=arguments)
+    refused(
+        released,
+        f"only a part was selected, and a part is not released: {words}",
+        arguments=arguments,
+    )
 
 
 @pytest.mark.parametrize(
@@ -177,7 +181,7 @@ def test_what_selects_a_subset(pytester, arguments, words) -> None:
 def test_a_run_cut_short_is_refused(recorded) -> None:
     recorded.write("test_a.py", "def test_b(): assert False\ndef test_c(): pass\n")
     recorded.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
-    refused(recorded, "the run did not end: stopping after 1 failures", arguments=("-x",))
+    refused(recorded, "the run was stopped: stopping after 1 failures", arguments=("-x",))
 
 
 @pytest.mark.parametrize(
@@ -190,7 +194,7 @@ def test_a_run_cut_short_is_refused(recorded) -> None:
 )
 def test_what_changes_under_the_run_is_refused(recorded, code, words) -> None:
     recorded.write("test_zz.py", f"def test_sabotage():\n    {code}\n")
-    refused(recorded, f"changed while it ran: {recorded.root}/{words}")
+    refused(recorded, f"changed during the run: {recorded.root}/{words}")
 
 
 def test_a_version_that_changes_under_the_run_is_refused(recorded) -> None:
@@ -202,7 +206,7 @@ def test_a_version_that_changes_under_the_run_is_refused(recorded) -> None:
         "    metadata.version = lambda name: '9.9' if name == 'pin' else true(name)\n",
     )
     result = recorded.run_apart("--twin-release")
-    result.stdout.fnmatch_lines(["  changed while it ran: library:pin * -> 9.9"])
+    result.stdout.fnmatch_lines(["  changed during the run: library:pin * -> 9.9"])
     assert recorded.releases == []
 
 
@@ -212,7 +216,7 @@ def test_two_twins_are_judged_each_on_its_own(released, pytester) -> None:
     result = pytester.runpytest_inprocess(
         "-p", "no:xdist", "--twin-release", str(released.root), str(pytester.path / "other")
     )
-    result.stdout.fnmatch_lines(["release 0001 still holds", "*golden/fk/home: missing: *"])
+    result.stdout.fnmatch_lines(["release 0001 still holds", "*golden/fk/home: no spec: *"])
     assert result.ret == pytest.ExitCode.TESTS_FAILED
 
 
@@ -227,6 +231,6 @@ def test_a_trace_that_somebody_changed_is_refused(released) -> None:
     result.stdout.fnmatch_lines(
         ["stale  golden/settle@mujoco", "         trace:golden/settle: sha256 * -> *"]
     )
-    refused(released, f"golden/settle@mujoco: nothing to compare: {trace}: ")
+    refused(released, f"golden/settle@mujoco: could not be compared: {trace}: ")
     trace.unlink()
-    refused(released, f"golden/settle@mujoco: nothing to compare: {trace}: no such file")
+    refused(released, f"golden/settle@mujoco: could not be compared: {trace}: no such file")

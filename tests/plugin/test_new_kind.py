@@ -154,6 +154,6 @@ def test_a_kind_that_cannot_say_what_it_rests_on_costs_its_own_golden_only(with_
     result = with_kind.run_apart("--twin-release")
     result.assert_outcomes(passed=3)
     result.stdout.fnmatch_lines(
-        ["  golden/box: what it rests on cannot be told: AttributeError: *no_such_thing*"]
+        ["  golden/box: its dependencies cannot be determined: AttributeError: *no_such_thing*"]
     )
     assert with_kind.releases == []

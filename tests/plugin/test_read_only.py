@@ -63,7 +63,7 @@ def test_on_a_read_only_checkout_goldens_pass_and_one_line_says_what_is_not_save
     result.stdout.fnmatch_lines(
         [
             f"plots are not saved: {folder}/plots/golden/*: cannot be written: Read-only file sys*",
-            f"no report: {folder}: cannot be written: Read-only file system",
+            f"the report is not saved: {folder}: cannot be written: Read-only file system",
         ]
     )
     assert "Traceback" not in result.stdout.str() + result.stderr.str()

@@ -115,7 +115,7 @@ def test_a_file_that_changed_under_the_run_is_not_released(root: Path) -> None:
     draft = make_draft(root)
     (root / "arm.xml").write_text("<mujoco/>")
     signer, _ = release.signer(root)
-    with pytest.raises(ReleaseError, match=r"arm\.xml: changed under the run"):
+    with pytest.raises(ReleaseError, match=r"arm\.xml: changed during the run"):
         release.write(root, draft, signer, html)
     assert list((root / "releases").iterdir()) == []
     assert not (root / "keys").exists()
@@ -296,7 +296,7 @@ for _ in range(5):
 def test_a_key_is_made_for_a_user_without_one(root: Path, user: Path) -> None:
     _, notes = release.signer(root)
     path = user / "config" / "pytest-twin" / "signing_key.pem"
-    assert notes == (f"made a signing key for you: {path} (keep it private, and keep a copy)",)
+    assert notes == (f"created a signing key: {path} (keep it private, and keep a copy)",)
     assert path.stat().st_mode & 0o777 == 0o600
     before = path.read_bytes()
     assert release.signer(root)[1] == ()
@@ -321,7 +321,7 @@ def test_of_two_first_signers_only_one_is_trusted(root: Path, tmp_path: Path) ->
         release.write(root, make_draft(root), signers[0], html, now=NOW)
         return "late"
 
-    with pytest.raises(ReleaseError, match="is not among the keys that this twin trusts"):
+    with pytest.raises(ReleaseError, match="is not a key that this twin trusts"):
         release.write(root, make_draft(root), signers[1], overtaken, now=NOW)
     (key,) = (root / "keys").iterdir()
     assert signers[0].public_key.keyid.startswith(key.stem)
@@ -357,10 +357,10 @@ def test_keys_are_taken_from_flag_then_variable_then_ini(
 def test_a_foreign_key_may_not_sign(root: Path, tmp_path: Path, make: MakeRelease) -> None:
     make()
     foreign = private_key(tmp_path / "foreign.pem")
-    with pytest.raises(ReleaseError, match="is not among the keys that this twin trusts"):
+    with pytest.raises(ReleaseError, match="is not a key that this twin trusts"):
         release.signer(root, str(foreign))
     signer = release.signer(make_twin(tmp_path / "other"), str(foreign))[0]
-    with pytest.raises(ReleaseError, match="is not among the keys that this twin trusts"):
+    with pytest.raises(ReleaseError, match="is not a key that this twin trusts"):
         release.write(root, make_draft(root), signer, html)
     assert release.newest(root) == root / "releases" / "0001"
 
@@ -371,7 +371,7 @@ def test_a_twin_that_lost_its_keys_does_not_trust_the_next_comer(
     make()
     for key in (root / "keys").iterdir():
         key.unlink()
-    with pytest.raises(ReleaseError, match="there are releases and no trusted keys"):
+    with pytest.raises(ReleaseError, match="there are releases but no trusted keys"):
         make()
 
 
@@ -399,7 +399,7 @@ def test_a_key_that_others_can_read_is_pointed_out(root: Path, tmp_path: Path) -
     path = private_key(tmp_path / "key.pem")
     path.chmod(0o644)
     assert release.signer(root, str(path))[1] == (
-        f"others can read the signing key {path}: chmod 600 it",
+        f"other users can read the signing key: run chmod 600 {path}",
     )
 
 
