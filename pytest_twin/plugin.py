@@ -19,6 +19,7 @@ _GOLDEN_FOLDER = "golden"
 _OWN_OUTPUT = ("releases", "keys", ".twin")
 _OPTIONS: pytest.StashKey[Options] = pytest.StashKey()
 _FOLDERS: pytest.StashKey[dict[Path, Path | None]] = pytest.StashKey()
+_REFUSAL: pytest.StashKey[str | None] = pytest.StashKey()
 _SESSION: pytest.StashKey[TwinSession] = pytest.StashKey()
 
 
@@ -39,6 +40,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     options = config.stash[_OPTIONS]
     if options.needs_twin and not _is_worker(config):
+        if (problem := _refusal(config)) is not None:
+            raise pytest.UsageError(problem)
         _discover(config)
         if _SESSION not in config.stash:
             raise pytest.UsageError(
@@ -62,12 +65,30 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Col
         if (file_path.parent / _EFFECTS_FILE).is_file():
             # A diagnosis wrote it beside a patched model: a realization, and no twin of its own.
             return None
+        if _refusal(parent.config) is not None:
+            return RefusedTwin.from_parent(parent, path=file_path)
         _session(parent.config).gate(file_path)
         return None
     if _GOLDEN_FOLDER not in file_path.parts:
         return None
     twin_file = _twin_file(file_path.parent, parent.config.stash.setdefault(_FOLDERS, {}))
-    return None if twin_file is None else _session(parent.config).spec(file_path, twin_file, parent)
+    if twin_file is None:
+        return None
+    if _refusal(parent.config) is not None:
+        return RefusedTwin.from_parent(parent, path=file_path)
+    return _session(parent.config).spec(file_path, twin_file, parent)
+
+
+class RefusedTwin(pytest.File):
+    """A file of a twin on a machine that cannot run goldens as asked."""
+
+    def collect(self) -> list[pytest.Item]:
+        """Nothing.
+
+        Raises:
+            CollectError: always, with the reason in one line.
+        """
+        raise self.CollectError(_refusal(self.config))
 
 
 def _twin_file(folder: Path, known: dict[Path, Path | None]) -> Path | None:
@@ -85,16 +106,27 @@ def _twin_file(folder: Path, known: dict[Path, Path | None]) -> Path | None:
 def pytest_configure_node(node: Any) -> None:
     """Hand the plan to a worker of pytest-xdist: the controller alone decides what is stale."""
     config: pytest.Config = node.config
-    if _SESSION not in config.stash:
+    if _SESSION not in config.stash and _refusal(config) is None:
         _discover(config)
     if _SESSION in config.stash:
         node.workerinput["twin"] = config.stash[_SESSION].for_workers()
 
 
+def _refusal(config: pytest.Config) -> str | None:
+    """Why this machine runs no twin as asked; None where it does."""
+    if _REFUSAL not in config.stash:
+        problem = unsupported_system()
+        if problem is None and config.stash[_OPTIONS].confine:
+            from pytest_twin.realization.confinement import obstacle
+
+            found = obstacle()
+            problem = None if found is None else f"--twin-confine: {found}"
+        config.stash[_REFUSAL] = problem
+    return config.stash[_REFUSAL]
+
+
 def _session(config: pytest.Config) -> TwinSession:
     if _SESSION not in config.stash:
-        if (problem := unsupported_system()) is not None:
-            raise pytest.UsageError(problem)
         from pytest_twin.session.session import TwinSession
 
         config.stash[_SESSION] = session = TwinSession(config, config.stash[_OPTIONS])

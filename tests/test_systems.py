@@ -34,7 +34,7 @@ def test_the_command_refuses_windows_in_one_line(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().err == WINDOWS + "\n"
 
 
-@pytest.mark.parametrize(("twin", "status"), [("", 0), ("name: arm\nmodel: arm.xml\n", 4)])
+@pytest.mark.parametrize(("twin", "status"), [("", 0), ("name: arm\nmodel: arm.xml\n", 2)])
 def test_the_plugin_refuses_windows_where_a_twin_is_and_disturbs_no_other_project(
     tmp_path, twin: str, status: int
 ) -> None:
@@ -50,7 +50,7 @@ def test_the_plugin_refuses_windows_where_a_twin_is_and_disturbs_no_other_projec
         [sys.executable, "run.py"], cwd=tmp_path, capture_output=True, text=True, timeout=100
     )
     assert done.returncode == status, done.stdout + done.stderr
-    assert (WINDOWS in done.stderr) == bool(twin)
+    assert done.stdout.splitlines().count(WINDOWS) == bool(twin)
     assert "Traceback" not in done.stdout + done.stderr
 
 

@@ -23,7 +23,6 @@ from pytest_twin.gate.verdict import SessionFacts
 from pytest_twin.gate.why import update_lines, why_lines
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
-from pytest_twin.realization import confinement
 from pytest_twin.report.failure import failure_text, what
 from pytest_twin.report.text import quantity
 from pytest_twin.session import selection
@@ -55,8 +54,6 @@ class TwinSession:
         self.gates: dict[Path, Gate] = {}
         self.broken: dict[Path, TwinError] = {}
         self.said: set[Path] = set()
-        if options.confine and (problem := confinement.obstacle()) is not None:
-            raise pytest.UsageError(f"--twin-confine: {problem}")
         self.runner = Runner(options.seconds, confine=options.confine)
         self.progress = ProgressLine(config)
         self.failures: list[str] = []

@@ -38,7 +38,7 @@ def test_each_reason_has_its_words() -> None:
     before = baseline(stock(a=1, b=2))
     assert why(stock(a=1, b=2), None) == ["no release yet"]
     assert why(stock(a=1, b=3), before) == ["b: value 2 -> 3"]
-    assert why(stock(a=1), before) == ["b: dependency set changed: gone"]
+    assert why(stock(a=1), before) == ["b: dependency set changed: removed"]
     assert why(stock(a=1, b=2, c=0), before) == ["c: dependency set changed: added"]
     assert why(stock(a=1, b=2), baseline(stock(a=1, b=2), passed=False)) == ["failed in release 3"]
     other = Baseline(3, before.parts, {}, {})
@@ -47,7 +47,7 @@ def test_each_reason_has_its_words() -> None:
 
 def test_a_part_that_is_not_there_is_stale_for_ever() -> None:
     today = Stock({}, {KEY: frozenset({"mujoco/frame:gone"})})
-    assert why(today, baseline(today)) == ["mujoco/frame:gone: is not there"]
+    assert why(today, baseline(today)) == ["mujoco/frame:gone: is missing"]
 
 
 def test_a_part_that_the_release_lost_is_stale() -> None:

@@ -479,7 +479,7 @@ WORDS = [
     ),
     (
         model('<motor name="spin" joint="spin"/>', ""),
-        "mujoco/actuator:spin: dependency set changed: gone",
+        "mujoco/actuator:spin: dependency set changed: removed",
     ),
 ]
 

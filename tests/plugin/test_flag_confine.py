@@ -116,9 +116,13 @@ def test_a_confined_golden_does_not_see_tokens_of_the_environment(recorded, monk
 def test_where_confinement_is_not_possible_nothing_runs(recorded, monkeypatch) -> None:
     monkeypatch.setattr(confinement, "obstacle", lambda: "no Landlock here")
     result = recorded.run("--twin-confine")
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    assert "--twin-confine: no Landlock here" in result.stdout.lines
+    assert "passed" not in result.parseoutcomes()
+    result = recorded.run("--twin-confine", "--twin-release")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    assert "--twin-confine: no Landlock here" in result.stderr.str() + result.stdout.str()
-    result.assert_outcomes()
+    assert "ERROR: --twin-confine: no Landlock here" in result.stderr.lines
+    assert recorded.releases == []
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch) -> None:

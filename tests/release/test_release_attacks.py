@@ -260,7 +260,7 @@ def test_a_memory_that_cannot_be_read_is_an_error(root: Path, first: Path, user:
     problems(first, remember=True)
     (memory,) = (user / "state").rglob("*.json")
     memory.write_text("{")
-    with pytest.raises(ReleaseError, match="what was remembered of earlier releases"):
+    with pytest.raises(ReleaseError, match="the record of accepted releases cannot be read"):
         problems(first, remember=True)
 
 
@@ -416,7 +416,7 @@ def test_a_signature_over_other_bytes() -> None:
 
 def test_a_trusted_signature_over_another_kind_of_document() -> None:
     data = canonical_json.dump(envelope(b"{}", "application/vnd.cyclonedx+json", A).to_dict())
-    refused(data, [A.public_key], "payloadType: the envelope holds something else")
+    refused(data, [A.public_key], "payloadType: the envelope contains another type of payload")
 
 
 def test_base64_that_decodes_alike() -> None:
@@ -528,7 +528,7 @@ def _dump_or_skip(value: Any) -> bytes:
         ("subject.0.annotations.size", -1, "is not a release"),
         ("subject.0.name", "../../../etc/passwd", "the name of a file leaves its folder"),
         ("subject.0.name", "/etc/passwd", "the name of a file leaves its folder"),
-        ("subject.0.name", "files/a\\b", "the name of a file holds a character"),
+        ("subject.0.name", "files/a\\b", "the name of a file contains a character"),
         ("subject.0.name", "files/REPORT", None),
     ],
 )
@@ -564,12 +564,12 @@ def test_names_that_differ_by_case_alone(root: Path, first: Path) -> None:
         payload["subject"].append(again)
 
     resign(first, root, change)
-    assert "two files are one on other systems" in problems(first)[0][1]
+    assert "two files have the same name on other systems" in problems(first)[0][1]
 
 
 def test_a_statement_that_lists_one_file_twice(root: Path, first: Path) -> None:
     resign(first, root, lambda p: p["subject"].append(p["subject"][0]))
-    assert "two files are one on other systems" in problems(first)[0][1]
+    assert "two files have the same name on other systems" in problems(first)[0][1]
 
 
 @pytest.mark.parametrize("name", ["report.html", "results.json"])

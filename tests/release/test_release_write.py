@@ -125,7 +125,7 @@ def test_a_file_that_changed_under_the_run_is_not_released(root: Path) -> None:
 def test_a_critical_failure_is_not_released(root: Path, status: str) -> None:
     signer, _ = release.signer(root)
     draft = make_draft(root, result=outcome(status))
-    with pytest.raises(ReleaseError, match="home@mujoco: a critical golden that did not pass"):
+    with pytest.raises(ReleaseError, match="home@mujoco: a critical golden did not pass"):
         release.write(root, draft, signer, html)
     assert not (root / "releases").exists()
 
@@ -229,7 +229,7 @@ def test_of_two_writers_one_wins_and_the_other_says_so(root: Path, make: MakeRel
         assert make().number == header.number
         return "late"
 
-    with pytest.raises(ReleaseError, match="release 1 was written by someone else meanwhile"):
+    with pytest.raises(ReleaseError, match="release 1 was written by another process meanwhile"):
         release.write(root, make_draft(root), signer, overtaken, now=NOW)
     assert [path.name for path in (root / "releases").iterdir()] == ["0001"]
     assert release.check(root / "releases" / "0001", now=NOW).holds
@@ -250,7 +250,7 @@ def test_a_release_that_appears_between_two_looks_is_not_skipped(
         return found
 
     monkeypatch.setitem(release.write.__globals__, "baseline", then_written)
-    with pytest.raises(ReleaseError, match="release 2 was written by someone else meanwhile"):
+    with pytest.raises(ReleaseError, match="release 2 was written by another process meanwhile"):
         release.write(root, make_draft(root), signer, html, now=NOW)
     assert sorted(path.name for path in (root / "releases").iterdir()) == ["0001", "0002"]
     assert make().number == 3
@@ -376,7 +376,7 @@ def test_a_twin_that_lost_its_keys_does_not_trust_the_next_comer(
 
 
 def test_a_signing_key_inside_the_twin_is_refused(root: Path) -> None:
-    with pytest.raises(ReleaseError, match="lies inside the twin"):
+    with pytest.raises(ReleaseError, match="is inside the twin"):
         release.signer(root, str(private_key(root / "key.pem")))
 
 
