@@ -252,7 +252,11 @@ def _function(golden: Golden, realization: Realization) -> Iterator[Callable[...
     with contextlib.ExitStack() as stack:
         if place.endswith(".py"):
             if realization.twin is None:
-                raise SpecError("a task golden needs a twin.yaml", path=golden.path)
+                raise SpecError(
+                    "a golden with a task in a file belongs to a twin",
+                    path=golden.path,
+                    expected="twin.yaml in a folder above it",
+                )
             path = find_file(golden, field, place, realization.twin)
             stack.enter_context(_importable(path.parent))
             module = _load(path)
@@ -304,7 +308,7 @@ def _load(path: Path) -> ModuleType:
     """Run a file as a module of its own."""
     spec = importlib.util.spec_from_file_location(f"pytest_twin_task_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise SpecError("not a Python file", path=path)
+        raise SpecError("cannot be loaded", path=path, expected="a Python file")
     module = importlib.util.module_from_spec(spec)
     # Dataclasses and pickling look a module up by its name.
     sys.modules[spec.name] = module

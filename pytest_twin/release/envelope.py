@@ -78,7 +78,9 @@ def open_envelope(data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMI
         except UnverifiedSignatureError:
             raise ReleaseError(
                 "the signature does not fit: the statement was changed or another key signed it",
+                where="signatures",
                 value=key_id,
+                expected="the release as it was signed; fetch it again from where it was written",
             ) from None
     return Opened(
         envelope.payload, tuple(sorted(envelope.signatures)), hashlib.sha256(data).hexdigest()

@@ -211,11 +211,14 @@ def write(
     for proof in draft.proofs:
         key = proof.outcome.key
         if key in goldens:
-            raise ReleaseError("the release states this golden twice", where=key)
+            raise ReleaseError("the release states this golden twice", where=key, expected="once")
         missing = sorted(set(proof.parts) - set(draft.parts))
         if missing:
             raise ReleaseError(
-                "depends on a part that the release does not contain", where=key, value=missing[0]
+                "depends on a part that the release does not contain",
+                where=key,
+                value=missing[0],
+                expected="one of its parts",
             )
         goldens[key] = proof_to_json(
             proof if proof.release else replace(proof, release=header.number, at=header.created)
@@ -284,10 +287,14 @@ def _read(statement: Any, key_id: str, sha256: str, limits: ReleaseLimits) -> Re
     for fields in predicate["goldens"]:
         proof = _read_proof(fields)
         if proof.outcome.key in goldens:
-            raise ReleaseError("the release states this golden twice", where=proof.outcome.key)
+            raise ReleaseError(
+                "the release states this golden twice", where=proof.outcome.key, expected="once"
+            )
         if not set(proof.parts) <= set(parts) or not 1 <= proof.release <= header.number:
             raise ReleaseError(
-                "depends on a part that the release does not contain", where=proof.outcome.key
+                "depends on a part that the release does not contain",
+                where=proof.outcome.key,
+                expected="its own parts, and a release up to this one",
             )
         goldens[proof.outcome.key] = proof
     if not isinstance(predicate["ids"], dict):
@@ -309,14 +316,28 @@ def _read_header(predicate: Mapping[str, Any], key_id: str) -> Header:
     if type(number) is not int or number < 1:
         raise ReleaseError("not a release number", value=number, expected="1 or more")
     if not isinstance(predicate["twin"], str) or not _SERIES.fullmatch(predicate["series"]):
-        raise ReleaseError("the statement names no twin or no series of releases")
+        raise ReleaseError(
+            "the statement names no twin or no series of releases",
+            where="predicate",
+            expected="twin, a text, and series, 32 hex digits",
+        )
     if previous is not None:
         _require_fields(previous, {"number", "sha256"}, "previous")
         if type(previous["number"]) is not int or not 1 <= previous["number"] < number:
-            raise ReleaseError("not a release before this one", value=previous["number"])
+            raise ReleaseError(
+                "not a release before this one",
+                where="previous.number",
+                value=previous["number"],
+                expected=f"1 to {number - 1}",
+            )
         previous = Previous(previous["number"], _require_sha256(previous["sha256"]))
     if moment(predicate["expires"]) <= moment(predicate["created"]):
-        raise ReleaseError("expires before its creation", value=predicate["expires"])
+        raise ReleaseError(
+            "expires before its creation",
+            where="expires",
+            value=predicate["expires"],
+            expected=f"later than {predicate['created']}",
+        )
     return Header(
         twin=predicate["twin"],
         series=predicate["series"],
@@ -352,9 +373,18 @@ def _check_files(files: Sequence[FileEntry], limits: ReleaseLimits) -> None:
     for entry in files:
         problem = names.problem_with(entry.name, limits)
         if problem:
-            raise ReleaseError(f"the name of a file {problem}", value=entry.name)
+            raise ReleaseError(
+                f"the name of a file {problem}",
+                where="subject",
+                value=entry.name,
+                expected="a relative path with names that every system can hold",
+            )
     for one, other in names.colliding(entry.name for entry in files):
-        raise ReleaseError(f"two files have the same name on other systems: {one!r} and {other!r}")
+        raise ReleaseError(
+            f"two files have the same name on other systems: {one!r} and {other!r}",
+            where="subject",
+            expected="names that differ in more than upper and lower case",
+        )
 
 
 def _name(entry: FileEntry) -> str:

@@ -116,7 +116,9 @@ def _require_trust(root: Path, releases: Path, signer: CryptoSigner) -> bool:
 
 def _meanwhile(number: int, releases: Path) -> ReleaseError:
     return ReleaseError(
-        f"release {number} was written by another process meanwhile; run again", path=releases
+        f"release {number} was written by another process meanwhile",
+        path=releases,
+        expected="one writer at a time; run pytest --twin-release again",
     )
 
 
@@ -175,7 +177,11 @@ def _copy(staging: Path, root: Path, draft: Draft) -> tuple[list[FileEntry], lis
         copy = staging / FILES / copies[name] if inside else None
         sha256, size = _digest_into(real, copy)
         if sha256 != expected:
-            raise ReleaseError("changed during the run, so nothing was released", path=path)
+            raise ReleaseError(
+                "changed during the run, so nothing was released",
+                path=path,
+                expected="files that stay as they are; run pytest --twin-release again",
+            )
         if inside:
             original = None if copies[name] == name else _as_text(name)
             files.append(FileEntry(f"{FILES}/{copies[name]}", sha256, size, original))
@@ -231,7 +237,9 @@ def _check_staged(staging: Path, release: Release, header: Header) -> None:
     verdict = judge(release, folders.listing(staging), now=statement.moment(header.created))
     if not verdict.holds:
         raise ReleaseError(
-            "the written release does not verify: " + verdict.problems[0].text, path=staging
+            "the written release does not verify: " + verdict.problems[0].text,
+            path=staging,
+            expected="files that no other process changes; run pytest --twin-release again",
         )
 
 
