@@ -75,7 +75,7 @@ def test_a_failure_on_a_read_only_checkout_is_told_in_full(fresh_of_output) -> N
         result = fresh_of_output.run_apart("-p", "no:cacheprovider", "--twin-report", "/dev/null/x")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
-        ["golden/fk/home@mujoco: position of tcp* left its tolerance of 0.0001 m by *"]
+        ["golden/fk/home@mujoco: position of tcp* exceeded its tolerance of 0.0001 m by *"]
     )
     assert "plot  " not in result.stdout.str()
 
