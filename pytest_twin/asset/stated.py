@@ -31,7 +31,7 @@ class Stated:
 def stated(robot: Node) -> Iterator[Stated]:
     """Every element and attribute below ``robot``, in the order of the file.
 
-    Below an element that no format defines, nothing more is looked at.
+    Elements below one that no format defines are left out.
     """
     waiting: list[tuple[Node, str, str]] = [(robot, "", "robot")]
     while waiting:

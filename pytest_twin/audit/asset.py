@@ -69,12 +69,12 @@ class Joint:
         body: the one that it moves.
         axis: (3,) unit vector in the body's frame.
         anchor: (3,) in the body's frame, m.
-        axis_stated: (3,) as it stands in the file, None where it is left out.
+        axis_stated: (3,) as the file states it, None where it does not.
         lower, upper: rad or m, None where not stated.
         limited: whether ``lower`` and ``upper`` bind.
         velocity: rad/s or m/s; effort: N*m or N; None where not stated.
         damping: N*m*s/rad or N*s/m; friction: N*m or N; None where not stated.
-        reference: position at which the robot stands as drawn, rad or m.
+        reference: position in the pose as drawn, rad or m.
         limit_stated: whether there is a ``limit`` element.
         idle_range: (lower, upper) that stand at a continuous joint, where they bind nothing, rad.
         soft: (lower, upper) of a safety controller, rad or m; 0 where it states none.
@@ -245,7 +245,7 @@ class Asset:
         custom: elements and attributes that no format defines: path -> places.
         faults: what could not be read as it should.
         files: every file that was read; located: where they may lie, None for the default.
-        unseen: layers that could not be looked at, and why.
+        unseen: layers that were not audited, and why.
     """
 
     kind: Literal["urdf", "mjcf", "usd"]

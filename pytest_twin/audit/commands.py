@@ -32,9 +32,9 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
                 "evidence under a wrong name is not used",
                 "correct the name in the evidence file",
             )
-    told: set[str] = set()
+    actuated: set[str] = set()
     for actuator in asset.actuators:
-        told.update(actuator.joints)
+        actuated.update(actuator.joints)
         declared = evidence.commands.get(actuator.name)
         unclear = actuator.means is None
         yield Finding(
@@ -56,7 +56,7 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
         )
     followers = {mimic.follower for mimic in asset.mimics}
     for joint in asset.joints:
-        if joint.name in told or joint.name in followers or not joint.scalar:
+        if joint.name in actuated or joint.name in followers or not joint.scalar:
             continue
         declared = evidence.commands.get(joint.name)
         element = f"joint '{joint.name}'"

@@ -1,4 +1,4 @@
-"""Mesh files of an asset, each read once and all of them bounded."""
+"""Mesh files of an asset, each read once, and bounded together."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pytest_twin.realization.limits import ModelLimits
 
 
 class MeshFiles:
-    """Reads meshes and remembers them, and what went wrong with them."""
+    """Reads meshes, and remembers each mesh or its error."""
 
     def __init__(self, limits: ModelLimits) -> None:
         self.limits = limits

@@ -22,7 +22,7 @@ def read(path: Path, search: SearchFolders | None = None) -> Asset:
         search: folders that the user names for its files.
 
     Raises:
-        TwinError: no robot that can be looked at.
+        TwinError: the file holds no robot that can be read.
     """
     path = path.parent.resolve() / path.name
     if path.suffix.lower() in USD_SUFFIXES:

@@ -1,4 +1,4 @@
-"""A USD stage as the audit sees it: bodies, joints and shapes of UsdPhysics, in metres."""
+"""A USD stage for the audit: bodies, joints and shapes of UsdPhysics, in metres."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ class _Reader:
                 axes = _rotation(api.GetPrincipalAxesAttr().Get())
                 scale = self.kilogram * self.metre**2
                 body.inertia = axes @ np.diag(moments * scale) @ axes.T
-                # Zero says: take it from the shapes; then nothing is stated.
+                # A mass of 0 means: compute it from the shapes; then it is not stated.
                 body.stated = mass != 0
         self.out.bodies.append(body)
         self.out.named.append(("body", name, place))
@@ -242,7 +242,7 @@ class _Reader:
                     self._joint(prim, parent, child, flipped=child == first)
 
     def _above(self, target: Any) -> str:
-        """The body that a path stands in; the world where it stands in none."""
+        """The body that contains a path; the world where none does."""
         prim = self.stage.GetPrimAtPath(target)
         while prim and prim.GetPath() not in self.bodies:
             prim = prim.GetParent()
@@ -442,7 +442,7 @@ def _lines(path: Path) -> dict[str, int]:
 
 
 def _rotation(quaternion: Any) -> Vector:
-    """(3, 3) of a Gf quaternion; one of length 0 stands for no rotation."""
+    """(3, 3) of a Gf quaternion; the identity for one of length 0."""
     values = np.array([*quaternion.GetImaginary(), quaternion.GetReal()], dtype=np.float64)
     if not np.isfinite(values).all() or np.linalg.norm(values) < 1e-6:
         return np.eye(3)

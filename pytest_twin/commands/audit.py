@@ -1,4 +1,4 @@
-"""``pytest-twin audit``: what a robot's file says, held against what a robot can be."""
+"""``pytest-twin audit``: faults and unknown properties of a robot's file."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--evidence",
         metavar="FILE",
         type=Path,
-        help="YAML with what is known from elsewhere: signs, zeros, ranges, poses, commands",
+        help="YAML file with evidence from other sources: signs, zeros, ranges, poses, commands",
     )
     model_files.add_arguments(parser)
     parser.add_argument(
-        "--all", action="store_true", help="list every finding, not one line for each kind"
+        "--all", action="store_true", help="list every finding in full"
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 nothing critical, 1 something is.
+    """0 without a critical finding, 1 with one.
 
     Raises:
-        TwinError: an asset that cannot be looked at.
+        TwinError: an asset that cannot be read.
     """
     asset: Path = args.asset
     out: Path = args.out

@@ -101,15 +101,15 @@ def _measured(
     items: tuple[Item, ...] = (),
 ) -> Row:
     verdict: Verdict = "kept" if difference <= EXACT * scale else "changed"
-    told = after or before
+    shown = after or before
     if verdict == "changed" and after is None:
-        told = f"{before}, off by up to {difference:.3g} {unit}"
+        shown = f"{before}, off by up to {difference:.3g} {unit}"
     # NaN compares as false, and so counts as beyond the tolerance.
     critical = not difference <= SINGLE * scale
     if not math.isfinite(difference):
         verdict, critical = "changed", True
     return Row(
-        feature, verdict, before, told, ran, difference, EXACT * scale, unit, items, critical
+        feature, verdict, before, shown, ran, difference, EXACT * scale, unit, items, critical
     )
 
 

@@ -45,8 +45,8 @@ def links(source: Description, target: Description) -> Row:
         }
         for what, (difference, size, old, new, unit) in apart.items():
             if difference > EXACT * size:
-                told = (f"{what} {numbers(value)} {unit}" for value in (old, new))
-                items.append(Item(name, "changed", *told))
+                values = (f"{what} {numbers(value)} {unit}" for value in (old, new))
+                items.append(Item(name, "changed", *values))
     return table(
         "links",
         f"{len(source.links)} links, {len(massive)} with mass",
@@ -125,8 +125,8 @@ def shapes(source: Description, target: Description) -> Row:
         before, after = source.shapes.get(link, ()), target.shapes.get(link, ())
         if len(before) != len(after):
             verdict: Verdict = "lost" if len(after) < len(before) else "changed"
-            told = ("; ".join(map(str, held)) or None for held in (before, after))
-            items.append(Item(link, verdict, *told))
+            values = ("; ".join(map(str, held)) or None for held in (before, after))
+            items.append(Item(link, verdict, *values))
             continue
         for one, two in zip(before, after, strict=True):
             size = max(1.0, most(one.upper - one.lower))

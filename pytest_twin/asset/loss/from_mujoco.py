@@ -107,7 +107,7 @@ def describe(model: mujoco.MjModel, root: str) -> Description:
     """The description of a compiled model.
 
     Args:
-        root: the link that stands fixed in the world.
+        root: the link that is fixed to the world.
     """
     actuators = _actuators(model)
     effort = _saturated_effort(model)

@@ -44,7 +44,7 @@ def markdown(matrix: Matrix) -> str:
         lines += [f"Read back by {say(conversion.engine)}.", ""]
         lines += ["| feature | verdict | from | to | compared | measured |", "|" + " --- |" * 6]
         for row in conversion.rows:
-            told = (
+            columns = (
                 row.feature,
                 _verdict(row),
                 row.before,
@@ -52,7 +52,7 @@ def markdown(matrix: Matrix) -> str:
                 row.comparison,
                 measured(row),
             )
-            lines.append("| " + " | ".join(say(cell) for cell in told) + " |")
+            lines.append("| " + " | ".join(say(cell) for cell in columns) + " |")
         for row in conversion.rows:
             if row.items:
                 lines += ["", f"### {row.feature}: {_verdict(row)}", ""]
