@@ -41,9 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="YAML file with evidence from other sources: signs, zeros, ranges, poses, commands",
     )
     model_files.add_arguments(parser)
-    parser.add_argument(
-        "--all", action="store_true", help="list every finding in full"
-    )
+    parser.add_argument("--all", action="store_true", help="list every finding in full")
 
 
 def run(args: argparse.Namespace) -> int:
