@@ -95,7 +95,7 @@ def on_one_clock(
     else:
         few = [2 * none.sum() > len(none) for none in unset]
         if all(few):
-            return _by_log(topics, [])
+            return _by_log(topics, ["no message has a stamp: log times are used"])
         for one, bare in zip(topics, few, strict=True):
             if bare:
                 return _without_stamps(topics, unset, one)

@@ -33,6 +33,8 @@ from pytest_twin.trial.table import (
 )
 from pytest_twin.trial.trial import Mark, Trial, busiest
 
+# What readers say of stamps.
+_OF_STAMPS = ("stamps go back", "stamps stand twice", "header.stamp")
 # A joint that is in fewer of a topic's messages than this share comes in messages of its own.
 _SEPARATE = 0.8
 
@@ -164,8 +166,12 @@ class _Maker:
     ) -> None:
         self.recording, self.structure, self.commanded = recording, structure, commanded
         self.doubts = Doubts(recording.path, structure)
+        topics = {series.topic for series in recording.series.values()}
         self.doubts.marks += [
-            Mark("damage", None, None, 0.0, 0.0, str(item)) for item in recording.damage
+            Mark("damage", None, None, 0.0, 0.0, str(item))
+            for item in recording.damage
+            # The trial's own marks and notes say what is wrong with stamps, and what is done.
+            if item.place not in topics or not any(said in item.lost for said in _OF_STAMPS)
         ]
         self.notes: list[str] = []
 

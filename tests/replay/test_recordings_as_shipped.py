@@ -11,7 +11,7 @@ from replay_trials import START_NS, recording, series
 
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
-from pytest_twin.formats.recording import JointSeries, Recording
+from pytest_twin.formats.recording import Damage, JointSeries, Recording
 from pytest_twin.recording_options import JointNames, RecordingOptions
 from pytest_twin.trial import Trial, make_trial, make_trials
 from pytest_twin.trial.one_base import on_one_base
@@ -323,9 +323,23 @@ def test_log_times_count_for_both_topics_though_stamps_would_overlap() -> None:
     assert "no message has a stamp: log times are used for both" in note(made, "stamp")
 
 
-def test_topics_that_both_have_log_times_alone_need_no_note() -> None:
+def test_topics_that_both_have_log_times_alone_are_said() -> None:
     bare = (replace(one, stamped=False) for one in (states(), commands()))
-    assert make_trial(recording(*bare), structure()).notes == ()
+    assert make_trial(recording(*bare), structure()).notes == (
+        "no message has a stamp: log times are used",
+    )
+
+
+def test_what_a_reader_says_of_stamps_is_said_once() -> None:
+    stamp = states().stamp.copy()
+    stamp[:20] = 0
+    told = Damage("/joint_states", "20 messages without header.stamp, first message 0")
+    torn = Damage("byte 4711", "3 messages")
+    read = replace(
+        recording(shifted(states(), stamp), shifted(commands(), stamp)), damage=(told, torn)
+    )
+    made = make_trial(read, structure())
+    assert [(m.kind, m.text) for m in made.marks] == [("damage", "byte 4711: 3 messages")]
 
 
 def test_a_simulation_at_half_speed_keeps_its_own_time() -> None:
