@@ -28,7 +28,7 @@ def read(path: Path, search: SearchFolders | None = None) -> Asset:
     if path.suffix.lower() in USD_SUFFIXES:
         from pytest_twin.audit.read_usd import read as read_stage
 
-        return read_stage(path)
+        return read_stage(path, () if search is None else search.roots)
     tag = xml.parse(path).tag
     if tag == "robot":
         return _irregular(read_urdf.read(path, locate(path, search=search)))

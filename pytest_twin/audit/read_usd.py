@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +44,11 @@ _KINDS: Mapping[str, JointKind] = {
 _NAMED = re.compile(r'\s*(?:def|over)\s+(?:\w+\s+)?"([^"]+)"')
 
 
-def read(path: Path, *, limits: ModelLimits = LIMITS) -> Asset:
+def read(path: Path, further: Sequence[Path] = (), *, limits: ModelLimits = LIMITS) -> Asset:
     """Read a stage and every layer that it is composed of.
+
+    Args:
+        further: folders that layers may lie in beside the stage's own.
 
     Raises:
         UsdMissingError: OpenUSD is not installed.
@@ -59,7 +62,7 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Asset:
     except ImportError:
         raise missing("USD cannot be read", path=path) from None
     try:
-        layers = _layers(path, limits)
+        layers = _layers(path, further, limits)
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         words = " ".join(str(error).split())[:200]
@@ -69,11 +72,11 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Asset:
     return _Reader(stage, path, layers, limits).asset()
 
 
-def _layers(path: Path, limits: ModelLimits) -> list[Path]:
+def _layers(path: Path, further: Sequence[Path], limits: ModelLimits) -> list[Path]:
     """Every file that the stage is composed of, none of them outside its folder."""
     from pxr import Sdf
 
-    roots = Roots(path.parent)
+    roots = Roots(path.parent, tuple(further))
     found: list[Path] = []
     waiting = [path]
     total = 0

@@ -132,8 +132,8 @@ UNUSABLE = [
     ("bare.urdf", "<robot name='x'/>", "a robot without links"),
     (
         "macro.urdf",
-        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m"/>'
-        '<link name="a"/></robot>',
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m">'
+        '<link name="a"/></xacro:macro></robot>',
         "a xacro macro, not a URDF",
     ),
     (

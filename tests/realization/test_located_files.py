@@ -95,7 +95,11 @@ def test_a_package_is_found_by_the_name_in_its_manifest(tmp_path: Path) -> None:
 def test_an_archive_without_a_manifest_is_found_by_what_is_in_it(tmp_path: Path) -> None:
     stl(tmp_path / "arm-main/meshes/a.stl")
     path = urdf(tmp_path / "arm-main/urdf", "package://arm_description/meshes/a.stl")
-    assert loaded(path).packages.found["arm_description"].folder == tmp_path / "arm-main"
+    located = loaded(path)
+    assert located.packages.found["arm_description"].folder == tmp_path / "arm-main"
+    assert located.root is not None
+    assert located.root.folder == tmp_path / "arm-main"
+    assert located.root.why == "the nearest folder that holds every file that it names"
 
 
 def test_the_environment_of_ros_is_looked_at_last(

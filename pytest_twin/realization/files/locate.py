@@ -13,7 +13,7 @@ from pytest_twin.errors import PathError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import mjcf
-from pytest_twin.realization.files.packages import Packages
+from pytest_twin.realization.files.packages import BY_NAME_ABOVE, Packages
 from pytest_twin.realization.files.root import Folder, ModelRoot, choose, inside
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.files.surroundings import folders_above
@@ -118,19 +118,16 @@ def _chosen(
                 named.add(files.path_of(reference, path))
     elif element.tag == "mujoco":
         named = mjcf.named_files(path, Roots(outermost, tuple(others)), limits=limits)
-    lying_above = {
-        package.folder for package in packages.found.values() if path.is_relative_to(package.folder)
-    }
-    elsewhere = [
-        package.folder for package in packages.found.values() if package.folder not in lying_above
-    ]
+    found = packages.found.values()
+    by_name = {package.folder for package in found if package.by == BY_NAME_ABOVE}
+    elsewhere = [package.folder for package in found if not path.is_relative_to(package.folder)]
     there = [Path(os.path.normpath(file)) for file in named if _exists(file)]
     own = [
         file
         for file in there
         if not any(file.is_relative_to(folder) for folder in (*elsewhere, *others))
     ]
-    return choose(surroundings, own, lying_above)
+    return choose(surroundings, own, by_name)
 
 
 def _exists(path: Path) -> bool:
