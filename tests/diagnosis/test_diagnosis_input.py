@@ -108,7 +108,7 @@ def test_one_recording_has_nothing_to_hold_out(bench: Bench) -> None:
 
 def test_everything_held_out_leaves_nothing_to_fit(bench: Bench) -> None:
     path = bench.put("a.mcap")
-    with pytest.raises(RecordingError, match="nothing left to fit"):
+    with pytest.raises(RecordingError, match="no recording remains to fit"):
         bench.read(path, held_out=(path,))
 
 
