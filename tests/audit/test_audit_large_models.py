@@ -102,10 +102,10 @@ def test_a_body_twice_is_named_though_a_file_is_missing(tmp_path: Path) -> None:
 
 
 def test_three_thousand_spheres_are_audited_in_bounded_time(tmp_path: Path) -> None:
-    start = time.perf_counter()
+    start = time.process_time()
     found = audit_file(str(write(tmp_path, spheres(3000))))
-    # 12 s on one busy core; a look at every pair, and at every triangle, took over 75 s.
-    assert time.perf_counter() - start < 60
+    # s of a core: 11; with every pair measured and every triangle drawn it was over 75.
+    assert time.process_time() - start < 30
     assert found["facts"]["bodies"] == 3001
     assert found["renders"]
 
@@ -183,10 +183,10 @@ def test_a_chain_too_deep_to_convert_ends_with_the_file_and_the_bound(tmp_path: 
 
 def test_a_chain_too_deep_to_audit_ends_early(tmp_path: Path) -> None:
     path = write(tmp_path, chain(20_000), "chain.urdf")
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(LimitError, match=r"chain\.urdf:1: .*20000 links.*at most 10000"):
         read(path)
-    assert time.perf_counter() - start < 20
+    assert time.process_time() - start < 20
 
 
 def test_an_mjcf_too_deep_names_its_file(tmp_path: Path) -> None:
