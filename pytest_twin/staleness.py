@@ -1,4 +1,4 @@
-"""What every golden rests on today, and which of them a change has made stale. Pure."""
+"""What every golden depends on today, and which of them a change has made stale. Pure."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Kind(Protocol):
 
     @property
     def libraries(self) -> tuple[str, ...]:
-        """Distributions whose version its results rest on."""
+        """Distributions whose version its results depend on."""
         ...
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
@@ -62,7 +62,7 @@ class Stock:
 
     Attributes:
         parts: part id -> part.
-        rests_on: ``golden@realization`` -> ids of all that its result rests on.
+        rests_on: ``golden@realization`` -> ids of all that its result depends on.
     """
 
     parts: Mapping[str, Part]
@@ -86,7 +86,7 @@ class Baseline:
     rested_on: Mapping[str, frozenset[str]]
 
 
-# -- what a golden rests on
+# -- what a golden depends on
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def take_stock(
     models: Mapping[str, Model],
     surroundings: Surroundings,
 ) -> Stock:
-    """All parts of today, and what each golden rests on.
+    """All parts of today, and what each golden depends on.
 
     A realization that is not in ``models`` (it does not load) leaves its goldens with an id that
     no part bears, so that they are stale.

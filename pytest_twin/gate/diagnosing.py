@@ -1,7 +1,7 @@
 """Why goldens fail against their recordings: one full diagnosis of each realization, at the end.
 
 The recordings of the goldens that failed are diagnosed together with those of the other goldens of
-the same realization that rest on a recording; which are fitted and which held out, their own
+the same realization that depend on a recording; which are fitted and which held out, their own
 metadata says.
 """
 
@@ -53,8 +53,8 @@ def diagnose_failures(
 
     Args:
         gate: after its goldens ran.
-        say: told in a line what begins.
-        progress: told the fraction done.
+        say: called with a line when a diagnosis begins.
+        progress: called with the fraction done.
     """
     return [
         _diagnosed(gate, realization, failed, say, progress)
@@ -63,7 +63,7 @@ def diagnose_failures(
 
 
 def _failed(gate: Gate) -> dict[str, list[Golden]]:
-    """Realization -> goldens that failed on it and rest on a recording."""
+    """Realization -> goldens that failed on it and depend on a recording."""
     found: dict[str, list[Golden]] = {}
     for task in gate.plan().tasks.values():
         outcome = gate.outcomes.get(task.key)

@@ -210,7 +210,7 @@ class Gate:
     # -- verdict
 
     def facts(self, session: SessionFacts) -> Facts:
-        """Everything that the verdict rests on; digests are taken again where something ran."""
+        """Everything that the verdict depends on; digests are taken again where something ran."""
         plan = self.plan()
         return Facts(
             criticality={key: task.golden.criticality for key, task in plan.tasks.items()},

@@ -1,4 +1,4 @@
-"""Today's stock: every part that goldens rest on, and every file behind them, before a run."""
+"""Every part that goldens depend on today, and every file behind them, before a run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Today:
     """What there is before a run.
 
     Attributes:
-        stock: parts, and what each golden rests on.
+        stock: parts, and what each golden depends on.
         files: file -> SHA-256.
         problems: what could not be found out, one line each.
         unread: realizations whose model could not be read.

@@ -23,7 +23,7 @@ class Task:
     """One golden on one realization.
 
     Attributes:
-        parts: ids of everything that its result rests on today, sorted.
+        parts: ids of everything that its result depends on today, sorted.
         reasons: why the last release does not prove it; empty where it does.
         proof: what the last release says of it, None where it knows nothing.
     """

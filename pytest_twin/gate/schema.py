@@ -73,7 +73,7 @@ _REQUIRED = ("schema", "kind")
 
 
 def modeline(schema: str) -> str:
-    """The comment by which editors find ``schema``, a path relative to the file it stands in."""
+    """The comment by which editors find ``schema``, a path relative to this file."""
     return f"# yaml-language-server: $schema={schema}"
 
 

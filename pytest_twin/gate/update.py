@@ -94,8 +94,8 @@ def record(
 
     Args:
         twin: the twin that the golden belongs to.
-        golden: as it stands in its file.
-        parts: everything that its result rests on.
+        golden: as its file says.
+        parts: everything that its result depends on.
         runner: runs it.
         recorded_by: who vouches for it; the user that runs this by default.
         progress: called with the fraction done.

@@ -23,7 +23,7 @@ class Holds:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """No release, and why: one line each, the gravest first."""
+    """No release, and why: one line each, the most serious first."""
 
     reasons: tuple[str, ...]
 
@@ -95,9 +95,7 @@ def judge(facts: Facts) -> Verdict:
 def _reasons(facts: Facts) -> Iterator[str]:
     session = facts.session
     if session.selection:
-        yield "only a part was selected, and a part is not released: " + ", ".join(
-            session.selection
-        )
+        yield "only a full run is released, and this one selected: " + ", ".join(session.selection)
     if session.interrupted is not None:
         yield f"the run was stopped: {session.interrupted}"
     for error in session.collection_errors:

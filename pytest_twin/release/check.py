@@ -1,4 +1,4 @@
-"""Verification at the edge: reads a release and what lies around it, and asks ``verify``."""
+"""Reads a release and its neighbours from the disk, and verifies it with ``verify``."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def check(
         release: the folder.
         keys: folder of trusted public keys; the twin's own ``keys/`` if None.
         now: the time to judge at; the clock's if None.
-        remember: hold it against what was accepted here before, and remember it if it holds.
+        remember: compare it with the releases accepted here before, and record it if valid.
 
     Raises:
         ReleaseError, PathError: the keys or what was remembered cannot be read.

@@ -1,4 +1,4 @@
-"""Releases on the disk: what lies in their folders, and which number comes next."""
+"""Releases on the disk: the files in their folders, and the next number."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ _PREDICATE_FIELDS = {
 
 @dataclass(frozen=True, slots=True)
 class FileEntry:
-    """A file that a release rests on.
+    """A file that a release depends on.
 
     Attributes:
         name: relative POSIX path: in the release's folder, or, for external files, from the
@@ -62,7 +62,7 @@ class Proof:
     Attributes:
         outcome: the result, with every measure and margin.
         title: the golden's title.
-        parts: ids of the parts that the result rests on.
+        parts: ids of the parts that the result depends on.
         release: number of the release that ran it; 0 in a draft for the one being written.
         at: RFC 3339, UTC, when that release was made; empty in a draft likewise.
     """
@@ -113,7 +113,7 @@ class Draft:
         valid_days: days until the release expires.
         ids: the tuple of IDs: asset, realizations, calibration, fit, controllers, payloads,
             firmware and other declared parts.
-        parts: part id -> part, everything that any golden rests on.
+        parts: part id -> part, everything that any golden depends on.
         proofs: every golden on every realization, passed or advisory.
         environment: what it ran on.
         files: file -> SHA-256 that it had before the run. What lies in the twin's folder is
@@ -205,7 +205,7 @@ def write(
     """The statement as canonical JSON.
 
     Raises:
-        ReleaseError: two proofs of one golden, or a proof that rests on a part that is not there.
+        ReleaseError: two proofs of one golden, or a proof that depends on a part that is not there.
     """
     goldens: dict[str, dict[str, Any]] = {}
     for proof in draft.proofs:

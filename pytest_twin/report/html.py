@@ -85,7 +85,7 @@ def render(report: Report) -> str:
 
 
 def _rows(entries: Iterable[Entry]) -> list[_Row]:
-    """The gravest first; plots as long as there is room for them."""
+    """The worst first, with plots up to the size limit of the page."""
 
     def gravity(entry: Entry) -> tuple[int, int, float, str]:
         outcome = entry.outcome

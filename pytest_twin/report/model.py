@@ -21,7 +21,7 @@ class Entry:
         location: the spec's file and line, ``golden/fk/home.yaml:12``.
         release: number of the release that proved it, None where it ran now.
         at: RFC 3339, when that release was made.
-        parts: ids of what it rests on.
+        parts: ids of what it depends on.
         plot: SVG, None where there is none.
         diagnosis: reference to the page of its full diagnosis, None where there is none.
         not_run: whether it is stale and this run left it out; ``outcome`` then says so.
@@ -49,7 +49,7 @@ class Report:
         headline: one sentence under the verdict.
         created: RFC 3339, UTC.
         entries: every golden on every realization.
-        refusals: why nothing was signed, one line each, the gravest first.
+        refusals: why nothing was signed, one line each, the most serious first.
         notes: what else to say.
         release, previous: numbers of the release written now and of the baseline.
         expires, key_id: of the release written now.

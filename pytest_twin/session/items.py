@@ -24,7 +24,7 @@ class GoldenFailedError(Exception):
 
     Attributes:
         text: what a person needs to act on it.
-        headline: one line of it, for places where the golden's name stands beside it.
+        headline: one line of it, for places that show the golden's name beside it.
         line: 1-based line in the spec that it is about.
     """
 

@@ -122,7 +122,7 @@ def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: fl
         ),
         (
             {"session": SessionFacts(selection=("-k home",))},
-            "only a part was selected, and a part is not released: -k home",
+            "only a full run is released, and this one selected: -k home",
         ),
         (
             {"session": SessionFacts(collection_errors=("a.yaml:3: no",))},

@@ -50,7 +50,7 @@ def test_the_same_refusal_and_the_same_words(released) -> None:
 def test_a_selected_subset_never_signs(released) -> None:
     result = released.run_apart("-n", "2", "--twin-release", "-k", "home")
     result.stdout.fnmatch_lines(
-        ["  only a part was selected, and a part is not released: -k 'home', 1 deselected"]
+        ["  only a full run is released, and this one selected: -k 'home', 1 deselected"]
     )
     assert result.ret == 1
 

@@ -158,7 +158,7 @@ def test_what_a_broken_spec_stands_for_is_not_gone(released) -> None:
 def test_a_selected_subset_never_signs(released, arguments, words) -> None:
     refused(
         released,
-        f"only a part was selected, and a part is not released: {words}",
+        f"only a full run is released, and this one selected: {words}",
         arguments=arguments,
     )
 
