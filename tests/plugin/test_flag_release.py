@@ -96,12 +96,12 @@ def test_a_critical_failure_is_refused(recorded) -> None:
 
 def test_a_golden_never_proven_is_refused(twin) -> None:
     refused(twin, "golden/fk/home: never recorded: run pytest --twin-update")
-    twin.run().stdout.fnmatch_lines(["*golden/fk/home@mujoco: never proven: run pytest --twin-*"])
+    twin.run().stdout.fnmatch_lines(["*golden/fk/home@mujoco: never recorded: run pytest --twin-*"])
 
 
 def test_an_orphaned_trace_is_refused(released) -> None:
     released.write("golden/old.trace.csv", "time [s]\n0\n")
-    refused(released, "golden/old.trace.csv: a trace that no spec refers to")
+    refused(released, "golden/old.trace.csv: no spec refers to this trace")
 
 
 def test_a_missing_golden_is_refused_until_it_is_retired(released) -> None:

@@ -60,7 +60,7 @@ def test_a_key_that_the_twin_does_not_trust_signs_nothing(released) -> None:
             released.write("pytest.ini", f"[pytest]\ntwin_key = {path}\n")
         arguments = ("--twin-key", str(path)) if how == "flag" else ()
         result = released.run("--twin-release", *arguments)
-        result.stdout.fnmatch_lines(["no release:", "*is not among the keys that this twin*"])
+        result.stdout.fnmatch_lines(["no release:", "*is not a key that this twin*"])
         assert result.ret == pytest.ExitCode.TESTS_FAILED
     assert released.releases == ["0001"]
 
