@@ -189,7 +189,7 @@ def test_a_run_cut_short_is_refused(recorded) -> None:
     [
         ("open('arm.xml', 'a').write('<!-- -->')", "arm.xml"),
         ("open('golden/fk/home.yaml', 'a').write('# \\n')", "golden/fk/home.yaml"),
-        ("open('golden/more.yaml', 'w').write('a: 1')", "golden/more.yaml: a spec that was not"),
+        ("open('golden/more.yaml', 'w').write('a: 1')", "golden/more.yaml: a new spec"),
     ],
 )
 def test_what_changes_under_the_run_is_refused(recorded, code, words) -> None:
