@@ -21,6 +21,8 @@ from importlib.metadata import distribution, version
 from pathlib import Path
 from typing import Any
 
+import shipped
+
 from pytest_twin.errors import LimitError, SimulationError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
@@ -283,7 +285,11 @@ def main() -> int:
     if args.table is None:
         print(page)
     else:
-        atomic.write_text(args.table, page)
+        # The section that benchmarks/shipped.py writes stays at the end of the page.
+        before = args.table.read_text() if args.table.is_file() else ""
+        _, heading, rest = before.partition(shipped.HEADING)
+        text = heading + rest
+        atomic.write_text(args.table, shipped.with_section(page, text) if text else page)
     accidents = [line for entry in entries for line in entry.accidents]
     for line in accidents:
         print(line, file=sys.stderr)
