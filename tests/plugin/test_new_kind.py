@@ -101,7 +101,7 @@ def test_a_kind_that_two_packages_bring_is_refused(with_kind) -> None:
     result = with_kind.run_apart("--collect-only")
     result.stdout.fnmatch_lines(
         [
-            "*/golden/box.yaml:2: kind: package 'box*' and package 'box*' both bring this kind "
+            "*/golden/box.yaml:2: kind: package 'box* and package 'box* both bring this kind "
             "(got 'box_rest'; expected one of them; uninstall the other)"
         ]
     )
