@@ -183,7 +183,7 @@ def diagnosis(work: Path) -> None:
 
 
 def so101(work: Path) -> None:
-    """One motion of the small arm that no fit has seen, before and after.
+    """One held-out motion of the small arm, before and after.
 
     The diagnosis is that of ``benchmarks/real/so101.py --out WORK/so101``, which takes an hour.
     """
