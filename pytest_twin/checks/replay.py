@@ -17,8 +17,8 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
+from pytest_twin.checks.episode import EPISODE_SCHEMA, recording_of
 from pytest_twin.checks.fields import known_name, quantity, spec_error
-from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
@@ -71,9 +71,10 @@ class Replay(Check):
             "properties": {
                 "recording": {
                     **_NAME,
-                    "description": "MCAP file, relative to the twin's folder or to one of its "
+                    "description": "Recording, relative to the twin's folder or to one of its "
                     "roots.",
                 },
+                "episode": EPISODE_SCHEMA,
                 "joints": {
                     "description": "Joints that are compared, or joint -> tolerances of its own; "
                     "all that were recorded by default.",
@@ -129,18 +130,17 @@ class Replay(Check):
 
     def trials(self, golden: Golden, realization: Realization) -> list[Trial]:
         """Read the recording: one trial, or one for each stretch between holes."""
-        from pytest_twin.trial import make_trials, recording_at
+        from pytest_twin.trial import make_trials
 
         twin = realization.twin
         if twin is None:
             raise SpecError("a replay golden needs a twin.yaml", path=golden.path)
-        path = find_file(golden, "target.recording", golden.target["recording"], twin)
-        recording = recording_at(path, twin.topics, twin.recordings)
+        recording = recording_of(golden, twin)
         trials = make_trials(recording, realization.structure, twin.recordings)
         if all(len(t.time) < 2 for t in trials):
             raise spec_error(
                 golden, "target.recording", "one state: nothing to compare a replay with",
-                value=path.name, expected="a recording with states to the end",
+                value=recording.path.name, expected="a recording with states to the end",
             )  # fmt: skip
         return trials
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,12 +63,21 @@ def read_trials(
     topics: Mapping[str, str],
     structure: Structure,
     options: RecordingOptions = NO_OPTIONS,
+    episodes: Mapping[Path, Collection[int]] | None = None,
 ) -> TrialSet:
     """Read every recording and decide its role.
 
     ``held_out`` decides where it is given, else the recordings' own metadata ``role``, else whole
     recordings are set aside, the last of every four. A recording that cannot be used is left out
     with a note, unless it is the only one of its role.
+
+    Args:
+        recordings: files and folders.
+        held_out: those that no fit sees; they need not be among ``recordings``.
+        topics: role -> topic.
+        structure: of the model.
+        options: how recordings are read.
+        episodes: data set -> the episodes that are used, from 0; all where it is not named.
 
     Raises:
         RecordingError: a recording that cannot be used where no other can stand in.
@@ -77,7 +86,8 @@ def read_trials(
     known: dict[Path, list[Trial]] = {}
     first_error: TwinError | None = None
     for path in dict.fromkeys([*recordings, *held_out]):
-        for read in _each_recording(path, topics, options):
+        chosen = None if episodes is None else episodes.get(path)
+        for read in _each_recording(path, topics, options, chosen):
             try:
                 if isinstance(read, TwinError):
                     raise read
@@ -133,13 +143,17 @@ def read_trials(
 
 
 def _each_recording(
-    path: Path, topics: Mapping[str, str], options: RecordingOptions
+    path: Path,
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+    chosen: Collection[int] | None,
 ) -> Sequence[Recording | TwinError]:
-    """The recordings of a path, or why it cannot be read."""
+    """The recordings of a path, of a data set the chosen episodes; or why it cannot be read."""
     try:
-        return recordings_at(path, topics, options)
+        found = recordings_at(path, topics, options)
     except TwinError as error:
         return [error]
+    return found if chosen is None else [r for i, r in enumerate(found) if i in chosen]
 
 
 def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:

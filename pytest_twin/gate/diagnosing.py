@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 from pytest_twin.checks import check_of
 from pytest_twin.checks.files import find_file
@@ -26,6 +27,8 @@ FOLDER = Path(".twin") / "diagnosis"
 DIAGNOSIS_FILE = "diagnosis.json"
 REPORT_FILE = "report.html"
 REALIZATION = "realization"
+Recorded: TypeAlias = tuple[str, int | None]
+"""Path of a recording; of a data set also its episode."""
 _SECONDS = 3600.0
 
 
@@ -95,11 +98,12 @@ def _diagnosed(
     return Diagnosed(realization, goldens, report, lines)
 
 
-def _recording(gate: Gate, golden: Golden) -> Path:
-    return find_file(golden, "target.recording", golden.target["recording"], gate.twin)
+def _recording(gate: Gate, golden: Golden) -> Recorded:
+    path = find_file(golden, "target.recording", golden.target["recording"], gate.twin)
+    return str(path), golden.target.get("episode")
 
 
-def _others(gate: Gate, realization: str) -> Iterator[Path]:
+def _others(gate: Gate, realization: str) -> Iterator[Recorded]:
     """Recordings of all goldens of a realization; of those that can be found."""
     for task in gate.plan().tasks.values():
         if task.realization == realization and check_of(task.golden.kind).recorded:
@@ -113,8 +117,8 @@ def _others(gate: Gate, realization: str) -> Iterator[Path]:
 def _written(
     gate: Gate,
     realization: str,
-    recordings: list[Path],
-    others: list[Path],
+    recordings: list[Recorded],
+    others: list[Recorded],
     progress: Progress | None,
 ) -> tuple[Path, tuple[str, ...]]:
     folder = gate.root / FOLDER
@@ -129,8 +133,8 @@ def _written(
                 {
                     "twin": str(gate.twin.path),
                     "realization": realization,
-                    "failed": [str(path) for path in dict.fromkeys(recordings)],
-                    "others": [str(path) for path in dict.fromkeys(others)],
+                    "failed": list(dict.fromkeys(recordings)),
+                    "others": list(dict.fromkeys(others)),
                     "out": str(staging),
                 },
                 progress=progress,

@@ -74,8 +74,8 @@ def glance(twin: str, spec: str, realization: str, failed: list[str]) -> dict[st
 def diagnose(
     twin: str,
     realization: str,
-    failed: list[str],
-    others: list[str],
+    failed: list[tuple[str, int | None]],
+    others: list[tuple[str, int | None]],
     out: str,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -84,7 +84,7 @@ def diagnose(
     Args:
         twin: path of ``twin.yaml``.
         realization: its name there.
-        failed: recordings to be explained.
+        failed: recordings to be explained: path, and of a data set the episode.
         others: further ones; of those the ones that are commanded alike.
         out: an empty folder.
         progress: called with the fraction done.
@@ -101,10 +101,20 @@ def diagnose(
 
     loaded = _realization(Path(twin), realization)
     described = _twin(Path(twin))
-    wanted = {_mode(Path(path), loaded) for path in failed} - {None}
-    alike = [path for path in others if not wanted or _mode(Path(path), loaded) in wanted]
-    recordings = [Path(path) for path in (*failed, *alike)]
-    trials = read_trials(recordings, [], described.topics, loaded.structure, described.recordings)
+    wanted = {_mode(*one, loaded) for one in failed} - {None}
+    alike = [one for one in others if not wanted or _mode(*one, loaded) in wanted]
+    episodes: dict[Path, set[int]] = {}
+    for path, episode in (*failed, *alike):
+        if episode is not None:
+            episodes.setdefault(Path(path), set()).add(episode)
+    trials = read_trials(
+        list(dict.fromkeys(Path(path) for path, _ in (*failed, *alike))),
+        [],
+        described.topics,
+        loaded.structure,
+        described.recordings,
+        episodes,
+    )
     return write_diagnosis(
         Path(out),
         loaded,
@@ -115,12 +125,12 @@ def diagnose(
     )
 
 
-def _mode(path: Path, realization: Realization) -> str | None:
+def _mode(path: str, episode: int | None, realization: Realization) -> str | None:
     """What a recording commands, None where it cannot be used."""
     twin = realization.twin
     assert twin is not None
     try:
-        recording = recording_at(path, twin.topics, twin.recordings)
+        recording = recording_at(Path(path), twin.topics, twin.recordings, episode)
         return make_trials(recording, realization.structure, twin.recordings)[0].command_mode
     except TwinError:
         return None

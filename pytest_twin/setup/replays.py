@@ -12,9 +12,11 @@ from pytest_twin.checks.proposals import listed
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.gate.specs import UNWRITTEN
 from pytest_twin.realization import Realization, load
-from pytest_twin.trial import Trial, make_trials, recording_at
-from pytest_twin.twin import Twin, load_twin
+from pytest_twin.trial import Trial, make_trials, recordings_at
+from pytest_twin.twin import load_twin
 
+# A data set may have hundreds of episodes, and each golden is a simulation of one.
+_MOST_EPISODES = 5
 _KINDS = {"hinge": ("angle_max", "5 mrad"), "slide": ("position_max", "0.5 mm")}
 
 
@@ -36,16 +38,34 @@ def first_replays(
     realization = load(reference.file, twin=loaded, name=name)
     _check_joints(realization, tolerance["joints"])
     stems = Counter(PurePosixPath(recording).stem for recording in recordings)
-    specs, silent = [], {}
+    specs: list[dict[str, Any]] = []
+    silent: dict[str, str] = {}
     for done, recording in enumerate(recordings):
         stem = PurePosixPath(recording).stem
+        called = stem if stems[stem] == 1 else recording
         try:
-            trials = _trials(loaded, realization, recording)
+            path = find_recording(recording, loaded)
+            found = recordings_at(path, loaded.topics, loaded.recordings)
         except TwinError as error:
             silent[recording] = str(error)
             continue
-        called = stem if stems[stem] == 1 else recording
-        specs.append({"name": called, **_spec(realization, recording, trials, tolerance)})
+        for number, read in enumerate(found[:_MOST_EPISODES]):
+            episode = number if len(found) > 1 else None
+            end = "" if episode is None else f" episode {episode}"
+            try:
+                trials = make_trials(read, realization.structure, loaded.recordings)
+            except TwinError as error:
+                silent[f"{recording}{end}"] = str(error)
+                continue
+            target = _target(recording, episode)
+            name = f"{called}{end.replace(' ', '_')}"
+            specs.append({"name": name, **_spec(realization, target, trials, tolerance)})
+        if len(found) > _MOST_EPISODES:
+            silent[recording] = (
+                f"{len(found) - _MOST_EPISODES} of {len(found)} episodes, from "
+                f"{_MOST_EPISODES} to {len(found) - 1}; to test one of them too, copy a golden "
+                "and change its target.episode"
+            )
         progress((done + 1) / len(recordings))
     return {"specs": specs, "silent": silent}
 
@@ -72,16 +92,13 @@ def _check_joints(realization: Realization, joints: Mapping[str, Mapping[str, st
             )
 
 
-def _trials(twin: Twin, realization: Realization, recording: str) -> list[Trial]:
-    path = find_recording(recording, twin)
-    return make_trials(
-        recording_at(path, twin.topics, twin.recordings), realization.structure, twin.recordings
-    )
+def _target(recording: str, episode: int | None) -> dict[str, Any]:
+    return {"recording": recording} | ({} if episode is None else {"episode": episode})
 
 
 def _spec(
     realization: Realization,
-    recording: str,
+    target: dict[str, Any],
     trials: Sequence[Trial],
     tolerance: Mapping[str, Any],
 ) -> dict[str, Any]:
@@ -94,7 +111,6 @@ def _spec(
         if any(types[joint] == kind and joint not in own for joint in recorded):
             blank |= name not in tolerance["general"]
             general[name] = tolerance["general"].get(name, f"{UNWRITTEN} {example}>")
-    target: dict[str, Any] = {"recording": recording}
     if own:
         target["joints"] = {joint: own.get(joint) for joint in recorded}
     notes = []
@@ -106,9 +122,11 @@ def _spec(
     notes += [f"Of the recording: {note}" for note in trials[0].notes]
     notes += _variants(realization, trials[0])
     seconds = sum(trial.duration for trial in trials)
+    called = PurePosixPath(target["recording"]).name
+    if "episode" in target:
+        called += f", episode {target['episode']}"
     return {
-        "title": f"Replay of {PurePosixPath(recording).name}, {seconds:.3g} s, against what was "
-        "measured",
+        "title": f"Replay of {called}, {seconds:.3g} s, against what was measured",
         "target": target,
         "tolerance": general,
         "notes": notes,

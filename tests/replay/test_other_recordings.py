@@ -10,7 +10,7 @@ import pytest
 from replay_trials import ARM, series
 
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.errors import RecordingError
+from pytest_twin.errors import FormatError, RecordingError
 from pytest_twin.formats.recording import TOPICS, Recording, Topic
 from pytest_twin.formats.recordings.candidates import pairs, topics_option, what_to_do
 from pytest_twin.realization import Realization, load
@@ -44,6 +44,22 @@ def test_episodes_are_trials_and_whole_ones_are_held_out(tmp_path: Path, arm: Re
     names = {trial.path.name for trial in (*found.fit, *found.held_out)}
     assert names == {f"episode_00000{n}" for n in range(5)}
     assert {trial.command_mode for trial in found.fit} == {"position"}
+
+
+def test_of_a_data_set_the_named_episodes_are_diagnosed(tmp_path: Path, arm: Realization) -> None:
+    dataset = write_dataset(tmp_path / "set", [small(n) for n in range(5)], names=NAMES)
+    found = read_trials([dataset], [], TOPICS, arm.structure, episodes={dataset: {1, 3}})
+    names = {trial.path.name for trial in (*found.fit, *found.held_out)}
+    assert names == {"episode_000001", "episode_000003"}
+
+
+def test_a_data_set_that_cannot_be_read_is_an_error_whichever_episode_is_named(
+    tmp_path: Path, arm: Realization
+) -> None:
+    dataset = write_dataset(tmp_path / "set", [small(0), small(1)], names=NAMES)
+    (dataset / "meta" / "info.json").write_text("{")
+    with pytest.raises(FormatError, match="not JSON"):
+        read_trials([dataset], [], TOPICS, arm.structure, episodes={dataset: {1}})
 
 
 def test_an_episode_that_cannot_be_used_leaves_the_others(tmp_path: Path, arm: Realization) -> None:

@@ -1,0 +1,57 @@
+"""The recording that a golden names: a file, or one episode of a data set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from pytest_twin.checks.fields import spec_error
+from pytest_twin.checks.files import find_file
+from pytest_twin.golden import Golden
+from pytest_twin.twin import Twin
+
+if TYPE_CHECKING:
+    from pytest_twin.formats.recording import Recording
+
+EPISODE_SCHEMA: Mapping[str, Any] = {
+    "type": "integer",
+    "minimum": 0,
+    "description": "Which episode of a data set with several, from 0.",
+}
+_FIELD = "target.episode"
+
+
+def recording_of(golden: Golden, twin: Twin) -> Recording:
+    """The recording at ``target.recording``; of a data set the episode ``target.episode``.
+
+    Raises:
+        PathError: no such file or folder.
+        SpecError: several episodes and none is chosen, no such episode, or an episode of a
+            recording that has no others.
+        TwinError: it cannot be read.
+    """
+    from pytest_twin.trial import recordings_at
+
+    reference = golden.target["recording"]
+    path = find_file(golden, "target.recording", reference, twin)
+    found = recordings_at(path, twin.topics, twin.recordings)
+    episode: int | None = golden.target.get("episode")
+    last = len(found) - 1
+    if episode is None:
+        if last == 0:
+            return found[0]
+        raise spec_error(
+            golden, "target.recording", f"a data set of {len(found)} episodes", value=reference,
+            expected=f"{_FIELD}: N with N from 0 to {last}",
+        )  # fmt: skip
+    if last == 0:
+        raise spec_error(
+            golden, _FIELD, f"{path.name} has one episode only", value=episode,
+            expected=f"no {_FIELD}",
+        )  # fmt: skip
+    if episode > last:
+        raise spec_error(
+            golden, _FIELD, f"{path.name} has {len(found)} episodes", value=episode,
+            expected=f"0 to {last}",
+        )  # fmt: skip
+    return found[episode]
