@@ -33,6 +33,9 @@ RESULTS = {
     "convert": "the JSON file beside a converted recording, and `convert --json -`",
     "show": "`show --json -`",
     "verify": "`verify --json -`",
+    "realize": "`realize --json -`",
+    "intake": "the asset's `manifest.json` after `intake`, and `intake --json -`",
+    "effects": "`effects --json -`",
 }
 
 

@@ -27,7 +27,7 @@ def first_specs(check: Check, realization: Realization) -> list[Mapping[str, Any
         raise NothingToProposeError("no joint has a name" if jointed else "the robot has no joints")
     actuation = proposals.Actuation.of(realization)
     bench: dict[str, Any] = {"pose": proposals.first_pose(realization)}
-    notes = []
+    notes: list[str] = []
     if _overlaps(realization):
         bench["contact"] = False
     notes += filter(None, (actuation.no_controller(realization), proposals.fixed_base(realization)))
