@@ -20,7 +20,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -134,22 +133,32 @@ def _stage(command: list[str], cwd: Path, seconds: float) -> str:
 def run(folder: Path, state: Path, full: int, seconds: float) -> None:
     """Add a line to the state file for each robot that is not in it."""
     known = {line["path"]: line for line in _read(state)}
-    taken = Counter(line["package"] for line in known.values() if "stages" in line)
     with Sandbox(seconds=seconds) as child:
         for path in models(folder):
             name = path.relative_to(folder).as_posix()
-            package = name.partition("/")[0]
-            line = known.get(name)
-            if line is None:
-                start = time.perf_counter()
-                line = {"path": name, "package": package, "loads": loads(child, path)}
-                line["seconds"] = round(time.perf_counter() - start, 2)
-                _add(state, line)
-            robot = line["loads"]["here"] == "loads"
-            if robot and "stages" not in line and taken[package] < full:
-                taken[package] += 1
-                _add(state, {**line, "stages": through_commands(path, seconds)})
-                print(name, file=sys.stderr, flush=True)
+            if name in known:
+                continue
+            start = time.perf_counter()
+            said = loads(child, path)
+            line = {"path": name, "package": name.partition("/")[0], "loads": said}
+            known[name] = {**line, "seconds": round(time.perf_counter() - start, 2)}
+            _add(state, known[name])
+    for package in sorted({line["package"] for line in known.values()}):
+        loaded = [
+            line
+            for line in known.values()
+            if line["package"] == package and line["loads"]["here"] == "loads"
+        ]
+        left = [line for line in loaded if "stages" not in line]
+        for line in spread(left, full - (len(loaded) - len(left))):
+            _add(state, {**line, "stages": through_commands(folder / line["path"], seconds)})
+            print(line["path"], file=sys.stderr, flush=True)
+
+
+def spread(lines: list[dict[str, Any]], count: int) -> list[dict[str, Any]]:
+    """``count`` of the lines, evenly over the list: neighbours are variants of one robot."""
+    count = min(max(count, 0), len(lines))
+    return [lines[(2 * k + 1) * len(lines) // (2 * count)] for k in range(count)]
 
 
 def _read(state: Path) -> list[dict[str, Any]]:
