@@ -2,10 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.metadata import EntryPoint
 from typing import Any
 
 from pytest_twin.errors import SpecError
+
+
+def is_own(point: EntryPoint) -> bool:
+    """Whether pytest-twin itself brings this, not another package."""
+    return point.value.startswith("pytest_twin.")
+
+
+def refuse_stale(points: Iterable[EntryPoint], group: str) -> None:
+    """Check that pytest-twin's own entry points are among those of a group.
+
+    An installation of another version has none of a group that came later.
+
+    Raises:
+        SpecError: none is.
+    """
+    if not any(map(is_own, points)):
+        raise SpecError(
+            "the installation of pytest-twin is stale: none of its entry points is registered",
+            where=group,
+            expected="entry points of this version; reinstall pytest-twin: "
+            "pip install --force-reinstall pytest-twin (in a checkout: pip install -e .)",
+        )
 
 
 def brought(point: EntryPoint, noun: str) -> Any:

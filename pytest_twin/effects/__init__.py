@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.checked import checked
 from pytest_twin.errors import SpecError
-from pytest_twin.installed import brought, package_of
+from pytest_twin.installed import brought, package_of, refuse_stale
 
 __all__ = ["Effect", "ModelFields", "Parameter", "Values", "World", "catalogue"]
 
@@ -19,10 +19,14 @@ def catalogue() -> Mapping[str, Effect]:
     """Every installed effect by id, in the order of the entry points ``pytest_twin.effects``.
 
     Raises:
-        SpecError: one cannot be loaded, has a wrong declaration, or has the id of another.
+        SpecError: one cannot be loaded, has a wrong declaration, or has the id of another; or
+            pytest-twin's own are not registered.
     """
+    group = "pytest_twin.effects"
+    points = entry_points(group=group)
+    refuse_stale(points, group)
     effects: dict[str, Effect] = {}
-    for point in entry_points(group="pytest_twin.effects"):
+    for point in points:
         if point.name in effects:
             raise SpecError(
                 f"{package_of(point)} defines an effect that another package defines too",

@@ -16,10 +16,11 @@ from pathlib import Path
 from pytest_twin.errors import FormatError, PathError
 from pytest_twin.formats.recording import TOPICS, Recording
 from pytest_twin.formats.recordings.base import Asked, Reader
-from pytest_twin.installed import brought
+from pytest_twin.installed import brought, is_own, refuse_stale
 
 __all__ = ["Asked", "Reader", "read_one", "read_recordings", "reader_of", "readers"]
 
+_GROUP = "pytest_twin.recordings"
 KINDS = (
     "an MCAP file, a rosbag2 folder, a .db3 file, a CSV file (.csv), or the folder of a LeRobot "
     "data set"
@@ -84,20 +85,22 @@ def reader_of(path: Path) -> Reader:
     Raises:
         PathError: missing, a link, or neither a regular file nor a folder.
         FormatError: no reader knows it.
+        SpecError: pytest-twin's own readers are not registered.
     """
     try:
         mode = path.lstat().st_mode
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         problem = "no such file or folder" if isinstance(error, FileNotFoundError) else reason
-        raise PathError(problem, path=path) from None
+        raise PathError(problem, path=path, expected=KINDS) from None
     if stat.S_ISLNK(mode):
         raise PathError("is a symbolic link", path=path, expected="the file or folder itself")
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise PathError("neither a regular file nor a folder", path=path)
+        raise PathError("neither a regular file nor a folder", path=path, expected=KINDS)
     for reader in readers():
         if reader.reads(path):
             return reader
+    refuse_stale(entry_points(group=_GROUP), _GROUP)
     raise FormatError("no recording that can be read", path=path, expected=KINDS)
 
 
@@ -108,7 +111,5 @@ def readers() -> Sequence[Reader]:
     Raises:
         SpecError: one cannot be loaded.
     """
-    points = sorted(entry_points(group="pytest_twin.recordings"), key=lambda point: point.name)
-    ours = [p for p in points if p.value.startswith("pytest_twin.")]
-    others = [p for p in points if p not in ours]
-    return tuple(brought(point, "recording reader") for point in [*others, *ours])
+    points = sorted(entry_points(group=_GROUP), key=lambda point: (is_own(point), point.name))
+    return tuple(brought(point, "recording reader") for point in points)

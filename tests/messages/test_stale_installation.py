@@ -1,0 +1,79 @@
+"""An installation whose entry points are older than its code says to install it again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from pytest_twin import checks, effects
+from pytest_twin.errors import SpecError
+from pytest_twin.formats import recordings
+
+THEIRS = EntryPoint("theirs", "pathlib:Path", "")
+
+
+@pytest.mark.parametrize("installed", [(), (THEIRS,)], ids=["nothing", "another package"])
+@pytest.mark.parametrize(
+    ("module", "kept", "ask", "group"),
+    [
+        (
+            recordings,
+            (recordings.readers,),
+            lambda file: recordings.read_recordings(file),
+            "pytest_twin.recordings",
+        ),
+        (
+            checks,
+            (checks._entry_points, checks.check_of),
+            lambda file: checks.check_of("fk"),
+            "pytest_twin.checks",
+        ),
+        (effects, (effects.catalogue,), lambda file: effects.catalogue(), "pytest_twin.effects"),
+    ],
+    ids=["recordings", "checks", "effects"],
+)
+def test_a_stale_installation_is_named_with_what_to_do(
+    module: ModuleType,
+    kept: tuple[Callable[..., object], ...],
+    ask: Callable[[Path], object],
+    group: str,
+    installed: tuple[EntryPoint, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("time,a.position\n0.0,1\n")
+    if module is recordings:
+        monkeypatch.setattr(recordings, "brought", lambda point, noun: NoReader())
+    monkeypatch.setattr(module, "entry_points", lambda group: installed)
+    forget(kept)
+    try:
+        with pytest.raises(SpecError, match="installation of pytest-twin is stale") as caught:
+            ask(file)
+    finally:
+        forget(kept)
+    assert caught.value.where == group
+    assert "reinstall pytest-twin: pip install" in str(caught.value)
+
+
+class NoReader:
+    """A reader of another package, which does not know the file."""
+
+    def reads(self, path: Path) -> bool:
+        return False
+
+
+def forget(kept: tuple[Callable[..., object], ...]) -> None:
+    for function in kept:
+        function.cache_clear()  # type: ignore[attr-defined]
+
+
+def test_a_sound_installation_still_names_what_is_not_a_recording(tmp_path: Path) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("hello")
+    with pytest.raises(recordings.FormatError, match="no recording that can be read"):
+        recordings.read_recordings(file)
