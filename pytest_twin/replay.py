@@ -369,6 +369,7 @@ class _Run:
             f"{self.trial.path.name}",
             path=self.row.source,
             where=None if joint is None else f"joint '{joint}'",
+            expected="a stable simulation; check timestep, inertias and servo gains",
         )
         gone = self.sample_step >= step
         for kept in (self.qpos, self.velocity, self.effort):

@@ -460,7 +460,12 @@ class _Normalizer:
             try:
                 path = self._resolve(element, reference)
                 if path.suffix.lower() not in _IMAGES:
-                    raise PathError("not an image", path=path)
+                    raise PathError(
+                        "not an image",
+                        path=path,
+                        value=path.suffix,
+                        expected="one of " + ", ".join(_IMAGES),
+                    )
                 data = read_bytes(path, LIMITS.asset_bytes)
             except TwinError as error:
                 parent: Any = element.getparent()

@@ -56,7 +56,11 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
         )
     for target in targets:
         if target.is_symlink() or target.is_dir():
-            raise PathError("is in the way of a file", path=target)
+            raise PathError(
+                "is a link or a folder where a file has to be written",
+                path=target,
+                expected="nothing, or a regular file: move it, or give another folder for --out",
+            )
     old = _before(out)
     told = _manifest(out, source, made, old)
     written = {

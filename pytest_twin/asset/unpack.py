@@ -203,10 +203,18 @@ def _zip(stream: BinaryIO, target: _Target) -> None:
             if kind not in (0, stat.S_IFREG):
                 raise target.refuse("a link or a device", entry.filename, "files and folders")
             if entry.flag_bits & 0x1:
-                raise FormatError("an encrypted file", path=target.origin, value=entry.filename)
+                raise FormatError(
+                    "an encrypted file",
+                    path=target.origin,
+                    value=entry.filename,
+                    expected="an archive without a password: unpack it and pack it again",
+                )
             if entry.compress_type not in _METHODS:
                 raise FormatError(
-                    "a compression that is not known", path=target.origin, value=entry.filename
+                    f"compression method {entry.compress_type} is not supported",
+                    path=target.origin,
+                    value=entry.filename,
+                    expected="stored, deflate, bzip2 or LZMA: unpack it and pack it again",
                 )
             if entry.file_size > target.limits.file_bytes:
                 bound = f"at most {target.limits.file_bytes} bytes"

@@ -134,7 +134,11 @@ class Replay(Check):
 
         twin = realization.twin
         if twin is None:
-            raise SpecError("a replay golden needs a twin.yaml", path=golden.path)
+            raise SpecError(
+                "a replay golden needs a twin.yaml",
+                path=golden.path,
+                expected="a twin.yaml in a folder above the golden; pytest-twin init writes one",
+            )
         recording = recording_of(golden, twin)
         trials = make_trials(recording, realization.structure, twin.recordings)
         if all(len(t.time) < 2 for t in trials):

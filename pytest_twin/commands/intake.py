@@ -51,7 +51,11 @@ def run(args: argparse.Namespace) -> int:
     """
     origin: Path = args.origin
     if not origin.exists():
-        raise PathError("no such archive or folder", path=origin)
+        raise PathError(
+            "no such archive or folder",
+            path=origin,
+            expected="a path to a .zip, a .tar or a folder",
+        )
     name = origin.resolve().name.split(".")[0] if origin.is_file() else origin.resolve().name
     out: Path = (args.out or Path(name)).resolve()
     if (out / SOURCE).exists() or (out / manifest.FILE_NAME).exists():
@@ -61,7 +65,11 @@ def run(args: argparse.Namespace) -> int:
             expected="a new folder",
         )
     if origin.is_dir() and out.is_relative_to(origin.resolve()):
-        raise SpecError("the asset would lie in its own source", path=out)
+        raise SpecError(
+            "the asset would lie in its own source",
+            path=out,
+            expected=f"a folder outside {origin} for --out",
+        )
     date = _date(args.date)
     folders.make(out)
     staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
@@ -76,7 +84,11 @@ def run(args: argparse.Namespace) -> int:
             )
         staging.chmod(0o755)
         if not atomic.create_directory(staging, out / SOURCE):
-            raise SpecError("the source's place is taken", path=out / SOURCE)
+            raise SpecError(
+                "the folder of the source exists already",
+                path=out / SOURCE,
+                expected="a new folder: give another one for --out",
+            )
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     found = evidence.sort_files(names)

@@ -217,7 +217,12 @@ def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
     if file.suffix.lower() in (".yaml", ".yml"):
         twin = load_twin(file)
         if not twin.realizations:
-            raise SpecError("this twin has no model", path=file, where="model")
+            raise SpecError(
+                "this twin has no model",
+                path=file,
+                where="model",
+                expected="a path to a robot description, such as 'model: robot.urdf'",
+            )
         name, reference = next(iter(twin.realizations.items()))
         file = reference.file
     realization = load(file, twin=twin, name=name, search=search)

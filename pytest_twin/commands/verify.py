@@ -38,7 +38,11 @@ def run(args: argparse.Namespace) -> int:
     """
     folder = _folder(args.release)
     if args.keys is not None and not args.keys.is_dir():
-        raise ReleaseError("no such folder of keys", path=args.keys)
+        raise ReleaseError(
+            "no such folder of keys",
+            path=args.keys,
+            expected="a folder with the public keys (.pub) of those who may sign",
+        )
     if args.json not in (None, json_output.STANDARD_OUTPUT):
         _check_outside(Path(args.json), folder)
     verdict = release.check(folder, keys=args.keys, remember=True)
@@ -53,7 +57,11 @@ def _folder(given: Path) -> Path:
     if (given / "twin.yaml").exists() or (given / "releases").is_dir():
         found = release.newest(given)
         if found is None:
-            raise ReleaseError("this twin has no release yet", path=given)
+            raise ReleaseError(
+                "this twin has no release yet",
+                path=given,
+                expected="a signed release; pytest --twin-release writes one",
+            )
         return found
     return given
 

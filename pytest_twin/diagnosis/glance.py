@@ -127,7 +127,12 @@ def glance(
     whole = _prepared(realization, [seen], [], patched)
     before = whole.problem.residuals([EMPTY], whole.problem.fit)[0]
     if not np.isfinite(before).all():
-        raise SimulationError("the model diverges under the recorded commands", path=trial.path)
+        raise SimulationError(
+            "the model diverges under the recorded commands",
+            path=trial.path,
+            expected="finite joint positions; check the unit of the commands, then the masses, "
+            "inertias and servo gains of the model",
+        )
     joints = len(whole.problem.joints)
     counted = _counted(whole.problem.joints, failed)
     size = np.sqrt(np.mean(before[:, :joints] ** 2, axis=0)) / whole.problem.floor

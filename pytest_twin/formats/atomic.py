@@ -79,7 +79,9 @@ def write_text(path: Path, text: str) -> None:
     try:
         data = text.encode("utf-8")
     except UnicodeEncodeError:
-        raise FormatError("text that UTF-8 cannot hold", path=path) from None
+        raise FormatError(
+            "text that UTF-8 cannot hold", path=path, expected="text without lone surrogates"
+        ) from None
     write_bytes(path, data)
 
 
@@ -94,7 +96,7 @@ def replace_directory(staging: Path, final: Path) -> None:
         PathError: ``staging`` is no folder, ``final`` is a link or a file, or the disk refuses.
     """
     if staging.is_symlink() or not staging.is_dir():
-        raise PathError("not a folder", path=staging)
+        raise PathError("not a folder", path=staging, expected="the folder to move into place")
     if final.is_symlink() or (final.exists() and not final.is_dir()):
         raise PathError("is in the way of a folder", path=final, expected="a folder or nothing")
     try:
@@ -130,7 +132,7 @@ def create_directory(staging: Path, final: Path) -> bool:
         PathError: ``staging`` is no folder, or the disk refuses.
     """
     if staging.is_symlink() or not staging.is_dir():
-        raise PathError("not a folder", path=staging)
+        raise PathError("not a folder", path=staging, expected="the folder to move into place")
     if final.is_symlink() or final.exists():
         return False
     try:
@@ -156,7 +158,11 @@ def _mode_for(path: Path) -> int:
     except OSError as error:
         raise PathError(f"cannot be written: {error.strerror}", path=path) from error
     if not stat.S_ISREG(found.st_mode):
-        raise PathError("is not a regular file and is not written over", path=path)
+        raise PathError(
+            "is not a regular file and is not written over",
+            path=path,
+            expected="a path to a regular file, or to nothing yet",
+        )
     return stat.S_IMODE(found.st_mode)
 
 

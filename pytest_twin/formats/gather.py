@@ -138,7 +138,11 @@ class Gatherer:
             if name == "trial"
         ]
         if any(fields != found[0][0] for fields, _ in found[1:]):
-            raise RecordingError("metadata records 'trial' differ", path=self.path)
+            raise RecordingError(
+                "metadata records 'trial' differ",
+                path=self.path,
+                expected="the same record in each file; give the files of two trials one by one",
+            )
         if not found:
             return {}
         if not any(guarded for _, guarded in found):

@@ -69,7 +69,11 @@ def gather_mcap(path: Path, gatherer: Gatherer) -> None:
         except OSError as error:
             raise RecordingError(f"cannot be read: {error.strerror}", path=path) from error
         except MemoryError:
-            raise LimitError("too large for this machine's memory", path=path) from None
+            raise LimitError(
+                "too large for this machine's memory",
+                path=path,
+                expected="a shorter recording, or more free memory",
+            ) from None
 
 
 def _gather(stream: BinaryIO, path: Path, contents: Contents, gatherer: Gatherer) -> None:
@@ -99,8 +103,14 @@ def write_recording(
 
     for one in series:
         _check_series(one, path)
-    if len({one.topic for one in series}) != len(series):
-        raise RecordingError("a topic stands twice", path=path)
+    topics = [one.topic for one in series]
+    if len(set(topics)) != len(topics):
+        raise RecordingError(
+            "two series have the same topic",
+            path=path,
+            value=", ".join(topics),
+            expected="one series for each topic",
+        )
     with open_replacement(path) as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
         writer.start(profile="ros2", library="pytest-twin")
@@ -150,9 +160,21 @@ def _carried(one: JointSeries) -> NDArray[np.bool_]:
 def _check_series(one: JointSeries, path: Path) -> None:
     shape = (len(one.stamp), len(one.names))
     if not one.names or len(set(one.names)) != len(one.names):
-        raise RecordingError("joints without names or twice", path=path, where=one.topic)
+        raise RecordingError(
+            "no joints, or one joint twice",
+            path=path,
+            where=one.topic,
+            value=", ".join(one.names),
+            expected="the name of each joint once",
+        )
     if len(one.log_time) != shape[0]:
-        raise RecordingError("stamps and log times differ in length", path=path, where=one.topic)
+        raise RecordingError(
+            "stamps and log times differ in length",
+            path=path,
+            where=one.topic,
+            value=f"{len(one.log_time)} log times",
+            expected=f"{shape[0]}, one for each stamp",
+        )
     for name in QUANTITIES:
         table: Floats | None = getattr(one, name)
         if table is not None and table.shape != shape:
@@ -166,4 +188,11 @@ def _check_series(one: JointSeries, path: Path) -> None:
     bound = 2**31 * 1_000_000_000
     times = np.concatenate([one.stamp, one.log_time])
     if times.size and not (times.min() >= 0 and times.max() < bound):
-        raise RecordingError("a time out of the range of ROS stamps", path=path, where=one.topic)
+        raise RecordingError(
+            "a time out of the range of ROS stamps",
+            path=path,
+            where=one.topic,
+            value=f"{times.min()} to {times.max()}",
+            unit="ns",
+            expected=f"0 to {bound - 1} ns, times from 1970 to 2038",
+        )

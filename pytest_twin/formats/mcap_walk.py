@@ -312,7 +312,12 @@ class _Walker:
                 problem = "a record of type 0, which does not exist"
                 break
             elif opcode == CHUNK:
-                raise FormatError("a chunk inside a chunk", path=self.path, where=place)
+                raise FormatError(
+                    "a chunk inside a chunk",
+                    path=self.path,
+                    where=place,
+                    expected="schemas, channels and messages in a chunk; record it again",
+                )
             else:
                 self.count_record()
                 self.notes.add(
@@ -407,7 +412,11 @@ class _Walker:
         if opcode == METADATA:
             self.contents.metadata.append((fields.text(), fields.pairs()))
             if len(self.contents.metadata) > limits.MCAP.channels_count:
-                raise LimitError("too many metadata records", path=self.path)
+                raise LimitError(
+                    "too many metadata records",
+                    path=self.path,
+                    expected=f"at most {limits.MCAP.channels_count}",
+                )
         elif opcode == CHUNK_INDEX:
             fields.integer(16)
             self.indexed.append(fields.integer(8))

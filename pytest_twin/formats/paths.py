@@ -65,12 +65,13 @@ class Roots:
                 does not exist, or is no regular file (a pipe, a socket, a device).
         """
 
-        def refuse(problem: str, expected: str | None = None) -> PathError:
+        def refuse(problem: str, expected: str) -> PathError:
             return PathError(
                 problem, path=at, line=line, where=where, value=reference, expected=expected
             )
 
         self._check_words(reference, refuse)
+        wanted = "folder" if folder else "file"
         current = "/" if reference.startswith("/") else os.path.realpath(at.parent)
         # Component by component, so that a link out of the roots and back in is refused too.
         for part in reference.split("/"):
@@ -82,10 +83,15 @@ class Roots:
             except FileNotFoundError:
                 if not self._leads_to_root(current, os.path.realpath(step)):
                     raise refuse(*self._outside(reference, at, folder)) from None
-                raise refuse("no such folder" if folder else "no such file") from None
+                raise refuse(
+                    f"no such {wanted}",
+                    f"a {wanted} that exists; relative paths start at {at.parent}",
+                ) from None
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or str(error)
-                raise refuse(f"cannot be reached: {reason}") from None
+                raise refuse(
+                    f"cannot be reached: {reason}", f"a {wanted} in folders that you may read"
+                ) from None
             if not self._leads_to_root(current, following, by_link=part != ".."):
                 raise refuse(*self._outside(reference, at, folder))
             current = following
@@ -94,9 +100,9 @@ class Roots:
         found = Path(current)
         mode = found.stat().st_mode
         if folder and not stat.S_ISDIR(mode):
-            raise refuse("not a folder")
+            raise refuse("not a folder", "a path to a folder")
         if not folder and not stat.S_ISREG(mode):
-            raise refuse(f"not a regular file but {_kind(mode)}")
+            raise refuse(f"not a regular file but {_kind(mode)}", "a path to a regular file")
         return found
 
     def _outside(self, reference: str, at: Path, folder: bool) -> tuple[str, str]:
@@ -114,21 +120,23 @@ class Roots:
     def _check_words(reference: str, refuse: object) -> None:
         assert callable(refuse)
         if not reference.strip():
-            raise refuse("empty path")
+            raise refuse("empty path", "a path to a file or folder")
         if len(reference) > limits.PATHS.reference_chars:
             raise refuse("path is too long", f"at most {limits.PATHS.reference_chars} characters")
         if any(ord(char) < 32 or ord(char) == 127 for char in reference):
-            raise refuse("path holds a control character")
+            raise refuse("path holds a control character", "printable characters")
         try:
             encoded = os.fsencode(reference)
         except UnicodeEncodeError:
-            raise refuse("path holds a character that no file name can have") from None
+            raise refuse(
+                "path holds a character that no file name can have", "text that UTF-8 can hold"
+            ) from None
         if any(len(part) > limits.PATHS.component_bytes for part in encoded.split(b"/")):
             raise refuse(
                 "a name in the path is too long", f"at most {limits.PATHS.component_bytes} bytes"
             )
         if _SCHEME.match(reference):
-            raise refuse("a URL, not a path")
+            raise refuse("a URL, not a path", "a path to a file or folder of this machine")
 
     def _leads_to_root(self, current: str, following: str, *, by_link: bool = True) -> bool:
         """Whether a step stays in the roots, or on the folders above them that lead to one.
@@ -158,7 +166,9 @@ def open_regular(path: Path) -> BinaryIO:
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
-        raise PathError("no such file", path=path) from None
+        raise PathError(
+            "no such file", path=path, expected="a file that exists; check the path"
+        ) from None
     except (OSError, ValueError) as error:
         if path.is_symlink():
             raise PathError("is a symbolic link", path=path, expected="the file itself") from None
@@ -167,7 +177,9 @@ def open_regular(path: Path) -> BinaryIO:
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
-        raise PathError(f"not a regular file but {_kind(mode)}", path=path)
+        raise PathError(
+            f"not a regular file but {_kind(mode)}", path=path, expected="a path to a regular file"
+        )
     return os.fdopen(descriptor, "rb")
 
 

@@ -49,9 +49,15 @@ def load_schema(name: str) -> Mapping[str, Any]:
     Raises:
         SpecError: no such schema ships.
     """
-    file = resources.files("pytest_twin") / "schemas" / name
+    folder = resources.files("pytest_twin") / "schemas"
+    file = folder / name
     try:
         found: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise SpecError("no such schema ships with the package", value=name) from None
+        there = sorted(p.name for p in folder.iterdir() if p.name.endswith(".json"))
+        raise SpecError(
+            "no such schema ships with the package",
+            value=name,
+            expected="one of " + ", ".join(there),
+        ) from None
     return found

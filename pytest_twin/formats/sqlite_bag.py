@@ -128,7 +128,11 @@ class _Database:
                 expected="tables topics and messages",
             ) from None
         except MemoryError:
-            raise LimitError("too large for this machine's memory", path=self.path) from None
+            raise LimitError(
+                "too large for this machine's memory",
+                path=self.path,
+                expected="a shorter recording, or more free memory",
+            ) from None
 
     def note_cut(self) -> None:
         """SQLite reads what is missing of the last page as zeros and says nothing."""
@@ -179,13 +183,25 @@ class _Database:
                     expected=f"at most {limits.MCAP.channels_count}",
                 )
             if type(number) is not int:
-                raise FormatError("a topic whose id is no number", path=self.path, where="topics")
+                raise FormatError(
+                    "a topic's id is not a number",
+                    path=self.path,
+                    where="topics",
+                    value=number,
+                    expected="a whole number",
+                )
             self.contents.schemas[number] = Schema(self.text(kind), "")
             self.contents.channels[number] = Channel(number, self.text(name), self.text(form))
 
     def text(self, value: object) -> str:
         if not isinstance(value, bytes) or len(value) > limits.MCAP.name_bytes:
-            raise FormatError("a topic without a usable name or type", path=self.path)
+            raise FormatError(
+                "a topic without a usable name or type",
+                path=self.path,
+                where="topics",
+                value=value,
+                expected=f"text of at most {limits.MCAP.name_bytes} bytes",
+            )
         return value.decode("utf-8", "replace")
 
     def regions(self, connection: sqlite3.Connection) -> Iterator[Region]:
@@ -207,7 +223,10 @@ class _Database:
         for number, time, data in connection.execute(query, sorted(set(known))):
             if type(number) is not int or type(time) is not int or not isinstance(data, bytes):
                 raise FormatError(
-                    f"message {self.messages} is no message", path=self.path, where="messages"
+                    f"row {self.messages + 1} is not a message",
+                    path=self.path,
+                    where="messages",
+                    expected="whole numbers as topic_id and timestamp, bytes as data",
                 )
             self.messages += 1
             if self.messages > limits.MCAP.messages_of(self.size):

@@ -115,7 +115,13 @@ def trace_text(trace: Trace) -> str:
                 expected=str(length),
             )
         if not np.isfinite(series).all():
-            raise FormatError("a value that is not finite", where=name, unit=unit)
+            raise FormatError(
+                "a value that is not finite",
+                where=name,
+                value=float(np.asarray(series)[~np.isfinite(series)][0]),
+                unit=unit,
+                expected="finite numbers; the simulation may have diverged",
+            )
     header = ",".join(f"{_escaped(name)} [{unit}]" for name, unit, _ in named)
     table = [[float.__repr__(v) for v in np.asarray(s, np.float64).tolist()] for _, _, s in named]
     text = "\n".join([header, *map(",".join, zip(*table, strict=True))]) + "\n"
@@ -170,7 +176,13 @@ def _headings(line: str, path: Path) -> list[tuple[str, str]]:
                 expected="'%25' for a percent sign",
             ) from None
         if any(name == other for other, _ in found):
-            raise FormatError("a heading stands twice", path=path, line=1, value=cell)
+            raise FormatError(
+                "a heading occurs twice",
+                path=path,
+                line=1,
+                value=cell,
+                expected="each name once; pytest --twin-update records the trace again",
+            )
         found.append((name, match["unit"]))
     return found
 
@@ -198,7 +210,7 @@ def _numbers(rows: list[str], headings: list[tuple[str, str]], path: Path) -> Fl
         cells = row.split(",")
         if len(cells) != width:
             raise FormatError(
-                f"row has {len(cells)} values",
+                f"row has {len(cells)} value" + ("s" if len(cells) != 1 else ""),
                 path=path,
                 line=line,
                 expected=f"{width}, one per heading",
@@ -215,4 +227,8 @@ def _numbers(rows: list[str], headings: list[tuple[str, str]], path: Path) -> Fl
                     unit=unit,
                     expected="a finite number",
                 )
-    raise FormatError("cannot be read as numbers", path=path)
+    raise FormatError(
+        "cannot be read as numbers",
+        path=path,
+        expected="rows of numbers below the header; pytest --twin-update records the trace again",
+    )

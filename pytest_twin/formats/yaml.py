@@ -112,17 +112,18 @@ def loads(text: str, path: Path) -> Document:
             line=line,
             column=column,
             value=f"U+{ord(odd[0]):04X}",
+            expected="printable characters, tabs and line feeds; remove this one",
         )
     reader = _Reader(text, path)
     try:
         return reader.document()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        problem = " ".join(part for part in (error.context, error.problem) if part)
-        if _TOO_DEEP in problem:
+        words = " ".join(part for part in (error.context, error.problem) if part)
+        if _TOO_DEEP in words:
             raise _too_deep(path, mark) from None
         raise FormatError(
-            f"not YAML: {problem}",
+            f"not YAML: {words}",
             path=path,
             line=None if mark is None else mark.line + 1,
             column=None if mark is None else mark.column + 1,
@@ -293,7 +294,12 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
     """
     document = loads(text, path)
     if not isinstance(document.data, dict):
-        raise SpecError("not a mapping of fields", path=path, line=1)
+        raise SpecError(
+            "not a mapping of fields",
+            path=path,
+            line=1,
+            expected="fields of a golden spec, such as 'kind: fk'",
+        )
     pieces = text.split("\n")
     at = next((i for i, piece in enumerate(pieces) if piece.rstrip() == RECORDED_MARK), None)
     for key in document.data:
@@ -340,7 +346,7 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
 def _dump_mapping(out: list[str], fields: Any, indent: str, where: str) -> None:
     for key, value in fields.items():
         if not isinstance(key, str) or not key:
-            raise SpecError("a key that is no text", where=where, value=key)
+            raise SpecError("a key that is no text", where=where, value=key, expected="a name")
         at = f"{where}.{key}" if where else key
         head = f"{indent}{_text(key)}:"
         short = _inline(value, at, len(head) + 1)
@@ -405,13 +411,19 @@ def _scalar(value: Any, where: str) -> str:
         return int.__repr__(value)
     if isinstance(value, float):
         if not math.isfinite(value):
-            raise SpecError("not a finite number", where=where, value=value)
+            raise SpecError(
+                "not a finite number", where=where, value=value, expected="a finite number"
+            )
         text = float.__repr__(value)
         # With a point the exponent form is a number to YAML 1.1 readers as well.
         return text.replace("e", ".0e") if "e" in text and "." not in text else text
     if isinstance(value, str):
         return _text(value)
-    raise SpecError(f"a {type(value).__name__} cannot be written as YAML", where=where)
+    raise SpecError(
+        f"a {type(value).__name__} cannot be written as YAML",
+        where=where,
+        expected="text, a number, true, false, null, a list or a mapping",
+    )
 
 
 # Words that some YAML reader takes for a truth value, a null or a number.

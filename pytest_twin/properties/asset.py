@@ -47,7 +47,12 @@ class Asset:
         self.tolerances = tolerances or Tolerances()
         self.left_out = tuple(left_out)
         if not any(form.model is not None for form in forms):
-            raise ModelError("no realization that MuJoCo compiles", path=name)
+            raise ModelError(
+                "no realization that MuJoCo compiles",
+                path=name,
+                value="; ".join(self.left_out) or None,
+                expected="at least one; pytest-twin audit says what the model lacks",
+            )
 
     @property
     def first(self) -> Form:

@@ -87,7 +87,11 @@ def _document(data: bytes, path: Path) -> Mapping[str, Any]:
     try:
         found = json.loads(text)
     except (ValueError, RecursionError):
-        raise FormatError("not glTF: its description is not JSON", path=path) from None
+        raise FormatError(
+            "not glTF: its description is not JSON",
+            path=path,
+            expected="glTF 2.0; export the mesh again",
+        ) from None
     if not isinstance(found, dict):
         raise FormatError("not glTF", path=path, expected="a JSON object")
     return found
@@ -115,7 +119,11 @@ def _bound(document: Mapping[str, Any], path: Path, limits: ModelLimits) -> None
         words = f"{type(error).__name__}: {error}"
         raise FormatError(f"broken glTF mesh: {words}", path=path) from None
     if len(children) != len(set(children)):
-        raise FormatError("broken glTF mesh: a node with two parents", path=path)
+        raise FormatError(
+            "broken glTF mesh: a node with two parents",
+            path=path,
+            expected="a tree of nodes; export the mesh again",
+        )
     if len(nodes) > _MOST_NODES:
         raise LimitError("too many nodes", path=path, expected=f"at most {_MOST_NODES}")
     if max([total, *(count // 3 for count in counts)], default=0) > limits.mesh_faces:

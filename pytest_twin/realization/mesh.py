@@ -100,9 +100,17 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
         words = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise FormatError(f"broken {suffix[1:].upper()} mesh: {words}", path=path) from None
     if not len(triangles.faces):
-        raise FormatError("a mesh without triangles", path=path)
+        raise FormatError(
+            "a mesh without triangles",
+            path=path,
+            expected="at least one triangle; export the surface again",
+        )
     if triangles.faces.shape[1:] != (3,) or triangles.vertices.shape[1:] != (3,):
-        raise FormatError("a mesh that is not made of triangles", path=path)
+        raise FormatError(
+            "a mesh that is not made of triangles",
+            path=path,
+            expected="three vertices a face; export the mesh as triangles",
+        )
     if len(triangles.faces) > limits.mesh_faces:
         raise LimitError(
             "too many triangles",
@@ -111,9 +119,19 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
             expected=f"at most {limits.mesh_faces}",
         )
     if not np.isfinite(triangles.vertices).all():
-        raise FormatError("a vertex that is not finite", path=path)
+        odd = np.flatnonzero(~np.isfinite(triangles.vertices).all(axis=1))[0]
+        raise FormatError(
+            f"vertex {odd} is not finite",
+            path=path,
+            value=triangles.vertices[odd],
+            expected="three finite coordinates; export the mesh again",
+        )
     if triangles.faces.min() < 0 or triangles.faces.max() >= len(triangles.vertices):
-        raise FormatError("a face with a vertex that is not there", path=path)
+        raise FormatError(
+            "a face with a vertex that is not there",
+            path=path,
+            expected=f"vertices 0 to {len(triangles.vertices) - 1}; export the mesh again",
+        )
     return triangles
 
 

@@ -315,7 +315,13 @@ class _Reader:
             line = child.sourceline or 1
             reference = child.get("file")
             if not reference:
-                raise ModelError("include without a file", path=path, line=line, where="include")
+                raise ModelError(
+                    "include without a file",
+                    path=path,
+                    line=line,
+                    where="include",
+                    expected="a path, such as <include file='hand.xml'/>",
+                )
             included = self._resolve(reference, (main, path.parent), path, line)
             if included in chain:
                 raise ModelError(
@@ -324,6 +330,7 @@ class _Reader:
                     line=line,
                     where="include.file",
                     value=reference,
+                    expected="another file; remove this include",
                 )
             node.children.extend(self._tree(included, main, (*chain, included)).children)
         return node

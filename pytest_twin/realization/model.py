@@ -34,7 +34,11 @@ class Realization(NamedModel):
         if controller is None and payload is None:
             return self
         if self.twin is None:
-            raise SpecError("a model without twin.yaml has no controllers or payloads")
+            raise SpecError(
+                "a model without twin.yaml has no controllers or payloads",
+                value=", ".join(name for name in (controller, payload) if name is not None),
+                expected="a twin.yaml with controllers and payloads; pytest-twin init writes one",
+            )
         twin = self.twin
         spec = self.spec.copy()
         if controller is not None:

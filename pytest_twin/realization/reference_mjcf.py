@@ -110,6 +110,7 @@ class _Builder:
                 "no independent reference where a free joint's body is aligned with its inertia",
                 path=self.realization.path,
                 where=f"joint '{spec.name}'",
+                expected='align="false" at the free joint',
             )
 
     # -- placements
@@ -124,6 +125,8 @@ class _Builder:
                     "no independent reference for scaled frames",
                     path=self.realization.path,
                     where=f"frame '{frame.name}'",
+                    value=frame.scale,
+                    expected="scale 1 1 1; scale the meshes instead",
                 )
             placement = self._own_placement(frame) * placement
             frame = frame.frame
@@ -249,6 +252,7 @@ class _Builder:
             raise ModelError(
                 f"no independent reference for a body without a name: {why}",
                 path=self.realization.path,
+                expected="a name for each body",
             )
         self.out.notes.append(f"inertia of body '{body.name}' is MuJoCo's own: {why}")
         axes = pin.Quaternion(*model.body_iquat[index]).matrix()

@@ -30,6 +30,8 @@ MEMORY_BYTES = 8 * 2**30
 SECONDS = 300.0
 _ANSWER_BYTES = 512 * 2**20
 _OUTPUT_BYTES = 64 * 2**10
+# A process that closed its pipes has nothing left to do but exit.
+_END_SECONDS = 5.0
 
 
 class Sandbox:
@@ -145,7 +147,7 @@ class Sandbox:
         try:
             child.send(json.dumps(request).encode())
         except OSError:
-            raise child.crashed(self._output, self.memory_bytes) from None
+            raise child.crashed(self._output, self.memory_bytes, bound) from None
         buffer = bytearray()
         with selectors.DefaultSelector() as selector:
             selector.register(child.answers, selectors.EVENT_READ)
@@ -167,7 +169,7 @@ class Sandbox:
                         continue
                     if not data:
                         self._drain(child)
-                        raise child.crashed(self._output, self.memory_bytes)
+                        raise child.crashed(self._output, self.memory_bytes, bound)
                     buffer += data
                 for answer in _frames(buffer):
                     if "progress" not in answer:
@@ -204,7 +206,10 @@ def _frames(buffer: bytearray) -> list[dict[str, Any]]:
         except ValueError:
             answer = None
         if not isinstance(answer, dict):
-            raise SimulationError("the child process sent an answer that cannot be read")
+            raise SimulationError(
+                "the child process sent an answer that cannot be read",
+                expected="one JSON object; run it again",
+            )
         found.append(answer)
         del buffer[: 8 + size]
     return found
@@ -261,24 +266,36 @@ class _Child:
         while view:
             view = view[os.write(self.requests, view) :]
 
-    def crashed(self, output: bytes, memory_bytes: int) -> TwinError:
+    def crashed(self, output: bytes, memory_bytes: int, seconds: float) -> TwinError:
         """The error that says how the child ended."""
         try:
-            status = self.process.wait(timeout=5)
+            status = self.process.wait(timeout=_END_SECONDS)
         except subprocess.TimeoutExpired:
-            return SimulationError("the child process stopped answering")
+            return SimulationError(
+                "the child process closed its pipe and did not end",
+                expected=f"its end within {_END_SECONDS:g} s; run it again",
+            )
         last = output.decode("utf-8", "replace").strip().rpartition("\n")[2][-300:]
         said = f"; it last wrote: {last}" if last else ""
         if status >= 0:
-            return SimulationError(f"the child process ended with exit status {status}{said}")
+            return SimulationError(
+                f"the child process ended with exit status {status}{said}",
+                expected="an answer; what it ran must not end the process",
+            )
         name = signal.Signals(-status).name
         if name == "SIGXCPU":
-            return LimitError("ran past its bound of CPU time and was killed")
+            return LimitError(
+                "ran past its bound of CPU time and was killed",
+                expected=f"at most {seconds:g} s on each core",
+            )
         if "bad_alloc" in last or "MemoryError" in last or "could not allocate" in last.lower():
             return LimitError(
                 f"ran out of memory{said}", expected=f"at most {memory_bytes / 2**20:.0f} MiB"
             )
-        return SimulationError(f"the simulator crashed ({name}){said}")
+        return SimulationError(
+            f"the simulator crashed ({name}){said}",
+            expected="an answer; load the model with MuJoCo alone to see whether that crashes too",
+        )
 
 
 def _end(

@@ -84,7 +84,7 @@ def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
 def _out_of_memory() -> LimitError:
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit == resource.RLIM_INFINITY:
-        return LimitError("ran out of memory")
+        return LimitError("ran out of memory", expected="more free memory, or a smaller model")
     return LimitError("ran out of memory", expected=f"at most {limit / 2**20:.0f} MiB")
 
 

@@ -230,7 +230,11 @@ def lift_above(
         data.qpos[at] -= left
         if not abs(data.qpos[at]) < 2.0 * _FAR:
             break
-    raise SimulationError("nothing lies below the body that is let go")
+    raise SimulationError(
+        "nothing lies below the body that is let go",
+        where="target.pair",
+        expected="a second body of the pair straight below the first",
+    )
 
 
 def overlapped(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> str | None:

@@ -106,7 +106,11 @@ def read(path: Path) -> UsdRobot:
         words = " ".join(str(error).split())[:200]
         raise ModelError(f"not a USD stage: {words}", path=path) from None
     if not stage.GetDefaultPrim():
-        raise ModelError("a stage without a default prim", path=path)
+        raise ModelError(
+            "a stage without a default prim",
+            path=path,
+            expected="the robot's root prim as defaultPrim; set it in the metadata of the stage",
+        )
     metre = UsdGeom.GetStageMetersPerUnit(stage)
     kilogram = UsdPhysics.GetStageKilogramsPerUnit(stage)
     if metre != 1.0 or kilogram != 1.0 or UsdGeom.GetStageUpAxis(stage) != "Z":
@@ -127,7 +131,11 @@ class _Reader:
         self.path = path
         self.links = link_prims(stage)
         if not self.links:
-            raise ModelError("a stage without links", path=path)
+            raise ModelError(
+                "a stage without links",
+                path=path,
+                expected="Xform prims below the child Geometry of the default prim",
+            )
         self.of_prim = {prim.GetPath(): name for name, prim in self.links.items()}
         self.cache = UsdGeom.XformCache()
 

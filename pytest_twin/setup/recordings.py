@@ -53,7 +53,12 @@ def parse_tolerance(text: str) -> TaskTolerance:
         name = _UNIT_OF[quantity.unit]
         own = joints.setdefault(joint.strip(), {}) if given else general
         if own and (given or name in own):
-            raise SpecError("two tolerances for the same joints", value=text)
+            raise SpecError(
+                "two tolerances for the same joints",
+                value=text,
+                expected="one of each unit for all joints and one for each named joint, such as "
+                "5mrad,0.2mm,wrist=2mrad",
+            )
         own[name] = written.strip()
     return TaskTolerance(general, joints)
 

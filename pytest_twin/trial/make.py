@@ -94,7 +94,12 @@ def _whole(
         notes += said
     states, commands = topics
     if states.position is None:
-        raise RecordingError("no state has positions", path=recording.path, where=states.topic)
+        raise RecordingError(
+            "no state has positions",
+            path=recording.path,
+            where=states.topic,
+            expected="positions of the joints in each state, rad or m",
+        )
     clocked = on_one_clock(states, commands, options.clock, recording.path)
     inputs = None if structure is None else structure.joint_inputs
     commanded = commanded_fields(commands, inputs, options, recording.path)

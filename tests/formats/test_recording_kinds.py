@@ -197,7 +197,10 @@ ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n)"
             "'messages' is no plain table",
         ),
         (TOPICS + "CREATE TABLE messages(id INTEGER PRIMARY KEY);", "no such column"),
-        (TOPICS + MESSAGES_TABLE + "INSERT INTO messages VALUES(1, 1, 'x', 'y');", "no message"),
+        (
+            TOPICS + MESSAGES_TABLE + "INSERT INTO messages VALUES(1, 1, 'x', 'y');",
+            "is not a message",
+        ),
     ],
 )
 def test_databases_that_are_no_bags_are_refused(tmp_path: Path, script: str, words: str) -> None:

@@ -273,7 +273,7 @@ def test_a_writer_that_fails_leaves_the_old_recording(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="position has another shape"):
         write_recording(path, [series("/joint_states", 3, position=np.zeros((2, 2)))])
     two = series("/joint_states", 3, position=np.zeros((3, 2)))
-    with pytest.raises(RecordingError, match="a topic stands twice"):
+    with pytest.raises(RecordingError, match="two series have the same topic"):
         write_recording(path, [two, two])
     assert path.read_bytes() == before
 

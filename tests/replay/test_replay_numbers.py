@@ -190,7 +190,8 @@ def test_a_trial_that_diverges_names_joint_and_time_and_stops_no_other() -> None
     assert bad.error is not None
     assert bad.error.where == "joint 'x'"
     words = "joint 'x': the acceleration diverged 1 s after the first state of made.mcap"
-    assert str(bad.error) == words
+    next_step = "a stable simulation; check timestep, inertias and servo gains"
+    assert str(bad.error) == f"{words} (expected {next_step})"
     assert np.array_equal(bad.position[:100, 0], np.zeros(100))
     assert np.isnan(bad.position[100:, 0]).all()
     assert fine.error is None

@@ -188,7 +188,8 @@ ERRORS: dict[str, tuple[Callable[[], Recording], str]] = {
     ),
     "no position": (
         lambda: sound(position=None),
-        "made.mcap: /joint_states: no state has positions",
+        "made.mcap: /joint_states: no state has positions (expected positions of the joints in "
+        "each state, rad or m)",
     ),
     "infinite position": (
         lambda: sound(position=spoiled(70, 1, np.inf)),

@@ -86,7 +86,12 @@ def replay_patched(
         segment = whole_segment(stepped, trial, patched.joints, cold, creeps=patched.creeps)
         predicted = _predict(segment, patched, values, threads)
         if not np.isfinite(predicted.position).all():
-            raise SimulationError("the simulation diverged", path=trial.path)
+            raise SimulationError(
+                "the simulation diverged",
+                path=trial.path,
+                expected="finite joint positions; check the unit of the commands, or diagnose "
+                "again with this recording among those that are fitted",
+            )
         out.append(_as_measured(predicted, segment, trial, realization, patched.joints))
     return out
 

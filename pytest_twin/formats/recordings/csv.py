@@ -88,7 +88,12 @@ class _Table:
         for at, cell in enumerate(cells):
             if cell in cells[:at]:
                 raise FormatError(
-                    "a heading stands twice", path=self.path, line=1, column=at + 1, value=cell
+                    "a heading occurs twice",
+                    path=self.path,
+                    line=1,
+                    column=at + 1,
+                    value=cell,
+                    expected="each heading once; rename or remove one of the columns",
                 )
         return cells
 
@@ -109,12 +114,22 @@ class _Table:
                 continue
             if not joint.isprintable() or len(joint) > limits.CSV.name_chars:
                 raise FormatError(
-                    "no joint's name", path=self.path, line=1, column=at + 1, value=joint
+                    "not a usable name of a joint",
+                    path=self.path,
+                    line=1,
+                    column=at + 1,
+                    value=joint,
+                    expected=f"printable text of at most {limits.CSV.name_chars} characters",
                 )
             column = _Column(joint, name)
             if column in found.values():
                 raise FormatError(
-                    f"two columns are {meaning}", path=self.path, line=1, column=at + 1
+                    f"two columns are {meaning}",
+                    path=self.path,
+                    line=1,
+                    column=at + 1,
+                    value=heading,
+                    expected="one column for each quantity of a joint",
                 )
             found[at] = column
         if self.time_at < 0:

@@ -141,7 +141,7 @@ class Body:
                 return FormatError("not UTF-8 text", path=self.path, line=number, expected="UTF-8")
             if len(cells) != len(self.header):
                 return FormatError(
-                    f"row has {len(cells)} values",
+                    f"row has {len(cells)} value" + ("s" if len(cells) != 1 else ""),
                     path=self.path,
                     line=number,
                     expected=f"{len(self.header)}, one for each heading",
@@ -161,7 +161,11 @@ class Body:
                         if at == self.time
                         else "a number, or nothing where the row does not carry it",
                     )
-        return FormatError("cannot be read as numbers", path=self.path)
+        return FormatError(
+            "cannot be read as numbers",
+            path=self.path,
+            expected="rows of numbers below the header, one number for each heading",
+        )
 
 
 def _is_number(cell: str) -> bool:

@@ -69,7 +69,12 @@ class _Dataset:
         self.info = self.read_info()
         features = self.info.get("features")
         if not isinstance(features, dict):
-            raise FormatError("describes no features", path=self.file, where="features")
+            raise FormatError(
+                "describes no features",
+                path=self.file,
+                where="features",
+                expected="a JSON object with " + " or ".join(_FEATURES.values()),
+            )
         self.features = {
             role: self.feature(features[column], column)
             for role, column in _FEATURES.items()
@@ -92,7 +97,11 @@ class _Dataset:
         except (ValueError, RecursionError) as error:
             raise FormatError(f"not JSON: {str(error)[:80]}", path=self.file) from None
         if not isinstance(found, dict):
-            raise FormatError("not a JSON object", path=self.file)
+            raise FormatError(
+                "not a JSON object",
+                path=self.file,
+                expected="an object with codebase_version, fps and features",
+            )
         version = str(found.get("codebase_version"))
         if not _VERSION.fullmatch(version):
             raise FormatError(
@@ -130,7 +139,13 @@ class _Dataset:
         names, quantities = [], []
         for name in written:
             if not name.isprintable() or len(name) > limits.CSV.name_chars:
-                raise FormatError("no joint's name", path=self.file, where=where, value=name)
+                raise FormatError(
+                    "not a usable name of a joint",
+                    path=self.file,
+                    where=where,
+                    value=name,
+                    expected=f"printable text of at most {limits.CSV.name_chars} characters",
+                )
             suffix = next((s for s in _SUFFIXES if name.endswith(s) and name != s), "")
             names.append(name.removesuffix(suffix))
             quantities.append(_SUFFIXES.get(suffix, "position"))
@@ -144,7 +159,11 @@ class _Dataset:
             {**sizes, "timestamp": 0, "frame_index": 0, "episode_index": 0},
         )
         if not len(table["episode_index"]):
-            raise RecordingError("no frames", path=self.path)
+            raise RecordingError(
+                "no frames",
+                path=self.path,
+                expected="at least one frame in the files under data/",
+            )
         order = np.lexsort((table["frame_index"], table["episode_index"]))
         table = {name: values[order] for name, values in table.items()}
         unit = unit_of(
@@ -159,7 +178,12 @@ class _Dataset:
         episode = table["episode_index"].astype(np.int64)
         first = np.flatnonzero(np.diff(episode, prepend=episode[0] - 1))
         if len(first) > limits.MCAP.messages_free_count:
-            raise LimitError("too many episodes", path=self.path, value=len(first))
+            raise LimitError(
+                "too many episodes",
+                path=self.path,
+                value=len(first),
+                expected=f"at most {limits.MCAP.messages_free_count}",
+            )
         ends = [*first[1:].tolist(), len(episode)]
         notes = tuple(str(note) for note in self.notes.all())
         return [
@@ -218,7 +242,14 @@ class _Dataset:
             if (np.abs(written - exact) <= _SINGLE * np.abs(exact)).all():
                 written = exact
         if not np.isfinite(written).all() or np.abs(written).max() > 2**33:
-            raise RecordingError("a timestamp that is no time", path=self.path, where="timestamp")
+            raise RecordingError(
+                "a timestamp that is not a time",
+                path=self.path,
+                where="timestamp",
+                value=float(written[np.argmax(~(np.abs(written) <= 2**33))]),
+                unit="s",
+                expected=f"at most {2**33} s",
+            )
         return np.rint(written * 1e9).astype(np.int64)
 
     def role_of(self, number: int) -> str | None:

@@ -41,7 +41,14 @@ def data_files(folder: Path, template: object, at: Path) -> list[Path]:
     pattern = "*".join(re.split(r"\*+", _FIELD.sub("*", template)))
     parts = Path(pattern).parts
     if Path(pattern).is_absolute() or ".." in parts or any(mark in pattern for mark in "{}[]?"):
-        raise FormatError("not a place in the data set", path=at, where="data_path", value=template)
+        raise FormatError(
+            "not a place in the data set",
+            path=at,
+            where="data_path",
+            value=template,
+            expected="a path inside its folder, such as data/chunk-{chunk_index:03d}/"
+            "file-{file_index:03d}.parquet",
+        )
     found = sorted(folder.glob(pattern))
     if len(found) > limits.PARQUET.files_count:
         raise LimitError(
@@ -51,7 +58,13 @@ def data_files(folder: Path, template: object, at: Path) -> list[Path]:
             expected=f"at most {limits.PARQUET.files_count}",
         )
     if not found:
-        raise FormatError("no data file is there", path=at, where="data_path", value=template)
+        raise FormatError(
+            "no data file is there",
+            path=at,
+            where="data_path",
+            value=template,
+            expected=f"Parquet files at {pattern}; download the whole data set",
+        )
     roots = Roots(folder)
     return [
         roots.resolve(str(file.relative_to(folder)), at=folder / "data", where="data_path")

@@ -88,7 +88,13 @@ def _named_files(folder: Path, information: Mapping[str, Any]) -> list[Path]:
             name = bare
         files.append(roots.resolve(name, at=metadata, where=where))
     if len(set(files)) != len(files):
-        raise FormatError("names a file twice", path=metadata, where="relative_file_paths")
+        raise FormatError(
+            "names a file twice",
+            path=metadata,
+            where="relative_file_paths",
+            value=", ".join(names),
+            expected="each file once",
+        )
     return files
 
 
