@@ -97,7 +97,7 @@ class _Target:
         self.names: dict[str, str] = {}
         self.bytes = 0
 
-    def refuse(self, problem: str, name: str, expected: str | None = None) -> PathError:
+    def refuse(self, problem: str, name: str, expected: str) -> PathError:
         return PathError(problem, path=self.origin, value=name, expected=expected)
 
     def limit(self, problem: str, name: str, expected: str) -> LimitError:
@@ -129,16 +129,18 @@ class _Target:
         if "\\" in name or ":" in place.parts[0]:
             raise self.refuse("a name of another system", name, "folders parted by '/'")
         if not name.isprintable():
-            raise self.refuse("a name with a control character", name)
+            raise self.refuse("a name with a control character", name, "printable characters")
         parts = [part for part in place.parts if part != "."]
         if not parts:
-            raise self.refuse("a file without a name", name)
+            raise self.refuse("a file without a name", name, "the name of a file")
         if len(parts) > self.limits.depth:
             raise self.limit("folders too deep", name, f"at most {self.limits.depth}")
         try:
             too_long = any(len(os.fsencode(part)) > self.limits.name_bytes for part in parts)
         except UnicodeEncodeError:
-            raise self.refuse("a name that no file can have", name) from None
+            raise self.refuse(
+                "a name that no file can have", name, "text that UTF-8 can hold"
+            ) from None
         if too_long:
             raise self.limit("a name is too long", name, f"at most {self.limits.name_bytes} bytes")
         place = PurePosixPath(*parts)
@@ -157,7 +159,9 @@ class _Target:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError):
-            raise self.refuse("a file where a folder should be", folder.name) from None
+            raise self.refuse(
+                "a file where a folder should be", folder.name, "either a file or a folder"
+            ) from None
 
 
 def _folder(path: Path, target: _Target) -> None:

@@ -134,7 +134,13 @@ class CollisionDistance(Check):
                 known_name(golden, place, name, shapes.names, "geom or collision body")
                 sides.append(shapes.geoms(name))
             if sides[0] & sides[1]:
-                raise spec_error(golden, place, "a pair of a body with itself", value=pair)
+                raise spec_error(
+                    golden,
+                    place,
+                    "a pair of a body with itself",
+                    value=pair,
+                    expected="two different bodies",
+                )
             pairs.append((f"{pair[0]} - {pair[1]}", sides[0], sides[1]))
         for i, entry in enumerate(golden.target["disabled"]):
             for name in entry.get("pair", entry.get("among", ())):

@@ -123,7 +123,13 @@ def _slide(golden: Golden, scene: Scene, progress: Progress) -> Observation:
     duration = quantity(golden, "stimulus.slide.duration", given["duration"], "s")
     travel_bound = quantity(golden, "stimulus.slide.travel", given.get("travel", _SLIP_TRAVEL), "m")
     if not (most > 0.0 and 0.0 < duration <= 60.0 and travel_bound > 0.0):
-        raise spec_error(golden, "stimulus.slide", "force, duration and travel are more than 0")
+        raise spec_error(
+            golden,
+            "stimulus.slide",
+            "force, duration or travel is out of range",
+            value=f"{most:g} N, {duration:g} s, {travel_bound:g} m",
+            expected="each more than 0, and a duration of at most 60 s",
+        )
     before = _Record(scene, scene.geoms)
     settled = scene.run(scene.seconds("duration"), before, lambda f: progress(0.5 * f))
     values = before.values(settled.time)

@@ -106,9 +106,19 @@ class Scene:
         primitive = target["primitive"]
         needed = {"slide": ("stimulus", "slide"), "grip": ("stimulus", "hold")}
         if primitive in needed and needed[primitive][1] not in self.golden.stimulus:
-            raise spec_error(self.golden, ".".join(needed[primitive]), f"a {primitive} needs it")
+            raise spec_error(
+                self.golden,
+                ".".join(needed[primitive]),
+                f"a {primitive} needs it",
+                expected="the field " + needed[primitive][1] + " of the stimulus",
+            )
         if primitive == "grip" and OBJECT not in target:
-            raise spec_error(self.golden, "target.object", "a grip needs one")
+            raise spec_error(
+                self.golden,
+                "target.object",
+                "a grip needs one",
+                expected="an object to hold: its shape, size and mass",
+            )
 
     def _geoms(self, i: int) -> frozenset[int]:
         from pytest_twin.realization import scene
@@ -271,5 +281,12 @@ def _free_object(golden: Golden) -> FreeObject | None:
         )
     mass = quantity(golden, "target.object.mass", given["mass"], "kg")
     if not mass > 0.0:
-        raise spec_error(golden, "target.object.mass", "no mass", value=mass, unit="kg")
+        raise spec_error(
+            golden,
+            "target.object.mass",
+            "no mass",
+            value=mass,
+            unit="kg",
+            expected="more than 0 kg",
+        )
     return scene.FreeObject(given["shape"], size, mass, given.get("friction"))

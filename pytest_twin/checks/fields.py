@@ -58,7 +58,14 @@ def quantity(golden: Golden, field: str, value: object, unit: str) -> float:
     """
     if isinstance(value, int | float) and not isinstance(value, bool):
         if not math.isfinite(value):
-            raise spec_error(golden, field, "not a finite number", value=value, unit=unit)
+            raise spec_error(
+                golden,
+                field,
+                "not a finite number",
+                value=value,
+                unit=unit,
+                expected="a finite number",
+            )
         return float(value)
     try:
         return parse_quantity(value, (unit,)).value
@@ -76,5 +83,10 @@ def tolerance(golden: Golden, name: str, why: str) -> float:
     """
     stated = golden.tolerance.get(name)
     if stated is None:
-        raise spec_error(golden, f"tolerance.{name}", f"missing: {why}")
+        raise spec_error(
+            golden,
+            f"tolerance.{name}",
+            f"missing: {why}",
+            expected="a number with its unit; write what the task allows",
+        )
     return stated.value

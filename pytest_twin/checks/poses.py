@@ -144,7 +144,13 @@ def resolve_poses(
     seen: set[str] = set()
     for pose in poses:
         if pose.name in seen:
-            raise spec_error(golden, field, "two poses have the same name", value=pose.name)
+            raise spec_error(
+                golden,
+                field,
+                "two poses have the same name",
+                value=pose.name,
+                expected="a name of its own for each pose",
+            )
         seen.add(pose.name)
     return poses
 

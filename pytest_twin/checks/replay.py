@@ -211,7 +211,11 @@ class Replay(Check):
             stated = golden.target.get(key)
             if stated is not None and stated == recorded and stated not in declared:
                 raise spec_error(
-                    golden, f"target.{key}", f"twin.yaml declares no such {key}", value=stated
+                    golden,
+                    f"target.{key}",
+                    f"twin.yaml declares no such {key}",
+                    value=stated,
+                    expected=", ".join(declared) or f"a {key} that twin.yaml declares under {key}s",
                 )
             if stated != recorded and (stated is not None or declared):
                 raise spec_error(
@@ -366,7 +370,10 @@ def _joint_measures(golden: Golden, joints: Mapping[str, Any]) -> Iterator[Measu
             error = values[number]
             if error is None:
                 raise spec_error(
-                    golden, f"tolerance.{name}", f"the recording has no velocity of {joint!r}"
+                    golden,
+                    f"tolerance.{name}",
+                    f"the recording has no velocity of {joint!r}",
+                    expected="a recording with velocities, or a spec without this tolerance",
                 )
             worst = number == "maximum"
             yield Measure(

@@ -121,7 +121,12 @@ class Settling(Check):
         for i, joint in enumerate(golden.target.get("joints", ())):
             known_name(golden, f"target.joints.{i}", joint, structure.joint_body, "joint")
         if not wanted:
-            raise spec_error(golden, "target.joints", "no joint with a name that could settle")
+            raise spec_error(
+                golden,
+                "target.joints",
+                "no joint with a name that could settle",
+                expected="at least one named hinge or slide joint in the model",
+            )
         duration = _positive(golden, "stimulus.duration", stimulus["duration"])
         pose = resolve_pose(golden, realization, stimulus.get("pose", REFERENCE), "stimulus.pose")
         model = simulate.bench(
@@ -144,7 +149,12 @@ class Settling(Check):
             for given in [stimulus.get("band", {}).get(name, _DEFAULT_BAND[unit])]
         }
         if min(bands.values()) <= 0.0:
-            raise spec_error(golden, "stimulus.band", "a band of zero width")
+            raise spec_error(
+                golden,
+                "stimulus.band",
+                "a band of zero width",
+                expected="more than zero, such as '5 mrad'",
+            )
         final, excess, columns = _joints(realization, run, wanted, bands)
         growth = energy_growth(run.energy, run.actuator_work, run.constraint_work)
         grid = sample_grid(duration, SAMPLES)

@@ -94,7 +94,12 @@ class Step(Check):
         amplitude = quantity(golden, "stimulus.amplitude", golden.stimulus["amplitude"], unit)
         if amplitude == 0.0:
             raise spec_error(
-                golden, "stimulus.amplitude", "the amplitude is zero", value=0, unit=unit
+                golden,
+                "stimulus.amplitude",
+                "the amplitude is zero",
+                value=0,
+                unit=unit,
+                expected=f"a step other than 0 {unit}",
             )
         duration = quantity(golden, "stimulus.duration", golden.stimulus["duration"], "s")
         if not 0.0 < duration <= 60.0:

@@ -232,7 +232,11 @@ def _numbers(golden: Golden, name: str, value: Any) -> float | list[float]:
             )
         if not math.isfinite(item):
             raise spec_error(
-                golden, where, "the function returned a number that is not finite", value=str(item)
+                golden,
+                where,
+                "the function returned a number that is not finite",
+                value=str(item),
+                expected="a finite number",
             )
     numbers = [float(item) for item in values]
     return numbers if isinstance(value, list | tuple) else numbers[0]
@@ -264,7 +268,13 @@ def _function(golden: Golden, realization: Realization) -> Iterator[Callable[...
             module = _installed(golden, field, place)
         found: Callable[..., Any] | None = getattr(module, name, None)
         if not callable(found):
-            raise spec_error(golden, field, f"no function of this name in {place}", value=name)
+            raise spec_error(
+                golden,
+                field,
+                f"no function of this name in {place}",
+                value=name,
+                expected="a function that this module defines",
+            )
         yield found
 
 

@@ -95,7 +95,7 @@ def _as_spec_error(error: ValidationError, document: Document, path: Path) -> Sp
         extra = [key for key in value if key not in known]
         name = extra[0] if extra else where
         where = f"{where}.{name}" if where else name
-        problem, shown, expected = "is no known field", None, _closest(name, known)
+        problem, shown, expected = "is not a known field", None, _closest(name, known, most=40)
     elif kind == "required":
         missing = [name for name in bound if name not in value]
         problem, shown = f"field {missing[0]!r} is missing", None
@@ -107,8 +107,10 @@ def _as_spec_error(error: ValidationError, document: Document, path: Path) -> Sp
         expected = _closest(value, words) if isinstance(value, str) else _listed(words)
     elif kind == "type":
         names = [bound] if isinstance(bound, str) else list(bound)
-        problem, shown = f"is {_kind_of(value)}", shown
+        problem = f"is {_kind_of(value)}"
         expected = " or ".join(_TYPE_WORDS.get(name, name) for name in names)
+        if "examples" in schema:
+            expected = _about(schema) or expected
     elif kind in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum"):
         small = "inimum" in kind
         problem = "is too small" if small else "is too large"
@@ -163,18 +165,18 @@ def _about(schema: object) -> str | None:
     )
 
 
-def _closest(name: str, known: list[str]) -> str:
+def _closest(name: str, known: list[str], most: int = 12) -> str:
     if not known:
         return "no field of this name"
     near = difflib.get_close_matches(name[:100], known, n=1)
-    return _listed(known) + (f"; did you mean {near[0]!r}?" if near else "")
+    return _listed(known, most) + (f"; did you mean {near[0]!r}?" if near else "")
 
 
-def _listed(words: list[str]) -> str:
+def _listed(words: list[str], most: int = 12) -> str:
     if len(words) == 1:
         return words[0]
-    shown = ", ".join(words[:12])
-    return f"one of {shown}" + (f" and {len(words) - 12} more" if len(words) > 12 else "")
+    shown = ", ".join(words[:most])
+    return f"one of {shown}" + (f" and {len(words) - most} more" if len(words) > most else "")
 
 
 def _plain(value: object) -> object:

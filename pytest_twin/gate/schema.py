@@ -13,6 +13,12 @@ from pytest_twin.formats import atomic
 
 SCHEMA_VERSION = 1
 SHIPPED = "schemas/golden.schema.json"
+# SI unit -> a tolerance as people write one.
+_EXAMPLES = {
+    **{"m": "0.5 mm", "rad": "5 mrad", "s": "2 ms", "kg": "5 g", "1": "2 %"},
+    **{"N": "0.1 N", "N*m": "5 mN*m", "J": "1 mJ", "Hz": "0.2 Hz", "dB": "0.5 dB"},
+    **{"m/s": "2 mm/s", "rad/s": "1 deg/s"},
+}
 _SHA256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
 _TEXT = {"type": "string", "minLength": 1, "maxLength": 1000}
 
@@ -128,10 +134,7 @@ def _fragment(check: Check) -> dict[str, Any]:
     }
     properties["tolerance"] = {
         "type": "object",
-        "properties": {
-            name: {**_TEXT, "description": f"a quantity in {unit}"}
-            for name, unit in sorted(check.tolerances.items())
-        },
+        "properties": {name: _quantity(unit) for name, unit in sorted(check.tolerances.items())},
         "required": sorted(check.required_tolerances),
         "additionalProperties": False,
     }
@@ -140,6 +143,16 @@ def _fragment(check: Check) -> dict[str, Any]:
         name for name in ("target", "stimulus") if properties.get(name, {}).get("required")
     ]
     return {"properties": properties, "required": required}
+
+
+def _quantity(unit: str) -> dict[str, Any]:
+    """A text with a number in ``unit``; another package's check may have any unit."""
+    example = _EXAMPLES.get(unit, f"1 {unit}")
+    return {
+        **_TEXT,
+        "description": f"a number with its unit, such as {example!r}",
+        "examples": [example],
+    }
 
 
 def _ship() -> None:

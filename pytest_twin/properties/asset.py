@@ -205,7 +205,11 @@ def _of_twin(path: Path, tolerances: Tolerances | None) -> Asset:
         forms += made
         left_out += missing
     if not forms:
-        raise twin.error("realizations", "no realization whose properties could be tested")
+        raise twin.error(
+            "realizations",
+            "no realization whose properties could be tested",
+            expected="at least one that Pinocchio or MuJoCo loads",
+        )
     return Asset(twin.name, forms, tolerances, left_out)
 
 

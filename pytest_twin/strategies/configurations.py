@@ -86,6 +86,10 @@ def load_any(path: Path) -> Realization:
         return load(path)
     twin = load_twin(path)
     if not twin.realizations:
-        raise twin.error("realizations", "no realization to draw from")
+        raise twin.error(
+            "realizations",
+            "no realization to draw from",
+            expected="a model, such as 'model: robot.urdf'",
+        )
     first = next(iter(twin.realizations.values()))
     return load(first.file, twin=twin, name=first.name)

@@ -200,5 +200,6 @@ def test_errors_say_what_was_meant(tmp_path: Path, entry: Any, words: str) -> No
 
 
 def test_two_poses_of_one_name_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match=r"two poses have the same name \(got 'home'\)"):
+    words = r"two poses have the same name \(got 'home'; expected a name of its own for each pose"
+    with pytest.raises(SpecError, match=words):
         poses(robot(tmp_path), "home", {"name": "home", "joints": {"pan": 1}})

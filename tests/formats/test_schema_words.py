@@ -45,8 +45,8 @@ PATH = Path("g.yaml")
 @pytest.mark.parametrize(
     ("text", "line", "where", "words"),
     [
-        ("a: 1", 1, "a", "a: is no known field (expected one of schema, kind,"),
-        ("kind: fk\nkinds: 1", 2, "kinds", "is no known field"),
+        ("a: 1", 1, "a", "a: is not a known field (expected one of schema, kind,"),
+        ("kind: fk\nkinds: 1", 2, "kinds", "is not a known field"),
         ("kind: fk\ntolerance:\n  positon: 1 m", 3, "tolerance.positon", "expected position"),
         ("\ntitle: x", 2, None, "field 'kind' is missing (expected one of fk, step, settling)"),
         ("kind: stepp", 1, "kind", "got 'stepp'; expected one of fk, step, settling; did you mean"),
@@ -92,7 +92,7 @@ def test_words(text: str, line: int, where: str | None, words: str) -> None:
 
 
 def test_a_misspelt_field_is_named_rather_than_the_one_that_is_missing() -> None:
-    with pytest.raises(SpecError, match=r"kimd: is no known field.*did you mean 'kind'"):
+    with pytest.raises(SpecError, match=r"kimd: is not a known field.*did you mean 'kind'"):
         schema.validate(yaml.loads("kimd: fk", PATH), SCHEMA, PATH)
 
 

@@ -234,7 +234,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], type[TwinError], str]] = {
             "tolerance": {"angle_rms": "1 deg"},
         },
         SpecError,
-        "target.controller: twin.yaml declares no such controller (got 'stiff')",
+        "target.controller: twin.yaml declares no such controller (got 'stiff'; expected soft)",
     ),
     "frame": (
         {

@@ -111,9 +111,9 @@ def test_an_installed_function_rests_on_its_distribution(arm: Path) -> None:
     ("old", "new", "words"),
     [
         ("pose[2, 3]", "float('nan')", "target.outputs.height: the function returned a number "
-         "that is not finite (got 'nan')"),
+         "that is not finite (got 'nan'; expected a finite number)"),
         ("pose[2, 3]", "[0.0, float('inf')]", "target.outputs.height[1]: the function returned a "
-         "number that is not finite (got 'inf')"),
+         "number that is not finite (got 'inf'; expected a finite number)"),
         ("pose[2, 3]", "'high'", "target.outputs.height: the function returned no number "
          "(got 'str'; expected a number or a list of numbers)"),
         ("pose[2, 3]", "True", "target.outputs.height: the function returned no number "
@@ -125,10 +125,11 @@ def test_an_installed_function_rests_on_its_distribution(arm: Path) -> None:
         ('{"height"', '3.0 or {"height"', "target.outputs: the function returned no mapping "
          "(got 'float'; expected count, height, position)"),
         ("def reach(realization, shoulder", "def reach(realization, elbow", "stimulus: the "
-         "function cannot be called so: reach() got an unexpected keyword argument 'shoulder' "
+         "function cannot be called with these arguments: reach() got "
+         "an unexpected keyword argument 'shoulder' "
          "(expected function(realization, **stimulus))"),
         ("def reach", "def grasp", "target.function: no function of this name in tasks/reach.py "
-         "(got 'reach')"),
+         "(got 'reach'; expected a function that this module defines)"),
         ("def reach", "def def reach", "reach.py:4: not valid Python: invalid syntax"),
     ],
 )  # fmt: skip
