@@ -17,9 +17,11 @@ from replay_trials import ARM
 
 from pytest_twin.checks import check_of
 from pytest_twin.checks.replay import Replay
+from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.gate import worker
 from pytest_twin.gate.specs import load_golden
-from pytest_twin.realization import load
+from pytest_twin.realization import Realization, load
 from pytest_twin.trial import Trial
 from pytest_twin.twin import load_twin
 
@@ -92,6 +94,25 @@ def test_an_episode_is_a_whole_number_from_0(tmp_path: Path, number: object) -> 
     root = write_twin(tmp_path / "arm", 2)
     with pytest.raises(TwinError, match=r"moves\.yaml:\d+: target\.episode: "):
         trials_of(root, episode=number)
+
+
+def test_the_gate_diagnoses_the_episodes_of_its_goldens_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = write_twin(tmp_path / "arm", 4)
+    (root / "twin.yaml").write_text("name: arm\nmodel: arm.xml\n")
+    read: list[str] = []
+
+    def note_recordings(_: Path, __: Realization, trials: TrialSet, **___: object) -> None:
+        # Which recordings are fitted is decided by now; the fit itself takes minutes.
+        read.extend(trial.path.name for trial in (*trials.fit, *trials.held_out))
+
+    monkeypatch.setattr("pytest_twin.gate.diagnosis_folder.write_diagnosis", note_recordings)
+    moves = str(root / "moves")
+    worker.diagnose(
+        str(root / "twin.yaml"), "mujoco", [(moves, 1)], [(moves, 3)], str(tmp_path), lambda _: None
+    )
+    assert sorted(read) == ["episode_000001", "episode_000003"]
 
 
 def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
