@@ -250,7 +250,7 @@ def _references(root: Node) -> Iterator[tuple[Node, str, Path]]:
             if reference is None:
                 continue
             if not reference:
-                raise node.error("empty file name", key)
+                raise node.error("empty file name", key, expected="a path to a file")
             if strip:
                 reference = reference.replace("\\", "/").rsplit("/", 1)[-1]
             if node.tag == "model":
@@ -260,7 +260,12 @@ def _references(root: Node) -> Iterator[tuple[Node, str, Path]]:
             elif node.tag in _MESH_FILES:
                 yield node, key, base / mesh_folder / reference
             else:
-                raise node.error("no file may stand here", key, value=reference)
+                raise node.error(
+                    "no file may stand here",
+                    key,
+                    value=reference,
+                    expected="no such attribute; remove it",
+                )
 
 
 class _Reader:
@@ -418,7 +423,10 @@ class _Reader:
             faces = int(struct.unpack_from("<I", content, 80)[0])
             if 84 + 50 * faces != len(content):
                 raise node.error(
-                    "not a whole binary STL", key, value=f"{len(content)} bytes, {faces} faces"
+                    "not a whole binary STL",
+                    key,
+                    value=f"{len(content)} bytes, {faces} faces",
+                    expected=f"{84 + 50 * faces} bytes; export the mesh again",
                 )
             self.faces += faces
             if faces > self.limits.mesh_faces or self.faces > self.limits.total_mesh_faces:
@@ -463,7 +471,10 @@ class _Reader:
     def check(self, node: Node, repeated: float) -> None:
         """Refuse what is not finite, negative, or without measure. ``repeated``: copies of node."""
         if node.tag == "plugin" or node.tag == "extension":
-            raise node.error("plugins are native code and are not loaded")
+            raise node.error(
+                "plugins are native code and are not loaded",
+                expected="a model without plugins; remove this element",
+            )
         numbers = {
             key: _numbers(text) for key, text in node.attributes.items() if key not in _NAMES
         }

@@ -49,7 +49,9 @@ def apply_fit(
                 for attribute, value in patch.items():
                     _set(geom, attribute, value, f"{here}.{attribute}", refuse)
             else:
-                raise refuse(where, "unknown table", value=family)
+                raise refuse(
+                    where, "unknown table", value=family, expected="body, joint, actuator or geom"
+                )
     for attribute, value in option.items():
         _set(spec.option, attribute, value, f"{where}.option.{attribute}", refuse)
 
@@ -274,7 +276,12 @@ def _set_gain(
     elif gain == "kv" and actuator.type == kinds.mjACTUATOR_DAMPER:
         actuator.gainprm[2] = -value
     else:
-        raise refuse(where, "this actuator has no such gain", value=gain)
+        raise refuse(
+            where,
+            "this actuator has no such gain",
+            value=gain,
+            expected="a gain of its kind: kp of a position servo, kv of a servo or damper",
+        )
 
 
 def _is_motor(actuator: mujoco.MjsActuator) -> bool:
@@ -318,7 +325,12 @@ def _set(element: Any, attribute: str, value: Any, where: str, refuse: Refuse) -
     try:
         current = getattr(element, attribute)
     except AttributeError:
-        raise refuse(where, "no such attribute", value=attribute) from None
+        raise refuse(
+            where,
+            "no such attribute",
+            value=attribute,
+            expected="an attribute that MJCF gives this element",
+        ) from None
     if isinstance(current, np.ndarray):
         values = [float(v) for v in np.atleast_1d(value)]
         if len(values) > len(current):

@@ -55,7 +55,10 @@ def build(realization: NamedModel, robot: Robot) -> RigidModel:
         if joint.type == "planar" or (
             joint.type == "floating" and joint.name not in realization.joints
         ):
-            raise joint.node.error(f"no independent reference for a {joint.type} joint here")
+            raise joint.node.error(
+                f"no independent reference for a {joint.type} joint here",
+                expected="a joint of one degree of freedom",
+            )
     text = dynamics_text(robot.node)
     try:
         model = pin.buildModelFromXML(text)

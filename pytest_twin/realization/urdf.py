@@ -141,7 +141,9 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
             )
         links[link.name] = link
     if not links:
-        raise root.error("a robot without links")
+        raise root.error(
+            "a robot without links", expected="at least one link; expand a xacro file first"
+        )
     joints: dict[str, Joint] = {}
     for node in root.all("joint"):
         joint = joint_of(node)
@@ -315,7 +317,10 @@ def joint_of(node: Node) -> Joint:
         length = float(np.linalg.norm(axis))
         if length < 1e-6:
             raise axis_node.error(
-                f"joint '{name}' has an axis without direction", "xyz", value=length
+                f"joint '{name}' has an axis without direction",
+                "xyz",
+                value=length,
+                expected="a vector such as 0 0 1",
             )
         axis = axis / length
     velocity = effort = None
@@ -332,6 +337,7 @@ def joint_of(node: Node) -> Joint:
                     "lower",
                     value=f"{lower:g} > {upper:g}",
                     unit=unit,
+                    expected="lower below upper",
                 )
             limits = (lower, upper)
         velocity = _not_negative(limit, "velocity", f"{unit}/s", name)
@@ -391,7 +397,9 @@ def _check_tree(robot: Robot) -> None:
     for joint in robot.joints.values():
         for end in (joint.parent, joint.child):
             if end not in robot.links:
-                raise joint.node.error("no such link", value=end)
+                raise joint.node.error(
+                    "no such link", value=end, expected="the name of a link of this robot"
+                )
         if joint.child in parent_of:
             other = parent_of[joint.child]
             raise joint.node.error(
@@ -413,7 +421,9 @@ def _check_tree(robot: Robot) -> None:
     reached = len(robot.in_order()) + 1
     if reached != len(robot.links):
         raise robot.node.error(
-            "a loop of links apart from the tree", value=f"{len(robot.links) - reached} links"
+            "a loop of links apart from the tree",
+            value=f"{len(robot.links) - reached} links",
+            expected="every link on a chain of joints from the root",
         )
 
 
@@ -430,7 +440,10 @@ def _check_mimics(robot: Robot) -> None:
         if joint.mimic is None or joint.type == "fixed":
             continue
         if joint.type not in ("revolute", "continuous", "prismatic"):
-            raise joint.mimic.node.error(f"a {joint.type} joint cannot follow another")
+            raise joint.mimic.node.error(
+                f"a {joint.type} joint cannot follow another",
+                expected="a revolute, continuous or prismatic joint",
+            )
         seen = [joint.name]
         follower = joint
         while follower.mimic is not None:
@@ -439,11 +452,15 @@ def _check_mimics(robot: Robot) -> None:
                 break
             if leader.type not in ("revolute", "continuous", "prismatic"):
                 raise follower.mimic.node.error(
-                    f"a {leader.type} joint cannot be followed", value=leader.name
+                    f"a {leader.type} joint cannot be followed",
+                    value=leader.name,
+                    expected="a revolute, continuous or prismatic joint",
                 )
             if leader.name in seen:
                 raise follower.mimic.node.error(
-                    "joints follow each other in a circle", value=" -> ".join((*seen, leader.name))
+                    "joints follow each other in a circle",
+                    value=" -> ".join((*seen, leader.name)),
+                    expected="one joint that follows none",
                 )
             seen.append(leader.name)
             follower = leader

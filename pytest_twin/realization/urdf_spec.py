@@ -172,7 +172,9 @@ class _Converter:
         self.bodies[root.name] = world if root.name == "world" else world.add_body(name=root.name)
         for joint in self.robot.in_order():
             if joint.child == "world":
-                raise self.robot.links["world"].node.error("only the root may be named 'world'")
+                raise self.robot.links["world"].node.error(
+                    "only the root may be named 'world'", expected="another name for this link"
+                )
             body = self.bodies[joint.parent].add_body(name=joint.child)
             body.pos = joint.position
             body.quat = _quaternion(joint.rotation)
@@ -421,7 +423,12 @@ class _Converter:
             )
         needed = {"box": 3, "sphere": 1}.get(node.tag, 2)
         if (size[:needed] < 0).any():
-            raise node.error(f"collision of link '{link.name}' has a negative size")
+            raise node.error(
+                f"collision of link '{link.name}' has a negative size",
+                value=float(size[:needed].min()),
+                unit="m",
+                expected="0 m or more",
+            )
         if (size[:needed] == 0).any():
             self.note(node, f"collision of link '{link.name}' has no size and is left out")
             return None
@@ -433,7 +440,12 @@ class _Converter:
         path = mesh_file(node, self.files)
         scale = node.numbers("scale", (1.0, 1.0, 1.0))
         if (scale == 0).any():
-            raise node.error("a mesh without size", "scale", value=node.attributes["scale"])
+            raise node.error(
+                "a mesh without size",
+                "scale",
+                value=node.attributes["scale"],
+                expected="three factors other than 0",
+            )
         triangles = self._triangles(node, path).scaled(scale)
         if not np.abs(triangles.vertices).max() < _WIDEST:
             raise node.error(

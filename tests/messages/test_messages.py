@@ -410,6 +410,23 @@ def test_errors_say_what_was_expected() -> None:
     assert without == set(WITHOUT_EXPECTATION)
 
 
+def test_errors_of_an_element_say_what_was_expected() -> None:
+    """Elements of a model and twins make their own errors: ``raise node.error(...)``."""
+    without, seen = [], 0
+    for path in sorted(ROOT.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            call = node.exc if isinstance(node, ast.Raise) else None
+            if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute)):
+                continue
+            if call.func.attr != "error":
+                continue
+            seen += 1
+            if not given(call, "expected") and not raises_a_cause_again(call):
+                without.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert seen > 50
+    assert without == []
+
+
 def assert_no_more(sites: list[str], allowed: dict[str, int]) -> None:
     counts = Counter(map(room, sites))
     more = {name: count for name, count in counts.items() if count > allowed.get(name, 0)}
