@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.segment import Segment
+from pytest_twin.trial.setpoint import Setpoint
 
 
 class HeldCommands:
@@ -110,11 +111,10 @@ class HeldCommands:
         s = self.segments[segment]
         at = np.asarray(s.start - delay + timestep * np.arange(steps + 1), dtype=np.float64)
         held = self._held_of(segment)
-        last = held.last(at)
-        mean = held.integrals(at, last, held.command, held.area) / timestep
+        mean = np.diff(held.sent.integral(at), axis=0).T / timestep
         if held.heeded is not None:
-            change = np.diff(last) > 0
-            heeded = held.integrals(at, last, *held.heeded) / timestep
+            change = np.diff(held.last(at)) > 0
+            heeded = np.diff(held.heeded.integral(at), axis=0).T / timestep
             mean = np.where(change, heeded, mean)
         if prompt:
             self._prompt[segment] = mean
@@ -125,16 +125,15 @@ class HeldCommands:
             s = self.segments[segment]
             far = np.append(s.command_time, s.command_time[-1] + 1e6)
             command = np.where(np.isnan(s.command), self.idle[segment], s.command)
-            if s.moving:
-                change = np.diff(command, axis=0, append=command[-1:])
-                # Drives heed what they can of the mean: a step is too short for more.
-                self._held[segment] = _Held(far, command, _area(far, command, change), None, change)
-                return self._held[segment]
-            within = np.clip(command, self.least[segment], self.greatest[segment])
             heeded = None
-            if not np.array_equal(within, command):
-                heeded = within, _area(far, within)
-            self._held[segment] = _Held(far, command, _area(far, command), heeded)
+            # Of a moving command drives heed what they can of the mean: a step is too short for
+            # more.
+            if not s.moving:
+                within = np.clip(command, self.least[segment], self.greatest[segment])
+                if not np.array_equal(within, command):
+                    heeded = Setpoint(s.command_time, within, linear=False)
+            sent = Setpoint(s.command_time, command, linear=s.moving)
+            self._held[segment] = _Held(far, sent, heeded)
         return self._held[segment]
 
 
@@ -144,44 +143,28 @@ class _Held:
 
     Attributes:
         far: (stamps + 1,) s.
-        command: (stamps, joints) from each stamp on.
-        area: (joints, stamps + 1) its integral up to there.
-        heeded: both of what drives heed of it; None where that is all.
-        change: (stamps, joints) by which a command moves until the next stamp; None where it stays.
+        sent: what was commanded.
+        heeded: what drives heed of it; None where that is all.
     """
 
     far: FloatArray
-    command: FloatArray
-    area: FloatArray
-    heeded: tuple[FloatArray, FloatArray] | None
-    change: FloatArray | None = None
+    sent: Setpoint
+    heeded: Setpoint | None
+
+    @property
+    def command(self) -> FloatArray:
+        """(stamps, joints) at each stamp."""
+        return self.sent.value
 
     @property
     def usual(self) -> FloatArray:
         """(stamps, joints) mean from each stamp to the next."""
-        return self.command if self.change is None else self.command + 0.5 * self.change
+        value = self.sent.value
+        if not self.sent.linear:
+            return value
+        return value + 0.5 * np.diff(value, axis=0, append=value[-1:])
 
     def last(self, at: FloatArray) -> NDArray[np.int64]:
         """The latest stamp at each time; before the first the first command holds."""
         last = np.searchsorted(self.far, at, side="right") - 1
         return np.clip(last, 0, len(self.command) - 1)
-
-    def integrals(
-        self, at: FloatArray, last: NDArray[np.int64], command: FloatArray, area: FloatArray
-    ) -> FloatArray:
-        """(joints, steps) integrals from each time to the next."""
-        since = at - self.far[last]
-        summed = area[:, last] + command[last].T * since
-        if self.change is not None:
-            # Before the first stamp the first command holds.
-            part = np.maximum(since, 0.0) ** 2 / (self.far[last + 1] - self.far[last])
-            summed += 0.5 * self.change[last].T * part
-        return np.diff(summed, axis=1)
-
-
-def _area(far: FloatArray, command: FloatArray, change: FloatArray | None = None) -> FloatArray:
-    """(joints, stamps + 1) integral of a command up to each stamp."""
-    mean = command if change is None else command + 0.5 * change
-    area = np.zeros((command.shape[1], len(far)))
-    np.cumsum((np.diff(far)[:, None] * mean).T, axis=1, out=area[:, 1:])
-    return area
