@@ -234,7 +234,7 @@ def test_a_robot_of_huge_counts_ends_in_time(tmp_path: Path) -> None:
     path = tmp_path / "long.urdf"
     path.write_text("\n".join([*lines, "</robot>"]))
     said = table(audit_file(str(path)))
-    assert "X coupling.mimic_loop: joint 'j1': joints follow each other in a circle" in said
+    assert "X coupling.mimic_loop: joint 'j1': joints follow each other in a loop" in said
     assert "X inertia.moving_without" in said
     assert len(said.splitlines()) < 80
 

@@ -298,8 +298,7 @@ def test_a_distance_that_is_not_finite_fails(tmp_path: Path) -> None:
 def test_every_disabled_pair_needs_its_reason(tmp_path: Path) -> None:
     fault = failed(measure(CHECK, arm_spec(disabled=[]), robot(tmp_path)))
     assert [m.subject for m in fault] == [
-        "left - right: an exclude element keeps them apart, and no reason stands under "
-        "target.disabled"
+        "left - right: an exclude element keeps them apart, and target.disabled gives no reason"
     ]
 
 

@@ -68,19 +68,25 @@ def test_a_failure_says_in_one_line_what_it_looks_like(late: Path) -> None:
     lines = quick(result.stdout)
     assert len(lines) == 2
     for line in lines:
+        # How sure it is depends on the recording: alone at 90 % at most, or with its alternative.
         found = re.fullmatch(
-            r"probably command delay at joint elbow: command delay about (\d+) ms; "
-            r"confidence (\d+) %(?:, it could also be sensor delay)?; correcting it would remove "
-            r"(\d+) % of the squared error; full diagnosis: pytest --twin-diagnose",
+            r"(?:probably command delay at joint elbow: command delay about (\d+) ms; "
+            r"confidence (\d+) %; correcting it"
+            r"|could be command delay at joint elbow \(command delay about (\d+) ms\) "
+            r"or sensor delay; correcting the first) would remove (\d+) % of the squared error; "
+            r"full diagnosis: pytest --twin-diagnose",
             line,
         )
         assert found, line
-        delay, sure, removed = map(int, found.groups())
-        assert delay in (19, 20, 21)
-        assert 50 <= sure <= 90
-        assert removed >= 95
+        alone, confidence, hedged, removed = found.groups()
+        assert int(alone or hedged) in (19, 20, 21)
+        assert int(confidence or 0) <= 90
+        assert int(removed) >= 95
     page = (late / ".twin" / "report.html").read_text()
-    assert page.count("Diagnosis (quick): probably command delay at joint elbow") == 2
+    named = re.findall(
+        r"Diagnosis \(quick\): (?:probably|could be) command delay at joint elbow", page
+    )
+    assert len(named) == 2
     assert not (late / ".twin" / "diagnosis").exists()
 
 
@@ -91,8 +97,8 @@ def test_friction_is_named_and_what_passes_says_nothing(tmp_path: Path) -> None:
     result = run(root)
     assert "1 failed, 1 passed" in result.stdout
     (line,) = quick(result.stdout)
-    assert line.startswith("probably viscous friction at joint elbow: viscous friction about 0.0")
-    assert "%, it could also be controller gain at joint elbow;" in line
+    assert line.startswith("could be viscous friction at joint elbow (viscous friction about 0.0")
+    assert "or controller gain at joint elbow;" in line
 
 
 def test_a_look_that_fails_stays_one_line(late: Path, tmp_path: Path) -> None:

@@ -113,17 +113,28 @@ def test_everything_held_out_leaves_nothing_to_fit(bench: Bench) -> None:
 
 
 def test_a_recording_that_cannot_be_used_is_left_out_with_its_reason(bench: Bench) -> None:
-    holes = bench.seen.copy()
-    holes[40:43, 1] = np.nan
+    broken = bench.seen.copy()
+    broken[40:43, 1] = np.inf
     good = bench.put("good.mcap")
     later = bench.put("later.mcap", sent_at=bench.sent_at + 60.0)
-    torn = bench.put("torn.mcap", seen=holes)
+    torn = bench.put("torn.mcap", seen=broken)
     found = bench.read(good, later, torn)
     assert names(found.fit) == ["good.mcap"]
+    assert found.held_out == ()
     assert any("later.mcap" in n and "do not overlap in time" in n for n in found.notes)
     assert any("torn.mcap" in n and "not finite" in n and "right" in n for n in found.notes)
     with pytest.raises(RecordingError, match="do not overlap"):
         bench.read(later)
+
+
+def test_states_without_a_position_are_left_out_and_the_recording_is_used(bench: Bench) -> None:
+    holes = bench.seen.copy()
+    holes[40:43, 1] = np.nan
+    found = bench.read(bench.put("good.mcap"), bench.put("torn.mcap", seen=holes))
+    (torn,) = found.held_out
+    assert len(torn.time) == len(holes) - 3
+    assert np.isfinite(torn.position).all()
+    assert any("torn.mcap: 3 states without a position" in n for n in found.notes)
 
 
 def test_a_recording_too_short_to_show_its_noise_is_left_out(tmp_path: Path) -> None:

@@ -134,7 +134,7 @@ def test_what_is_hidden_is_found_to_the_noise_of_the_simulation(tmp_path: Path) 
     kept = json.loads(effects.read_text())
     for wrong in (-1, 1000, "one", True):
         effects.write_text(json.dumps({**kept, "simulated_in_substeps": wrong}))
-        with pytest.raises(SpecError, match=r"simulated_in_substeps.*a whole number up to 100"):
+        with pytest.raises(SpecError, match=r"simulated_in_substeps.*an integer from 0 to 100"):
             load_model(find_model(folder))
 
 

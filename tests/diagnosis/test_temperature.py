@@ -62,7 +62,7 @@ def test_friction_of_the_cold_trials_is_named_with_their_temperature(folder: Pat
     low, high = finding["parameters"]["excess"]["ci95"]
     assert low <= EXCESS <= high
     assert finding["confidence"] > 0.9
-    assert finding["where"]["summary"].startswith("temperature cold: ")
+    assert finding["where"]["summary"].startswith("temperature cold (")
     assert all("cold" in name for name in finding["where"]["windows"])
 
 
@@ -95,7 +95,7 @@ def test_a_replay_without_a_temperature_is_refused_with_what_is_known(
     assert cli.main(words) == 2
     text = capsys.readouterr().err
     assert "silent.mcap" in text
-    assert "friction that depends on temperature was found" in text
+    assert "the model's friction depends on temperature" in text
     assert "like cold, warm" in text
     assert not (folder / "no.mcap").exists()
 

@@ -85,7 +85,7 @@ def test_a_cable_under_a_velocity_servo_is_found_where_it_pulls(tmp_path: Path) 
     cut, kept = pose(given, trials, [], window=0.5)
     found = unnamed(whole, trials)
     place = unexplained(found, cut, kept)["lift"].where
-    low, high = (float(x) for x in place.summary.split(" rad:")[0].split()[1::2])
+    low, high = (float(x) for x in place.summary.split(" rad (")[0].split()[1::2])
     assert TIGHT - 0.02 < low < high < TIGHT + 0.2
     assert set(place.windows) == {"1.mcap", "2.mcap"}
     adrift = unexplained(found, whole, trials)["lift"].where

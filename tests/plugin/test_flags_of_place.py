@@ -82,4 +82,4 @@ def test_a_bound_that_is_none(recorded, value) -> None:
     recorded.write("pytest.ini", f"[pytest]\ntwin_timeout = {value}\n")
     result = recorded.run()
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["ERROR: --twin-timeout: *expected a number of seconds"])
+    result.stderr.fnmatch_lines(["ERROR: --twin-timeout: *expected a number of seconds above 0"])

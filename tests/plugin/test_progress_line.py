@@ -100,4 +100,7 @@ def test_a_log_is_told_each_minute_how_far_a_long_golden_is(pytester: pytest.Pyt
         line for line in pytester.runpytest_subprocess().outlines
         if line.startswith("diagnosis of arm")
     ]  # fmt: skip
-    assert told == ["diagnosis of arm  20 % after 1 min", "diagnosis of arm  40 % after 2 min"]
+    assert told == [
+        "diagnosis of arm  20 % after 1 min, about 4 min left",
+        "diagnosis of arm  40 % after 2 min, about 3 min left",
+    ]

@@ -93,7 +93,7 @@ def test_an_interrupt_leaves_the_folder_as_it_was(stage: str, tmp_path: Path) ->
     os.killpg(child.pid, signal.SIGINT)  # as Ctrl-C: the whole group gets it
     _, said = child.communicate(timeout=60)
     assert child.returncode == 130
-    assert said == "pytest-twin init: interrupted; nothing was half written\n"
+    assert said == "pytest-twin init: interrupted; no file is half written\n"
     assert sorted(path.name for path in folder.rglob("*")) == ["golden", "notes.txt", "robot.xml"]
 
 
