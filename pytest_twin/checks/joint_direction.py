@@ -223,10 +223,11 @@ class JointDirection(Check):
         """Every hinge and slide joint with the body that it moves, as the model has it."""
         structure = realization.structure
         pose = Pose(REFERENCE, {}, None, realization.model.qpos0.copy())
+        named_bodies = set(realization.names("body"))
         joints: dict[str, Any] = {}
         for joint in realization.joints:
             kind = structure.joint_type.get(joint)
-            if kind not in POSITION_UNIT or structure.joint_body[joint] not in structure.frame_body:
+            if kind not in POSITION_UNIT or structure.joint_body[joint] not in named_bodies:
                 continue
             motion = "rotation" if kind == "hinge" else "translation"
             entry: dict[str, Any] = {"frame": structure.joint_body[joint], motion: [0.0, 0.0, 0.0]}

@@ -71,13 +71,17 @@ def _motors(realization: Realization) -> dict[str, str]:
 
 
 def _nameless(realization: Realization) -> list[str]:
-    """What no golden can speak of."""
+    """A line for each kind of element of which some have no name."""
     model = realization.model
-    counts = {"joint": model.njnt, "body": model.nbody, "actuator": model.nactuator}
+    counts = {
+        "joint": (model.njnt, "joints"),
+        "body": (model.nbody, "bodies"),
+        "actuator": (model.nactuator, "actuators"),
+    }
     return [
-        f"{realization.path}: {count - named} of {count} {kind}s have no name: "
-        "no golden can speak of them"
-        for kind, count in counts.items()
+        f"{realization.path}: {count - named} of {count} {plural} have no name: "
+        "name them, so that goldens can refer to them"
+        for kind, (count, plural) in counts.items()
         if (named := len(realization.names(kind))) < count
     ]
 

@@ -8,6 +8,7 @@ from check_robots import ARM, failed, from_first, golden, measure, record, robot
 
 from pytest_twin.checks.joint_direction import JointDirection
 from pytest_twin.errors import SpecError
+from pytest_twin.realization import load
 
 CHECK = JointDirection()
 JOINTS = {
@@ -191,3 +192,14 @@ def test_a_first_spec_declares_what_the_model_does(tmp_path: Path) -> None:
         "command": "negative",
     }
     assert failed(measure(CHECK, spec, arm)) == []
+
+
+def test_first_specs_leave_out_joints_whose_body_has_no_name(tmp_path: Path) -> None:
+    path = tmp_path / "pendulum.xml"
+    path.write_text(
+        "<mujoco><worldbody><body><joint name='a' axis='0 1 0'/><geom size='0.1'/>"
+        "<body name='tip' pos='0 0 1'><joint name='b' axis='0 1 0'/><geom size='0.1'/></body>"
+        "</body></worldbody></mujoco>"
+    )
+    (spec,) = CHECK.first(load(path))
+    assert set(spec["target"]["joints"]) == {"b"}

@@ -66,9 +66,7 @@ def test_what_has_no_name_is_said(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "robot.xml").write_text(NAMELESS)
     made = run("pytest-twin", "init", "robot.xml", cwd=folder)
-    assert f"note: {folder}/robot.xml: 1 of 1 joints have no name: no golden can speak" in (
-        made.stdout
-    )
+    assert f"note: {folder}/robot.xml: 1 of 1 joints have no name: name them" in (made.stdout)
     assert "nothing proposed for fk: no joint moves a frame that has a name" in made.stdout
     assert "tcp" not in (folder / "twin.yaml").read_text()
 
