@@ -80,7 +80,7 @@ def test_a_failure_says_in_one_line_what_it_looks_like(late: Path) -> None:
         assert found, line
         alone, confidence, hedged, removed = found.groups()
         assert int(alone or hedged) in (19, 20, 21)
-        assert int(confidence or 0) <= 90
+        assert alone is None or 50 <= int(confidence) <= 90
         assert int(removed) >= 95
     page = (late / ".twin" / "report.html").read_text()
     named = re.findall(
