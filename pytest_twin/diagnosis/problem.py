@@ -126,7 +126,7 @@ class Problem:
 
         Where trials differ in temperature, what depends on it need not warm up within one of them.
         """
-        lasts = catalogue()[term.effect].asks_temperature and self.differ_in_temperature
+        lasts = catalogue()[term.effect].needs_temperature and self.differ_in_temperature
         values = hypothesis.theta[hypothesis.slice_of(term)]
         shapes = [v for p, v in zip(term.parameters, values, strict=True) if p.neutral is None]
         longest = [p.upper for p in term.parameters if p.neutral is None]
@@ -138,7 +138,7 @@ class Problem:
 
         No gear is like that; cut off at zero such a law is a brake in one place.
         """
-        if not term.law.over_the_turn:
+        if not term.law.friction_varies_with_position:
             return False
         level = 0.0
         for t in hypothesis.terms:

@@ -43,11 +43,6 @@ leave of the error is in the floor."""
 _LEFT, _FAR_LESS = 0.5, 0.25
 # rad or m, of what neither moves nor has noise.
 _LEAST = 1e-9
-_SMOOTH = frozenset({
-    "armature", "base_tilt", "command_delay", "controller_gain", "coulomb_friction", "encoder_bias",
-    "inertial_parameters", "joint_spring", "payload", "torque_constant", "viscous_friction",
-})  # fmt: skip
-"""Laws whose size alone says what they do, nearly in proportion."""
 
 
 def simulated_so(
@@ -83,7 +78,7 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
     """
     problem, best = found.prepared.problem, found.selected.best
     noise = _noise(found.prepared)
-    if any(t.law.overrides("separates") for t in best.hypothesis.terms):
+    if any(t.law.is_elastic_transmission for t in best.hypothesis.terms):
         return None
     if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
         return None
@@ -198,7 +193,7 @@ class _Span:
         if linear is not None:
             by_effect: dict[str, list[Term]] = {}
             for term in candidates(problem):
-                if term.effect in _SMOOTH and term not in best.hypothesis.terms:
+                if term.law.nearly_linear and term not in best.hypothesis.terms:
                     by_effect.setdefault(term.effect, []).append(term)
             for terms in by_effect.values():
                 found = linear.at_sizes(terms, grid(terms[0])[:1])

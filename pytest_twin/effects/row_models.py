@@ -151,7 +151,7 @@ class RowModels:
         """Work out and keep what batches of ``rows`` share, before forks each do."""
         for r in np.unique(rows):
             self.bounded(int(r))
-        if any(effect.overrides("separates") for effect, _ in effects):
+        if any(effect.is_elastic_transmission for effect, _ in effects):
             self.link_inertia(np.unique(rows))
 
     def world(self, rows: NDArray[np.int64]) -> World:

@@ -273,7 +273,7 @@ class RowSimulator:
         """How much later than it was sent a command reaches each row, (rows, columns) s."""
         late = behind([self.segments[r] for r in rows], effects, columns)
         for effect, v in effects:
-            added = effect.command_delay(v)
+            added = effect.command_latency(v)
             late = late if added is None else late + added
         return late
 
@@ -380,7 +380,7 @@ class RowSimulator:
         pushed = np.empty((rows, len(self.joints)))
         by_hand = bare.any()
         # What nobody reads or changes between steps is not worked out there.
-        asked = bool(hooks["drive"]) or any(e.reads_drive for e, _ in hooks["friction"])
+        asked = bool(hooks["drive"]) or any(e.reads_delivered_effort for e, _ in hooks["friction"])
         pushes = bool(hooks["force"] or hooks["drive"] or hooks["gear"] or by_hand)
         apart = written.apart.any()
 

@@ -8,11 +8,11 @@ from test_first_order import ELBOW, link, problem_of
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.compensated_starts import compensated
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.foremost import foremost
 from pytest_twin.diagnosis.search.front import front
 from pytest_twin.diagnosis.search.look import look_ahead
-from pytest_twin.diagnosis.search.resonant import resonant
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.search.tryout import Tryout
 
@@ -71,7 +71,7 @@ SOFT = {"compliance": 1.0 / 12.0, "damping_time": 0.01}
 
 def tried(problem: Problem, best: Rival) -> list[Hypothesis]:
     left = np.mean(best.fitted.residual**2, axis=0)
-    return resonant(Tryout(problem, best, left), best.hypothesis)
+    return compensated(Tryout(problem, best, left), best.hypothesis)
 
 
 def test_a_heavier_link_is_tried_with_its_gear_as_much_stiffer() -> None:

@@ -292,11 +292,11 @@ def test_a_law_that_has_another_in_it_is_no_rival_of_it() -> None:
     contest = selection.contest
     best = settled(contest, DRY)
     offered = [x.new for x in around(problem, contest, best) if x.gone == (DRY,) and x.new]
-    assert any(DRY.effect in new.law.has_in_it for new in offered)
+    assert any(DRY.effect in new.law.generalizes for new in offered)
     selected = Selected(best, contest.nominal)
     assert not selection._sideways(selected)
     assert selected.alternatives[DRY]
-    assert not any(DRY.effect in new.law.has_in_it for new, _ in selected.alternatives[DRY])
+    assert not any(DRY.effect in new.law.generalizes for new, _ in selected.alternatives[DRY])
 
 
 def test_rivals_that_hardly_lose_are_simulated(

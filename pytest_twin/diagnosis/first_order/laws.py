@@ -262,7 +262,7 @@ class Laws:
         simulator, along = self.simulator, self.along
         segments, samples, joints = along.position.shape
         steps = (samples - 1) * along.steps
-        late = [(e, v) for e, v in effects if e.overrides("command_delay", "sample_time")]
+        late = [(e, v) for e, v in effects if e.overrides("command_latency", "sample_time")]
         if late:
             rows = along.segments[lanes.segment]
             found = simulator.commands(rows, late, steps, lanes.joint)

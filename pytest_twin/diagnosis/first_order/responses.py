@@ -38,7 +38,7 @@ from pytest_twin.effects.acting import BETWEEN_STEPS, in_turn, with_fixed
 from pytest_twin.effects.base import Effect, Values
 from pytest_twin.realization.forks import free_cores, in_forks
 
-_IN_FORCES = ("gains", "command_delay", "sample_time", "fields", "separates", *BETWEEN_STEPS)
+_IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *BETWEEN_STEPS)
 _CLOSEST = 16
 """Candidates that are simulated at every starting size, where none is of first order."""
 

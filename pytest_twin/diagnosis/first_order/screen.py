@@ -24,8 +24,6 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.realization.forks import in_forks
 
-# Laws with one period a turn say nothing of a slide.
-_OF_A_TURN = frozenset({"cogging", "encoder_eccentricity", "position_dependent_friction"})
 _RIDGE = 1e-8
 _SWAPS = 4
 
@@ -37,7 +35,7 @@ def candidates(problem: Problem) -> list[Term]:
     for effect in catalogue().values():
         if problem.family not in (None, effect.family):
             continue
-        if effect.id.startswith("effort_") and problem.effort_floor is None:
+        if effect.needs_effort_sensor and problem.effort_floor is None:
             continue
         if effect.family == "contact" and not problem.simulator.models.contact.has(effect.id):
             continue
@@ -47,7 +45,7 @@ def candidates(problem: Problem) -> list[Term]:
         for j in range(len(problem.joints)):
             if effect.family in ("actuation", "timing") and servo[j] not in effect.modes:
                 continue
-            if effect.id in _OF_A_TURN and problem.simulator.layout.slides[j]:
+            if effect.periodic and problem.simulator.layout.slides[j]:
                 continue
             found.append(Term(effect.id, j))
     return found

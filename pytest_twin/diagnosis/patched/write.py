@@ -57,7 +57,7 @@ def write_realization(
             for p, t in zip(term.parameters, theta, strict=True)
         }
         effects += writer.take(term, values)
-    asked = any(catalogue()[e.effect].asks_temperature for e in effects)
+    asked = any(catalogue()[e.effect].needs_temperature for e in effects)
     patched = Patched(
         problem.joints,
         tuple(effects),

@@ -68,13 +68,13 @@ class Exchange:
     def has_it(self) -> bool:
         """Whether what is new has the one that is gone in it."""
         (one, *more), new = self.gone, self.new
-        return new is not None and not more and one.effect in new.law.has_in_it
+        return new is not None and not more and one.effect in new.law.generalizes
 
     @property
     def comes_to(self) -> bool:
         """Whether what is new is a special case of the one that is gone."""
         (one, *more), new = self.gone, self.new
-        return new is not None and not more and new.effect in one.law.has_in_it
+        return new is not None and not more and new.effect in one.law.generalizes
 
 
 def exchanges(
@@ -279,7 +279,7 @@ def _places(
     """Nothing, and the ``count`` best candidates, in each of several places, to first order."""
     own, view = best.hypothesis, look.view
     rests = [own.without(*gone) for gone in places]
-    gears = [any(t.law.overrides("separates") for t in gone) for gone in places]
+    gears = [any(t.law.is_elastic_transmission for t in gone) for gone in places]
     out = []
     for gone, rest, gear, left in zip(
         places, rests, gears, _left(problem, look, rests, gears), strict=True

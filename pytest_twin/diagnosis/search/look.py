@@ -69,7 +69,7 @@ def look_ahead(problem: Problem, best: Rival) -> Look:
 
 def _behind_gears(problem: Problem, best: Rival, linear: Linear) -> set[int]:
     """Joints whose gear was named and that still stand above the floor."""
-    gears = {t.joint for t in best.hypothesis.terms if t.law.overrides("separates")}
+    gears = {t.joint for t in best.hypothesis.terms if t.law.is_elastic_transmission}
     if not gears:
         return gears
     view = view_of(problem, best, linear.residual(best.fitted.residual))

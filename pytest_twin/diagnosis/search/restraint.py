@@ -224,7 +224,7 @@ def _as_good_as_rigid(tested: _Tested) -> _Gone:
     stepped in another way than one with it, and what that takes off is no gear's merit.
     """
     for k, t in enumerate(tested.terms):
-        apart = t.law.overrides("separates")
+        apart = t.law.is_elastic_transmission
         if apart and _perhaps_absent(tested.fitted, t, tested.known):
             return {
                 k: f"rejected: {tested.label(k)}: its 95 % interval includes a rigid transmission"
@@ -258,7 +258,7 @@ def _longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> floa
     }
     stamps = [s.time[[0, -1]] for s in problem.simulator.segments]
     ends = np.array([min(t[0] for t in stamps), max(t[1] for t in stamps)])[None, :, None]
-    late = term.law.command_delay(values)
+    late = term.law.command_latency(values)
     of_reading = term.law.sample_time(ends, values) - ends
     return float(max(np.abs(of_reading).max(), 0.0 if late is None else np.abs(late).max()))
 
@@ -337,7 +337,7 @@ def _misshapen(tested: _Tested) -> _Gone:
     goes with position as well: something else acts there (a cable that goes slack is no spring).
     """
     for k, t in enumerate(tested.terms):
-        if t.joint < 0 or not t.law.of_position:
+        if t.joint < 0 or not t.law.depends_only_on_position:
             continue
         error = tested.errors[t.joint]
         if error.explained or error.fraction <= LEFT:

@@ -84,7 +84,7 @@ class Selected:
             # A law that has this one in it says the same where it says no more.
             others = {
                 new: e for (gone, new), e in evidence.items()
-                if gone == (term,) and not (new and term.effect in new.law.has_in_it)
+                if gone == (term,) and not (new and term.effect in new.law.generalizes)
             }  # fmt: skip
             values = np.array([0.0, *others.values()])
             share = np.exp(np.clip(values - values.max(), -700.0, 0.0))

@@ -328,7 +328,7 @@ class Selection:
         """Those that are not clearly worse along the motion, fitted there, and those without a gear
         of the fit at hand, of which that says little.
         """
-        gears = {t for t in best.hypothesis.terms if t.law.overrides("separates")}
+        gears = {t for t in best.hypothesis.terms if t.law.is_elastic_transmission}
         told = [h for h in others if gears <= set(h.terms)]
         if linear is None or not told:
             return list(others)
