@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.coarse_step import coarse_step
+from pytest_twin.diagnosis.conclusion import Structure, assess, with_final_parameters
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.creep import CREEPS, found_so, posed, searched_so
-from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
+from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.other_unit import without_other_units
 from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import (
@@ -42,7 +43,7 @@ from pytest_twin.diagnosis.simulated import (
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
 from pytest_twin.diagnosis.verdict import JointError, Verdict
-from pytest_twin.diagnosis.windows import WINDOW
+from pytest_twin.diagnosis.windows import WINDOW, segments_of
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
@@ -79,8 +80,9 @@ class Diagnosis:
         errors: joint -> prediction error on held-out recordings, or on all if none is held out.
         left: joint -> unexplained residual, only for joints that cause it.
         notes: one line each, for the reader.
-        prepared, selected, trials: problem, model selection and recordings behind the result.
-        before, after: (samples, signals) residuals over all segments.
+        prepared, selected: problem of the final parameters, and model selection.
+        tested: problem, recordings and residuals behind the errors.
+        roles: which recordings were fitted, validated, and held out.
         cost: computing time.
     """
 
@@ -91,18 +93,18 @@ class Diagnosis:
     notes: tuple[str, ...]
     prepared: Prepared
     selected: Selected
-    trials: TrialSet
-    before: FloatArray
-    after: FloatArray
+    tested: Searched
+    roles: Roles
     cost: Cost
 
     @property
     def has_held_out(self) -> bool:
         """Whether any recording was held out."""
-        return bool(len(self.prepared.problem.held_out))
+        return bool(len(self.tested.prepared.problem.held_out))
 
     def to_json(self, *, realization: str) -> dict[str, Any]:
         """``diagnosis.json``, schema 1."""
+        tested = self.tested.prepared
         return {
             "schema": 1,
             "verdict": self.verdict,
@@ -117,8 +119,8 @@ class Diagnosis:
                 for joint, e in self.errors.items()
             },
             "floor": {
-                source: dict(zip(self.prepared.problem.joints, map(float, rms), strict=True))
-                for source, rms in self.prepared.floor_parts.items()
+                source: dict(zip(tested.problem.joints, map(float, rms), strict=True))
+                for source, rms in tested.floor_parts.items()
             },
             "unexplained": {
                 joint: {
@@ -129,13 +131,23 @@ class Diagnosis:
                 for joint, item in self.left.items()
             },
             "realization": realization,
-            "trials": {
-                "fit": list(dict.fromkeys(t.path.name for t in self.trials.fit)),
-                "held_out": list(dict.fromkeys(t.path.name for t in self.trials.held_out)),
-            },
+            "trials": self._trials(),
             "notes": list(self.notes),
             "cost": self.cost.to_json(),
         }
+
+    def _trials(self) -> dict[str, list[str]]:
+        """Names of the recordings that were used, by role."""
+        used, validates = self.tested.trials, {t.path for t in self.roles.validation}
+        return {
+            "fit": _names([t for t in used.fit if t.path not in validates]),
+            "validation": _names([t for t in used.fit if t.path in validates]),
+            "held_out": _names(used.held_out),
+        }
+
+
+def _names(trials: Sequence[Trial]) -> list[str]:
+    return list(dict.fromkeys(t.path.name for t in trials))
 
 
 def diagnose(
@@ -147,6 +159,9 @@ def diagnose(
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Diagnosis:
     """Diagnose a model: locate errors, identify effects, fit them, and test them.
+
+    Effects are chosen and fitted without the held-out recordings, which are opened once, at the
+    end.
 
     Args:
         realization: the nominal model.
@@ -160,7 +175,48 @@ def diagnose(
         SpecError: a controller, payload or actuator is missing in the model.
     """
     since = time.perf_counter()
-    notes = list(trials.notes)
+    roles = roles_of(trials)
+    for i, trial in enumerate(roles.test):
+        # What a recording asks of the model is missing now, not after a search of minutes.
+        segments_of(realization, trial, i, shared_joints(realization, [trial]), commanded=True)
+    # Diverging candidates overflow; values that are not finite are ranked last.
+    with np.errstate(over="ignore", invalid="ignore"):
+        structure = find_structure(
+            realization, roles.of_search,
+            inherited=inherited, threads=threads, progress=progress,
+        )  # fmt: skip
+        progress(0.88)
+        assessed = assess(structure, trials, roles.test)
+        tested, left = assessed.tested, dict[str, Left]()
+        if tested.verdict in ("improved", "unexplained"):
+            left = unexplained(tested, *assessed.near)
+        progress(0.9)
+        step = coarse_step(tested.prepared.problem, tested.explained.hypothesis, tested.errors)
+    notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *step]
+    progress(0.94)
+    return Diagnosis(
+        tested.verdict, assessed.explained, tested.errors, left, tuple(dict.fromkeys(notes)),
+        structure.found.prepared, structure.found.selected, tested, roles,
+        cost([*structure.problems, *assessed.problems], since),
+    )  # fmt: skip
+
+
+def find_structure(
+    realization: Realization,
+    trials: TrialSet,
+    *,
+    inherited: Patched | None = None,
+    threads: int = 0,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Structure:
+    """Choose effects and fit them; no test recording is known here.
+
+    Args:
+        realization: the nominal model.
+        trials: the fit recordings, and as held out the validation recordings.
+        inherited, threads, progress, errors: as :func:`diagnose`.
+    """
+    notes: list[str] = []
     given = Given.of(realization, inherited, threads)
     progress(0.02)
     trials = without_other_units(realization, trials, notes)
@@ -177,43 +233,29 @@ def diagnose(
         # The number of rounds is unknown: each one advances by a fixed part of the remainder.
         progress(0.06 + 0.74 * (1.0 - 0.95**steps))
 
-    # Diverging candidates overflow; values that are not finite are ranked last.
     problems: list[Problem] = []
-    with np.errstate(over="ignore", invalid="ignore"):
-        given, prepared, trials = simulated_so(given, prepared, trials, problems)
-        sought = _sought(given, prepared, trials, problems, say)
-        given, found = sought.given, sought.found
-        notes += sought.notes
-        left = {}
-        if found.verdict in ("improved", "unexplained"):
-            left = unexplained(found, *sought.near)
-    progress(0.9)
+    given, prepared, trials = simulated_so(given, prepared, trials, problems)
+    sought = _sought(given, prepared, trials, problems, say)
+    given, notes = sought.given, [*notes, *sought.notes]
+    progress(0.82)
+    found = with_final_parameters(sought.found)
     if given.creeps:
         notes.append(CREEPS)
     if given.substeps:
         notes.append(simulated_in_words(found.prepared))
     notes += found.explained.notes
-    notes += coarse_step(found.prepared.problem, found.explained.hypothesis, found.errors)
-    if not len(prepared.problem.held_out):
-        notes.append(
-            "no recording was held out: errors and gains are those of the fitted recordings"
-        )
-    progress(0.94)
-    return Diagnosis(
-        found.verdict, found.explained, found.errors, left, tuple(notes), found.prepared,
-        found.selected, found.trials, found.before, found.after, cost(problems, since),
-    )  # fmt: skip
+    return Structure(given, found, sought.near, tuple(notes), tuple(problems))
 
 
 @dataclass(frozen=True, slots=True)
 class _Sought:
-    """What was found, how the model was stepped for it, the problem that says where the rest is,
-    and what a reader has to know.
+    """What was found, how the model was stepped for it, the windows in which the rest is located,
+    None for none, and what a reader has to know.
     """
 
     given: Given
     found: Searched
-    near: tuple[Prepared, TrialSet]
+    near: float | None
     notes: tuple[str, ...]
 
 
@@ -253,20 +295,21 @@ def _sought(
         other = _sought(stepped, *pose(stepped, found.trials, []), problems, say)
         if explains_more(other.found, found):
             return other
-    near = found.prepared, found.trials
+    near: float | None = None
     if found.astray and (clear.terms or not contact.world.size):
-        near = pose(given, trials, [], window=WINDOW)
-        problems.append(near[0].problem)
+        near = WINDOW
+        cut, kept = pose(given, trials, [], window=WINDOW)
+        problems.append(cut.problem)
         if contact.world.size:
             # What acts in the air is known from there.
-            near[0].problem.family = _CONTACT
+            cut.problem.family = _CONTACT
 
         def longer() -> Prepared:
-            cut, _ = pose(given, trials, [], window=_half_of(trials))
-            problems.append(cut.problem)
-            return cut
+            halves, _ = pose(given, trials, [], window=_half_of(trials))
+            problems.append(halves.problem)
+            return halves
 
-        found = _windowed(found, *near, clear, say, notes, longer)
+        found = _windowed(found, cut, kept, clear, say, notes, longer)
     return _Sought(given, found, near, tuple(notes))
 
 
@@ -360,7 +403,7 @@ def _windowed(
         other = search(cut, kept, Selection(cut.problem, say, share_left), clear)
     if other.supersedes(found):
         notes.append(_IN_WINDOWS)
-        return replace(other, explained=by_whole_motions(other.explained, found.prepared.problem))
+        return replace(other, whole=found.prepared.problem)
     if other.beside(found):
         if found.slips:
             whole = with_drive_of(found, other, longer())

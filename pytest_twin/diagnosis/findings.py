@@ -98,12 +98,14 @@ class Explained:
         hypothesis: all of them together.
         spread: intervals and correlations of its parameters.
         notes: one line each, for the reader.
+        rests: term -> the others refitted without it.
     """
 
     findings: tuple[Finding, ...]
     hypothesis: Hypothesis
     spread: Spread | None = None
     notes: list[str] = field(default_factory=list)
+    rests: Mapping[Term, Hypothesis] = field(default_factory=dict)
 
 
 def explain(
@@ -129,16 +131,12 @@ def explain(
     gone = [hypothesis.without(t) for t in hypothesis.terms]
     residuals = problem.residuals([hypothesis, *pruned.rests], problem.everywhere)
     stands = _heights(problem, [hypothesis, *gone])
-    in_test = problem.in_test
-
-    def error(residual: FloatArray) -> float:
-        return float((in_floors(residual[in_test], problem.signal_floor) ** 2).sum())
-
-    with_all = error(residuals[0])
+    gains = _gains(problem, residuals)
     paths = motions(prepared, trials)
     found = []
-    for term, without, height in zip(hypothesis.terms, residuals[1:], stands, strict=True):
-        gain = _gain(error(without), with_all)
+    for term, without, gain, height in zip(
+        hypothesis.terms, residuals[1:], gains, stands, strict=True
+    ):
         blame = _blame(problem, term, residuals[0], without)
         at = max(term.joint, 0)
         where = place_of(paths, blame, at, joint_unit(problem, at))
@@ -147,8 +145,6 @@ def explain(
         if not np.isfinite(confidence):
             # The selected model itself could not be compared: no support.
             confidence = 0.0
-        if not len(problem.held_out):
-            confidence = min(confidence, _UNTESTED)
         if term.joint >= 0 and problem.floor[term.joint] >= UNSEEN:
             confidence = min(confidence, _DOUBTED)
             pruned.notes.append(
@@ -179,7 +175,51 @@ def explain(
             )
         )
     found.sort(key=lambda f: -f.stands)
-    return Explained(tuple(found), hypothesis, width, pruned.notes)
+    rests = dict(zip(hypothesis.terms, pruned.rests, strict=True))
+    return Explained(tuple(found), hypothesis, width, pruned.notes, rests)
+
+
+def with_gains(explained: Explained, gains: Mapping[Term, float]) -> Explained:
+    """The same findings with gains that were measured elsewhere."""
+    findings = tuple(replace(f, held_out_gain=gains[f.term]) for f in explained.findings)
+    return replace(explained, findings=findings)
+
+
+def untested(explained: Explained) -> Explained:
+    """The same findings where no recording was held out: confidence is at most 80 %."""
+    findings = tuple(
+        replace(f, confidence=min(f.confidence, _UNTESTED)) for f in explained.findings
+    )
+    return replace(explained, findings=findings)
+
+
+def held_out_gains(problem: Problem, explained: Explained) -> dict[Term, float]:
+    """Term -> share of the squared error on the held-out recordings that it removes.
+
+    Args:
+        problem: any problem of the same joints and scales.
+        explained: findings, and the others refitted without each.
+    """
+    terms = explained.hypothesis.terms
+    each = [explained.hypothesis, *(explained.rests[t] for t in terms)]
+    problem.refine_at(explained.hypothesis)
+    return dict(
+        zip(terms, _gains(problem, problem.residuals(each, problem.everywhere)), strict=True)
+    )
+
+
+def _gains(problem: Problem, residuals: Sequence[FloatArray]) -> list[float]:
+    """Share of the squared held-out error that each term removes.
+
+    Args:
+        problem: the problem.
+        residuals: (samples, signals) over all segments, with all terms, then without each.
+    """
+    inside = problem.in_test
+    with_all, *without = (
+        float((in_floors(r[inside], problem.signal_floor) ** 2).sum()) for r in residuals
+    )
+    return [_gain(error, with_all) for error in without]
 
 
 def by_whole_motions(explained: Explained, problem: Problem) -> Explained:

@@ -56,7 +56,8 @@ class Problem:
 
     Attributes:
         simulator: over all segments, fit and held-out.
-        fit, held_out: indices of segments.
+        fit, held_out: indices of segments. While effects are chosen, the validation recordings are
+            held out; once they are, the test recordings.
         floor: (joints,) standard deviation of what no model can explain, rad or m.
         scales: of the joints' parameters.
         effort_floor: the same of measured efforts, where these take part.

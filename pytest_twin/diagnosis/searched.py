@@ -11,7 +11,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import Likelihood, laplace_log_likelihood, log_likelihood
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.given import Given
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
@@ -48,20 +48,25 @@ class Searched:
 
     Attributes:
         prepared, trials: the problem and the recordings that it is of.
-        selected, explained: what was chosen, and what of it stands.
+        selected, pruned, explained: what was chosen, what of it stands, and as findings.
         before, after: (samples, signals) residuals over all segments.
         errors: joint -> prediction errors on held-out recordings, or on all without any.
         verdict: in one word.
+        likelihood: by which its parameters were fitted.
+        whole: problem over whole motions, by whose changes findings of windows are ordered.
     """
 
     prepared: Prepared
     trials: TrialSet
     selected: Selected
+    pruned: Pruned
     explained: Explained
     before: FloatArray
     after: FloatArray
     errors: Mapping[str, JointError]
     verdict: Verdict
+    likelihood: Likelihood = log_likelihood
+    whole: Problem | None = None
 
     @property
     def worst(self) -> float:
@@ -103,7 +108,7 @@ class Searched:
 
     def judged_again(self) -> Searched:
         """The same, held against the floor as another search of its problem may have lowered it."""
-        errors = _errors(self.prepared, self.before, self.after)
+        errors = joint_errors(self.prepared, self.before, self.after)
         return replace(self, errors=errors, verdict=verdict(errors, self.explained.findings))
 
     def supersedes(self, other: Searched) -> bool:
@@ -182,7 +187,7 @@ def confirmed(
     contest = selection.contest
     rival = contest.settled(contest.as_it_is(start))
     before, after = (left_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
-    if not all(e.explained for e in _errors(prepared, before, after).values()):
+    if not all(e.explained for e in joint_errors(prepared, before, after).values()):
         return None
     found = concluded(prepared, trials, selection, selection.run(rival))
     return found if found.verdict == "explained" else None
@@ -205,7 +210,9 @@ def carried(found: Searched, other: Searched) -> Searched:
     selected = Selected(
         best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
     )
-    return _searched(found.prepared, found.trials, selected, as_named(contest, best))
+    return _searched(
+        found.prepared, found.trials, selected, as_named(contest, best), laplace_log_likelihood
+    )
 
 
 def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searched:
@@ -239,7 +246,7 @@ def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searche
         if term in other.selected.confidence:
             named.confidence[term] = other.selected.confidence[term]
             named.alternatives[term] = other.selected.alternatives[term]
-    return _searched(found.prepared, found.trials, named, pruned)
+    return _searched(found.prepared, found.trials, named, pruned, laplace_log_likelihood)
 
 
 def _deepest(contest: Contest, starts: Sequence[Hypothesis], steps: FloatArray) -> Hypothesis:
@@ -249,13 +256,21 @@ def _deepest(contest: Contest, starts: Sequence[Hypothesis], steps: FloatArray) 
     return sought(problem, starts, contest.weights(contest.nominal), steps)
 
 
-def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:
+def _searched(
+    prepared: Prepared,
+    trials: TrialSet,
+    selected: Selected,
+    pruned: Pruned,
+    likelihood: Likelihood = log_likelihood,
+) -> Searched:
     problem = prepared.problem
     explained = explain(prepared, selected, pruned, (*trials.fit, *trials.held_out))
     before, after = (left_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
-    errors = _errors(prepared, before, after)
+    errors = joint_errors(prepared, before, after)
     word = verdict(errors, explained.findings)
-    return Searched(prepared, trials, selected, explained, before, after, errors, word)
+    return Searched(
+        prepared, trials, selected, pruned, explained, before, after, errors, word, likelihood
+    )
 
 
 def pose(
@@ -264,6 +279,7 @@ def pose(
     notes: list[str],
     window: float | None = None,
     contact: ContactGeoms | None = None,
+    scales: Scales | None = None,
 ) -> tuple[Prepared, TrialSet]:
     """The problem, without recordings on which the model itself diverges.
 
@@ -271,14 +287,14 @@ def pose(
         given: the model, and how it is stepped.
         trials: what was recorded.
         notes: gets what was left out.
-        window, contact: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
+        window, contact, scales: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
 
     Raises:
         SimulationError: it diverges on all of them.
     """
     while True:
         everything = (*trials.fit, *trials.held_out)
-        prepared = given.prepared(trials.fit, trials.held_out, window, contact)
+        prepared = given.prepared(trials.fit, trials.held_out, window, contact, scales)
         problem = prepared.problem
         predicted = problem.predict([EMPTY], problem.everywhere)[0]
         lost = {
@@ -374,7 +390,15 @@ def left_everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     return problem.residuals([hypothesis], problem.everywhere)[0]
 
 
-def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[str, JointError]:
+def joint_errors(
+    prepared: Prepared, before: FloatArray, after: FloatArray
+) -> dict[str, JointError]:
+    """Joint -> RMS errors on what is held out, or on all that is fitted without any.
+
+    Args:
+        prepared: the problem.
+        before, after: (samples, signals) residuals over all segments, without and with effects.
+    """
     problem = prepared.problem
     inside = problem.in_test
     found = {}

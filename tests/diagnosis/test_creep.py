@@ -121,7 +121,7 @@ def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: P
     again = load_model(find_model(tmp_path))
     assert again.patched is not None
     assert again.patched.creeps
-    (trial,) = found.trials.held_out
+    (trial,) = found.roles.test
     (predicted,) = replay_patched(again.realization, again.patched, [trial], threads=1)
     off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
     assert (off < 1.5 * problem.floor).all()

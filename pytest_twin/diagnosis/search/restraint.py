@@ -44,8 +44,8 @@ _LEFT_SEVERAL, _SEVERAL_FLOORS = 0.05, 50.0
 _UNSURE, _SLIGHT = 0.7, 0.01
 _UNLIKELY, _EVEN = 0.02, 0.5
 # What could be absent, by its own interval, or stands for something else, its shape at a physical
-# bound, or has predicted nothing that no fit has seen, has to take off this many times as much as
-# others; half widths of that interval within which a name is in doubt where its joint stays
+# bound, or shows in one recording alone where none validates, has to take off this many times as
+# much as others; half widths of that interval within which a name is in doubt where its joint stays
 # unexplained: the right law is known well there, for so much stands out of the noise.
 _DOUBTFUL_BAR, _DOUBTED = 2.0, 2.0
 # Share of the squared mismatch that without a name is left in addition, where it is no doubt.
@@ -195,12 +195,12 @@ def _less_than_none(tested: _Tested) -> _Gone:
 def _under_the_floor(tested: _Tested) -> _Gone:
     """The term that takes least off, where that is too little to stand out."""
     problem, fitted = tested.problem, tested.fitted
-    untested = not len(problem.held_out)
 
     def doubtful(t: Term) -> bool:
         # Dry friction that turns to bristles of the least length is dry friction in another form.
         changed = problem.out_of_shape(fitted.hypothesis, t)
-        return untested or changed or _perhaps_absent(fitted, t, tested.known)
+        seen_once = not len(problem.held_out) and _recordings_that_show(tested, t) < 2
+        return seen_once or changed or _perhaps_absent(fitted, t, tested.known)
 
     bars = [STANDS_OUT * (_DOUBTFUL_BAR if doubtful(t) else 1.0) for t in tested.terms]
     # What stands with all of them at work is no term's merit.
@@ -217,6 +217,23 @@ def _under_the_floor(tested: _Tested) -> _Gone:
         k: f"rejected: {tested.label(k)}: it reduces the residual by less than {bars[k]:g} times "
         "the noise floor"
     }
+
+
+def _recordings_that_show(tested: _Tested, term: Term) -> int:
+    """How many of the fitted recordings have a signal that is predicted worse without a term."""
+    problem = tested.problem
+    without = tested.refitted[tested.terms.index(term)].residual
+    segments = problem.simulator.segments
+    owner = np.repeat([segments[s].trial for s in problem.fit], problem.lengths(problem.fit))
+    shown = 0
+    for trial in np.unique(owner):
+        mine = owner == trial
+        levels = (
+            in_floors(r[mine], problem.signal_floor) for r in (without, tested.fitted.residual)
+        )
+        worse, base = levels
+        shown += bool((worse > np.maximum(_WORSE * base, STANDS_OUT)).any())
+    return shown
 
 
 def _as_good_as_rigid(tested: _Tested) -> _Gone:
