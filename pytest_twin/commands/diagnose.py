@@ -65,8 +65,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help="recordings that no fit may see (default: those whose metadata says role held_out, "
-        "else whole recordings are split and the report says which)",
+        help="test recordings, opened once effects and parameters are final (default: those whose "
+        "metadata says role held_out, else whole recordings are split and the report says which)",
     )
     parser.add_argument(
         "--out",

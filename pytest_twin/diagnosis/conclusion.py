@@ -154,11 +154,11 @@ def _tested(
     fitted = found.prepared
     joints = [j for j in fitted.problem.joints if all(j in t.joints for t in test)]
     column = {fitted.problem.joints.index(j): k for k, j in enumerate(joints)}
-    notes += [
-        f"joint {j!r} is not tested: a held-out recording lacks it"
-        for j in fitted.problem.joints
-        if j not in joints
-    ]
+    for j in fitted.problem.joints:
+        lacking = [t.path.name for t in test if j not in t.joints]
+        if lacking:
+            lack = "lacks" if len(lacking) == 1 else "lack"
+            notes.append(f"joint {j!r} is not tested: {', '.join(lacking)} {lack} it")
     scales = Scales({name: of[list(column)] for name, of in fitted.problem.scales.of.items()})
     both = replace(found.trials, held_out=test, unseen=trials.unseen | trials.untested)
     given = replace(structure.given, coldness=fitted.coldness)

@@ -429,7 +429,7 @@ def test_a_joint_that_one_recording_lacks_is_left_out(bench: Bench) -> None:
     one = bench.put("one.mcap", joints=("left",))
     found = diagnose(bench.loaded.realization, bench.read(both, one))
     assert set(found.errors) == {"left"}
-    assert "joint 'right' is left out: one.mcap lacks it" in found.notes
+    assert "joint 'right' is not tested: one.mcap lacks it" in found.notes
     alone = diagnose(bench.loaded.realization, bench.read(one))
     assert set(alone.errors) == {"left"}
     said = "joint 'right' is in no recording: it is simulated from the model's initial position"

@@ -50,7 +50,9 @@ def test_a_search_without_the_test_recordings_on_disk_finds_the_same(
     assert opened.has_held_out
     assert not absent.has_held_out
     assert len(opened.roles.validation) == (1 if count == 5 else 0)
-    assert [(f.effect, f.joint) for f in absent.explained.findings] == [("viscous_friction", "left")]
+    assert [(f.effect, f.joint) for f in absent.explained.findings] == [
+        ("viscous_friction", "left")
+    ]
     for one, other in zip(opened.explained.findings, absent.explained.findings, strict=True):
         assert (one.effect, one.joint) == (other.effect, other.joint)
         assert one.parameters == other.parameters
@@ -131,4 +133,4 @@ def test_a_joint_that_held_out_recordings_lack_is_diagnosed_and_not_tested(tmp_p
         ("viscous_friction", "right")
     ]
     assert set(found.errors) == {"left"}
-    assert "joint 'right' is not tested: a held-out recording lacks it" in found.notes
+    assert "joint 'right' is not tested: one.mcap lacks it" in found.notes

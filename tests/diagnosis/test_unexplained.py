@@ -65,8 +65,15 @@ def unnamed(prepared: Prepared, trials: TrialSet) -> Searched:
     nominal = Contest(problem).nominal
     selected = Selected(nominal, nominal)
     return Searched(
-        prepared, trials, selected, Pruned(nominal.fitted, [], []), Explained((), EMPTY), left, left,
-        errors, "unexplained",
+        prepared,
+        trials,
+        selected,
+        Pruned(nominal.fitted, [], []),
+        Explained((), EMPTY),
+        left,
+        left,
+        errors,
+        "unexplained",
     )
 
 
