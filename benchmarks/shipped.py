@@ -133,25 +133,28 @@ def _stage(command: list[str], cwd: Path, seconds: float) -> str:
 def run(folder: Path, state: Path, full: int, seconds: float) -> None:
     """Add a line to the state file for each robot that is not in it."""
     known = {line["path"]: line for line in _read(state)}
-    with Sandbox(seconds=seconds) as child:
-        for path in models(folder):
-            name = path.relative_to(folder).as_posix()
-            if name in known:
-                continue
-            start = time.perf_counter()
-            said = loads(child, path)
-            line = {"path": name, "package": name.partition("/")[0], "loads": said}
-            known[name] = {**line, "seconds": round(time.perf_counter() - start, 2)}
-            _add(state, known[name])
-    for package in sorted({line["package"] for line in known.values()}):
-        loaded = [
-            line
-            for line in known.values()
-            if line["package"] == package and line["loads"]["here"] == "loads"
-        ]
+    packages: dict[str, list[Path]] = {}
+    for path in models(folder):
+        packages.setdefault(path.relative_to(folder).parts[0], []).append(path)
+    for package, paths in packages.items():
+        with Sandbox(seconds=seconds) as child:
+            for path in paths:
+                name = path.relative_to(folder).as_posix()
+                if name in known:
+                    continue
+                start = time.perf_counter()
+                line = {"path": name, "package": package, "loads": loads(child, path)}
+                known[name] = {**line, "seconds": round(time.perf_counter() - start, 2)}
+                _add(state, known[name])
+        names = [path.relative_to(folder).as_posix() for path in paths]
+        loaded = [known[name] for name in names if known[name]["loads"]["here"] == "loads"]
         left = [line for line in loaded if "stages" not in line]
         for line in spread(left, full - (len(loaded) - len(left))):
-            _add(state, {**line, "stages": through_commands(folder / line["path"], seconds)})
+            known[line["path"]] = {
+                **line,
+                "stages": through_commands(folder / line["path"], seconds),
+            }
+            _add(state, known[line["path"]])
             print(line["path"], file=sys.stderr, flush=True)
 
 
