@@ -44,7 +44,7 @@ def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -
         *(("taskset", "--cpu-list", ",".join(map(str, cores))) if cores else ()),
         *((sys.executable, str(CONFINE), "--read", str(case), "--write", str(box), "--")
           if confined else ()),
-        str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(case / "model.xml"),
+        str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(model_of(case)),
         *sorted(str(path) for path in (case / "recordings").glob("*.mcap")),
         "--out", str(box / "said"),
     ]  # fmt: skip
@@ -65,6 +65,12 @@ def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -
     finally:
         shutil.rmtree(box, ignore_errors=True)
     return {**told, "status": done.returncode, "seconds": taken, "stderr": done.stderr[-2000:]}
+
+
+def model_of(case: Path) -> Path:
+    """``twin.yaml`` of a case, where its recordings differ in the controller, else its model."""
+    twin = case / "twin.yaml"
+    return twin if twin.exists() else case / "model.xml"
 
 
 def answer(case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]]) -> float:

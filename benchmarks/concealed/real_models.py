@@ -1,0 +1,346 @@
+"""Models that follow three real machines, and what can be taken away from them or falsified.
+
+A model that follows is the folder's ``model.xml`` with the drive values of :data:`MACHINES`, and
+beside it, in ``effects.json``, what MJCF cannot hold. Sources of the values:
+
+- EMPS: the published least-squares fit (Janot, Gautier, Brunot 2019).
+- XL330: what ``python benchmarks/real/xl330.py --gains 400`` found without gain 400
+  (docs/real_machines.md); torque constant, rotor inertia and friction are added to the model's.
+- SO-101: ``python benchmarks/concealed/real_fit.py``: least squares of one-second windows by MuJoCo
+  alone, which shares no code with pytest-twin. Joints that do not move in the chosen stretches are
+  welded at the angle that they hold.
+
+Parameters are not recordings: the recordings stay where ``TWIN_RECORDINGS`` says.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+from real_replay import Floats, Law
+
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One joint and its drive, SI units.
+
+    Attributes:
+        damping, friction, armature: of the joint.
+        kp, kv: of its position servo; 0 for an effort drive.
+        zero: angle of the model at which the encoder reads zero.
+        preload, spring: effort at zero and stiffness of a spring that no machine here has: with
+            them the replay asks what a spring would change.
+    """
+
+    damping: float
+    friction: float
+    armature: float
+    kp: float = 0.0
+    kv: float = 0.0
+    zero: float = 0.0
+    preload: float = 0.0
+    spring: float = 0.0
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A model that follows a machine, or some joints of it.
+
+    Attributes:
+        name: of the machine or of the joints that are kept.
+        folder: where its recordings and its model are.
+        mode: of the commands.
+        drives: joint -> its values, in the recordings' order.
+        held: other joints -> the angle at which they are welded.
+        mass: kg by body, where it is not the file's.
+        controllers: ``twin.yaml``: trial metadata ``controller`` -> kp.
+        limit: of the drives' effort, where it is not the file's.
+        beside: (effect, joint, values) of ``effects.json``.
+        tool: body that carries a payload, and its mass in kg.
+        tilt: roll and pitch of the base in rad that gravity in the file has.
+        fit, held_out: (recording, first start, last start) of stretches, s.
+        seconds: of a stretch.
+        background: names that what nobody modelled may get, and why; by name.
+    """
+
+    name: str
+    folder: str
+    mode: str
+    drives: Mapping[str, Drive]
+    fit: tuple[tuple[str, float, float], ...]
+    held_out: tuple[tuple[str, float, float], ...]
+    seconds: float
+    tool: tuple[str, float]
+    held: Mapping[str, float] = field(default_factory=dict)
+    mass: Mapping[str, float] = field(default_factory=dict)
+    controllers: Mapping[str, float] = field(default_factory=dict)
+    limit: float | None = None
+    beside: tuple[tuple[str, str | None, Mapping[str, float]], ...] = ()
+    tilt: tuple[float, float] = (0.0, 0.0)
+    background: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """In the recordings' order."""
+        return tuple(self.drives)
+
+    def with_drive(self, joint: str, **values: float) -> Machine:
+        """Other values of one drive."""
+        return replace(self, drives={**self.drives, joint: replace(self.drives[joint], **values)})
+
+    def without(self, effect: str) -> Machine:
+        """Less one effect that stands beside the model."""
+        return replace(self, beside=tuple(b for b in self.beside if b[0] != effect))
+
+    def value(self, effect: str, name: str, joint: str | None = None) -> float:
+        """A value of an effect beside the model; 0 where it is not there."""
+        return sum(v[name] for e, j, v in self.beside if e == effect and joint in (None, j))
+
+
+SERVO_DELAY = 0.02
+"""s: SO-101's bus carries a command to the servos one sample later (fitted 18 to 20 ms)."""
+_SO101_HELD = {
+    "shoulder_pan": 0.0, "shoulder_lift": 0.25, "elbow_flex": 0.57, "wrist_flex": 0.0,
+    "wrist_roll": 0.01, "gripper": 0.5,
+}  # fmt: skip
+_PAN = Drive(damping=0.80, friction=0.184, armature=0.028, kp=17.7)
+_FLEX = Drive(damping=0.42, friction=0.104, armature=0.028, kp=9.52, zero=0.021)
+_ROLL = Drive(damping=0.645, friction=0.142, armature=0.0058, kp=14.1)
+_BUS = {
+    "command_delay": "the bus delay is fitted to 1 ms and differs between servos, which are read "
+    "one after another",
+    "sensor_delay": "as command_delay",
+}
+
+
+def _so101(
+    name: str, drives: Mapping[str, Drive], fit: tuple[tuple[str, float, float], ...],
+    held_out: tuple[tuple[str, float, float], ...], **held: float,
+) -> Machine:  # fmt: skip
+    others = {j: a for j, a in {**_SO101_HELD, **held}.items() if j not in drives}
+    late = tuple(("command_delay", joint, {"delay": SERVO_DELAY}) for joint in drives)
+    return Machine(
+        name, "so101", "position", drives, fit, held_out, 6.0, ("gripper", 0.087), others,
+        beside=late, background=_BUS,
+    )  # fmt: skip
+
+
+MACHINES: Mapping[str, Machine] = {
+    m.name: m
+    for m in (
+        Machine(
+            "emps", "emps", "effort", {"slide": Drive(203.5034, 20.3935, 0.0)},
+            (("data_emps", 0.0, 19.0),) * 3, (("data_emps_pulses", 0.0, 19.0),), 5.0,
+            ("carriage", 95.1089), mass={"carriage": 95.1089},
+            beside=(("asymmetric_friction", "slide", {"coulomb": 0.0, "offset": -3.1648}),),
+            background={
+                "directional_viscous_friction": "viscous friction differs between the directions "
+                "by 36.5 N*s/m (docs/real_machines.md)"
+            },
+        ),
+        Machine(
+            "xl330", "xl330", "position", {"pendulum": Drive(0.0598, 0.0105, 0.00167)},
+            (("kp100_sin_sin", 0.0, 2.0), ("kp100_sin_time_square", 0.0, 2.0),
+             ("kp200_sin_sin", 0.0, 2.0), ("kp200_sin_time_square", 0.0, 2.0),
+             ("kp800_sin_sin", 0.0, 2.0), ("kp800_sin_time_square", 0.0, 2.0),
+             ("kp800_up_and_down", 0.0, 1.0)),
+            (("kp400_sin_sin", 0.0, 2.0), ("kp400_sin_time_square", 0.0, 2.0),
+             ("kp400_up_and_down", 0.0, 1.0)),
+            4.0, ("arm", 0.49),
+            # kp of the data sheet and the limit of 0.832 N*m, times the torque constant's 1.32.
+            controllers={"kp100": 0.3155, "kp200": 0.6323, "kp400": 1.2632, "kp800": 2.5265},
+            limit=1.098,
+            beside=(
+                ("torque_rolloff", "pendulum", {"inverse_knee": 1 / 1.08, "back_emf": 0.049}),
+                ("motor_load_friction", "pendulum",
+                 {"coefficient": 0.18, "stiction_excess": 0.13, "stribeck_velocity": 0.41}),
+                ("load_dependent_friction", "pendulum", {"coefficient": 0.10, "of_drive": 0.0}),
+                ("encoder_bias", "pendulum", {"bias": -0.0099, "in_loop": 0.0}),
+            ),
+            background={
+                "cogging": "tooth mesh ripple (docs/real_machines.md)",
+                "position_dependent_friction": "tooth mesh ripple (docs/real_machines.md)",
+                "command_delay": "4.4 ms found without gain 200 (docs/real_machines.md)",
+                "sensor_delay": "as command_delay",
+            },
+        ),
+        _so101(
+            "so101_pan", {"shoulder_pan": _PAN},
+            (("single_joint_rotation", 20.0, 85.0), ("ramp_motion", 20.0, 40.0),
+             ("sinusoidal_sweep", 22.0, 55.0)),
+            (("staircase_motion", 20.0, 30.0), ("single_joint_rotation", 20.0, 85.0)),
+        ),
+        _so101(
+            "so101_flex", {"wrist_flex": _FLEX},
+            (("single_joint_wrist_pitch", 2.0, 20.0), ("single_joint_wrist_pitch", 20.0, 34.0),
+             ("single_joint_wrist_pitch", 34.0, 49.0)),
+            (("single_joint_wrist_pitch", 2.0, 49.0),) * 2,
+            shoulder_lift=0.0,
+        ),
+        _so101(
+            "so101_roll", {"wrist_roll": _ROLL},
+            (("triangle_wave", 20.0, 38.0), ("triangle_wave", 38.0, 58.0),
+             ("wave_motion", 18.0, 24.0)),
+            (("triangle_wave", 20.0, 58.0), ("wave_motion", 18.0, 24.0)),
+        ),
+        _so101(
+            "so101_wrist", {"wrist_flex": _FLEX, "wrist_roll": _ROLL},
+            (("circular_motion", 18.0, 30.0), ("circular_motion", 30.0, 45.0),
+             ("circular_motion", 45.0, 60.0)),
+            (("circular_motion", 18.0, 70.0),) * 2,
+            shoulder_lift=0.207, elbow_flex=0.594,
+        ),
+    )
+}  # fmt: skip
+
+
+def gravity(tilt: tuple[float, float]) -> Floats:
+    """(3,) gravity in the frame of a base that rolls about x and pitches about y, m/s^2."""
+    roll, pitch = tilt
+    x, y, z = 0.0, -GRAVITY * np.sin(roll), -GRAVITY * np.cos(roll)
+    return np.array(
+        [x * np.cos(pitch) - z * np.sin(pitch), y, x * np.sin(pitch) + z * np.cos(pitch)]
+    )
+
+
+def mjcf(machine: Machine, recordings: Path) -> str:
+    """The model as MJCF, from the file beside the recordings."""
+    root = ElementTree.fromstring((recordings / machine.folder / "model.xml").read_text("utf-8"))
+    option = root.find("option")
+    assert option is not None
+    option.set("gravity", _words(gravity(machine.tilt)))
+    step = float(option.get("timestep", "0.002"))
+    for body in root.iter("body"):
+        name = body.get("name", "")
+        if name in machine.mass:
+            _inertial(body).set("mass", repr(machine.mass[name]))
+        joint = body.find("joint")
+        if joint is None:
+            continue
+        drive = machine.drives.get(joint.get("name", ""))
+        if drive is None:
+            body.remove(joint)
+            _turn(body, machine.held[joint.get("name", "")])
+            continue
+        joint.set("damping", repr(drive.damping))
+        joint.set("frictionloss", repr(drive.friction))
+        joint.set("armature", repr(drive.armature))
+        if drive.spring:
+            joint.set("stiffness", repr(drive.spring))
+        # Stiff dry friction: MuJoCo's default creeps under load.
+        joint.set("solreffriction", _words([2.0 * step, 1.0]))
+        joint.set("solimpfriction", "0.999 0.9999 0.001 0.5 2")
+        if drive.zero:
+            _turn(body, drive.zero)
+    actuators = root.find("actuator")
+    assert actuators is not None
+    for actuator in list(actuators):
+        driven = machine.drives.get(actuator.get("joint", ""))
+        if driven is None:
+            actuators.remove(actuator)
+        elif driven.kp:
+            actuator.set("kp", repr(driven.kp))
+            actuator.set("kv", repr(driven.kv))
+        if machine.limit is not None:
+            actuator.set("forcerange", _words([-machine.limit, machine.limit]))
+    return ElementTree.tostring(root, "unicode") + "\n"
+
+
+def effects_json(machine: Machine) -> str | None:
+    """What stands beside the MJCF, as a diagnosis writes it; None where nothing does."""
+    if not machine.beside:
+        return None
+    effects = [
+        {"effect": effect, "joint": joint, "values": dict(values), "in_model": False}
+        for effect, joint, values in machine.beside
+    ]
+    return json.dumps({"schema": 1, "joints": list(machine.joints), "effects": effects}, indent=1)
+
+
+def twin_yaml(machine: Machine) -> str | None:
+    """Gains by the trial's controller; None where there is one controller alone."""
+    if not machine.controllers:
+        return None
+    lines = [f"  {name}: {{servo: {{kp: {kp!r}}}}}" for name, kp in machine.controllers.items()]
+    return "\n".join(["model: model.xml", "controllers:", *lines]) + "\n"
+
+
+def push(machine: Machine) -> Floats:
+    """(joints,) constant effort of the independent replay: friction that prefers a direction."""
+    return np.array(
+        [
+            d.preload - machine.value("asymmetric_friction", "offset", joint)
+            for joint, d in machine.drives.items()
+        ]
+    )
+
+
+def law(machine: Machine, controller: str | None = None) -> Law | None:
+    """What stands beside the MJCF and is neither constant, delayed nor a reading."""
+    return _xl330(machine, controller or "") if machine.controllers else None
+
+
+def _xl330(machine: Machine, controller: str) -> Law:
+    """A servo whose torque rolls off and whose gear rubs by motor effort and by load."""
+    kp, limit = machine.controllers[controller], machine.limit or np.inf
+    drive = machine.drives["pendulum"]
+    inverse, emf = (machine.value("torque_rolloff", n) for n in ("inverse_knee", "back_emf"))
+    rub = {
+        n: machine.value("motor_load_friction", n)
+        for n in ("coefficient", "stiction_excess", "stribeck_velocity")
+    }
+    by_load = machine.value("load_dependent_friction", "coefficient")
+
+    def act(model: mujoco.MjModel, data: mujoco.MjData, command: Floats) -> None:
+        q, v = data.qpos[0], data.qvel[0]
+        asked = min(max(kp * (command[0] - q), -limit), limit)
+        taken = emf * v if inverse else 0.0
+        effort = (asked - taken) / (1.0 + abs(asked - taken) * inverse)
+        fall = np.exp(-abs(v) / rub["stribeck_velocity"]) if rub["stribeck_velocity"] else 0.0
+        share = rub["coefficient"] + rub["stiction_excess"] * fall
+        mass, lever = model.body_mass[1], -model.body_ipos[1, 2]
+        load = abs(
+            mass * lever * (model.opt.gravity[0] * np.cos(q) + model.opt.gravity[2] * np.sin(q))
+        )
+        model.dof_frictionloss[0] = drive.friction + by_load * load + share * abs(effort)
+        # The MJCF's servo is silent here: its gain is set to zero by ``compiled``.
+        data.qfrc_applied[0] = effort + taken + drive.preload
+
+    return act
+
+
+def compiled(machine: Machine, recordings: Path) -> mujoco.MjModel:
+    """The model for the independent replay."""
+    model = mujoco.MjModel.from_xml_string(mjcf(machine, recordings))
+    if machine.controllers:
+        model.actuator_gainprm[:] = 0.0
+        model.actuator_biasprm[:] = 0.0
+    return model
+
+
+def _inertial(body: ElementTree.Element) -> ElementTree.Element:
+    found = body.find("inertial")
+    assert found is not None
+    return found
+
+
+def _turn(body: ElementTree.Element, angle: float) -> None:
+    """Turn a body about its joint's axis, which is its own z axis."""
+    before = np.array(body.get("quat", "1 0 0 0").split(), float)
+    after = np.empty(4)
+    about_z = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+    mujoco.mju_mulQuat(after, before / np.linalg.norm(before), about_z)
+    body.set("quat", _words(after))
+
+
+def _words(values: Any) -> str:
+    return " ".join(repr(float(v)) for v in values)
