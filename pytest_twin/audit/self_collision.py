@@ -18,6 +18,7 @@ from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Faces, Geometry
 from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import load
+from pytest_twin.realization.coal_hull import convex
 from pytest_twin.realization.collision import Shapes
 from pytest_twin.realization.model import Realization
 
@@ -278,18 +279,10 @@ class Hulls:
         placed: list[object] = []
         for one in pair:
             if one not in self._made:
-                self._made[one] = _convex(self._corners[one], self._faces[one])
+                self._made[one] = convex(self._corners[one], self._faces[one])
             position, rotation = places[self._bodies[one]]
             placed += [self._made[one], coal.Transform3s(rotation, position)]
         return float(coal.distance(*placed, request, coal.DistanceResult()))
-
-
-def _convex(corners: Vector, faces: Faces) -> coal.Convex:
-    vertices = coal.StdVec_Vec3s()
-    vertices.extend(list(corners))
-    triangles = coal.StdVec_Triangle()
-    triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
-    return coal.Convex(vertices, triangles)
 
 
 def _near(

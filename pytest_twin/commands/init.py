@@ -144,6 +144,12 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             found["none"].pop("replay", None)
             found["specs"] += [{"kind": "replay", **spec} for spec in replays["specs"]]
             found["silent"] |= replays["silent"]
+    if not found["specs"]:
+        raise SpecError(
+            "there is nothing to test in this model",
+            path=args.robot,
+            expected="a joint, a body with mass, or collision shapes of two bodies",
+        )
     told = _notes(found["specs"])
     for note in seen["notes"]:
         show(f"note: {note}")

@@ -365,6 +365,15 @@ def test_every_element_of_srdf_in_the_table_is_known_to_the_audit() -> None:
     assert tops == set(ELEMENTS)
 
 
+def test_the_free_flyer_of_pinocchio_is_a_warning_until_it_is_declared(tmp_path: Path) -> None:
+    named = ('<joint name="grip"/>', '<joint name="grip"/><joint name="root_joint"/>')
+    row = one(audited(tmp_path, named), "planning.unknown_joint")
+    assert row["severity"] == "warning"
+    assert '<virtual_joint name="root_joint" type="floating"' in row["settle"]
+    declared = ('name="fix" type="fixed"', 'name="root_joint" type="floating"')
+    assert audited(tmp_path, named, declared) == []
+
+
 # -- which URDF, which SRDF
 
 

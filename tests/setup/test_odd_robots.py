@@ -149,3 +149,12 @@ def test_odd_names_get_portable_files_and_a_release(tmp_path: Path) -> None:
     assert "release 0001 signed" in released.stdout
     verified = run("pytest-twin", "verify", "releases/0001", cwd=folder)
     assert verified.returncode == 0, verified.stdout + verified.stderr
+
+
+def test_a_scene_without_bodies_is_refused_and_leaves_no_folder(tmp_path: Path) -> None:
+    path = tmp_path / "arena.xml"
+    path.write_text('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>')
+    done = run("pytest-twin", "init", "arena.xml", "--out", "twin", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "arena.xml: there is nothing to test in this model (expected a joint," in done.stderr
+    assert not (tmp_path / "twin").exists()

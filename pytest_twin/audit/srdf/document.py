@@ -18,6 +18,8 @@ _WHY: dict[Kind, str] = {
     "joint": "MoveIt drops the element, so the group or state lacks this joint",
     "group": "MoveIt drops the element",
 }
+_FREE_FLYER = "root_joint"
+"""What Pinocchio calls the joint of a floating base; its SRDFs name it without declaring it."""
 
 
 def place_of(node: Node) -> Place:
@@ -143,18 +145,21 @@ class Srdf:
         if name in names:
             return
         near = difflib.get_close_matches(name, sorted(names)[:5000], n=1)
+        free = kind == "joint" and name == _FREE_FLYER
         owner = "this SRDF" if kind == "group" else self.asset.path.name
         yield Finding(
             f"planning.unknown_{kind}",
-            "critical",
+            "warning" if free else "critical",
             place_of(node),
             f"{label_of(node)}: {attribute}",
             f"no {kind} of this name",
             name,
             None,
             f"a {kind} of {owner}" + (f", such as '{near[0]}'" if near else ""),
-            _WHY[kind],
-            f"correct the name, or remove the element if {owner} lost the {kind}",
+            "Pinocchio names its free-flyer so; MoveIt drops the element" if free else _WHY[kind],
+            f'declare <virtual_joint name="{name}" type="floating" .../>'
+            if free
+            else f"correct the name, or remove the element if {owner} lost the {kind}",
         )
 
 
