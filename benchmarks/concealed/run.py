@@ -16,6 +16,7 @@ import argparse
 import json
 import os
 import random
+import resource
 import shutil
 import statistics
 import subprocess
@@ -33,8 +34,14 @@ from confine import confinable
 CONFINE = Path(__file__).with_name("confine.py")
 
 
-def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -> dict[str, object]:
-    """Run the command on one case, on some cores or all; its status, wall time and last words."""
+def diagnose(
+    case: Path, out: Path, seconds: float, cores: Sequence[int] = (), cpu_seconds: int = 0
+) -> dict[str, object]:
+    """Run the command on one case, on some cores or all; its status, wall time and last words.
+
+    ``cpu_seconds`` limits the time that a processor works on it, which other programs on the
+    machine do not change; 0: no limit. A process that reaches it is killed.
+    """
     case, out = case.resolve(), out.resolve()
     box = out.with_name(f"{out.name}.box")
     shutil.rmtree(box, ignore_errors=True)
@@ -42,6 +49,7 @@ def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -
     confined = confinable()
     command = [
         *(("taskset", "--cpu-list", ",".join(map(str, cores))) if cores else ()),
+        *(("prlimit", f"--cpu={cpu_seconds}") if cpu_seconds else ()),
         *((sys.executable, str(CONFINE), "--read", str(case), "--write", str(box), "--")
           if confined else ()),
         str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(model_of(case)),
@@ -50,7 +58,7 @@ def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -
     ]  # fmt: skip
     told: dict[str, object] = {"case": case.name, "confined": confined}
     environment = {**os.environ, "TMPDIR": str(box), "HOME": str(box)}
-    start = time.perf_counter()
+    start, worked = time.perf_counter(), processor_seconds()
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=seconds, cwd=case, env=environment
@@ -58,6 +66,7 @@ def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -
     except subprocess.TimeoutExpired:
         return {**told, "status": "timeout", "seconds": seconds}
     else:
+        told["cpu_seconds"] = processor_seconds() - worked
         taken = time.perf_counter() - start
         if (box / "said").exists():
             shutil.rmtree(out, ignore_errors=True)
@@ -73,11 +82,19 @@ def model_of(case: Path) -> Path:
     return twin if twin.exists() else case / "model.xml"
 
 
-def answer(case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]]) -> float:
+def processor_seconds() -> float:
+    """s that processors worked for commands that have ended; of several at a time, for all."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def answer(
+    case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]], cpu_seconds: int = 0
+) -> float:
     """Diagnose a case on the next cores that are free, and say so; s that it took."""
     cores = free.get()
     try:
-        told = diagnose(case, out / case.name, seconds, cores)
+        told = diagnose(case, out / case.name, seconds, cores, cpu_seconds)
     finally:
         free.put(cores)
     (out / f"{case.name}.run.json").write_text(json.dumps(told, indent=1) + "\n")
@@ -96,6 +113,7 @@ def main() -> None:
     parser.add_argument("--cases", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--cpu-seconds", type=int, default=0, help="of each process; 0: no limit")
     parser.add_argument("--jobs", type=int, default=2, help="cases at the same time")
     parser.add_argument("--cores", type=int, default=1, help="of each case")
     parser.add_argument("--joints", type=int, help="cases of so many alone")
@@ -112,7 +130,8 @@ def main() -> None:
     for first in range(0, min(args.jobs * args.cores, len(every)), args.cores):
         free.put(every[first : first + args.cores])
     with ThreadPoolExecutor(free.qsize()) as pool:
-        one = partial(answer, out=args.out, seconds=args.seconds, free=free)
+        one = partial(answer, out=args.out, seconds=args.seconds, free=free,
+                      cpu_seconds=args.cpu_seconds)  # fmt: skip
         # Where one ends in an error or is interrupted, those that have not begun do not begin.
         seconds = list(pool.map(one, open_cases))
     if seconds:
