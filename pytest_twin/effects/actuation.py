@@ -114,7 +114,8 @@ class _Lag:
     def of(cls, lag: FloatArray, timestep: float) -> _Lag:
         """The lag with (rows, joints) time constants, s."""
         steps = timestep / np.maximum(lag, 1e-9)
-        return cls(np.exp(-steps), -np.expm1(-steps) / steps, bool(lag.any()))
+        mean_kept = np.where(lag > 0.0, -np.expm1(-steps) / steps, 0.0)
+        return cls(np.exp(-steps), mean_kept, bool(lag.any()))
 
     def mean(self, asked: FloatArray) -> FloatArray:
         """(rows, joints) mean output over the next step for the input ``asked``."""
@@ -194,7 +195,8 @@ class _Slew:
     @classmethod
     def of(cls, inverse_rate: FloatArray, timestep: float) -> _Slew:
         """The limit with (rows, joints) reciprocal rates."""
-        return cls(timestep / np.maximum(inverse_rate, 1e-9), bool(inverse_rate.any()))
+        # Finite without a limit, so that no time at all is no change, and exact there.
+        return cls(timestep / np.maximum(inverse_rate, 1e-200), bool(inverse_rate.any()))
 
     def mean(self, asked: FloatArray) -> FloatArray:
         """(rows, joints) mean output over the next step for the input ``asked``."""

@@ -194,6 +194,8 @@ class World:
         timestep: s.
         position, velocity: joint state, rad and rad/s or m and m/s.
         setpoint: command to the drive, after all earlier hooks.
+        least_setpoint, greatest_setpoint: range of commands that the drive accepts; ``servo`` hooks
+            may leave it.
         gain, stiffness, damping, offset: coefficients of the control law, SI units at the joint.
         lower, upper: limits of the drive's effort, N*m or N.
         servo: (joints,) ``position``, ``velocity``, ``effort``, or ``none`` without a drive.
@@ -230,6 +232,8 @@ class World:
     motor_damping: FloatArray
     motor_constant: FloatArray
     link_inertia: FloatArray
+    least_setpoint: FloatArray = field(default_factory=lambda: np.full((1, 1), -np.inf))
+    greatest_setpoint: FloatArray = field(default_factory=lambda: np.full((1, 1), np.inf))
     coldness: FloatArray = field(default_factory=lambda: np.ones(1))
     motor: MotorSide | None = None
     state: dict[str, Any] = field(default_factory=dict)
@@ -292,8 +296,9 @@ class Effect:
             time.
         reads_other_joints: whether a hook of a joint reads another joint's drive.
         reads_delivered_effort: whether ``friction`` reads the effort that the drive delivers.
-        reading_order: order among sensor effects, smaller first: the encoder's eccentricity, then
-            its scale, then its zero.
+        reads_load: whether ``servo`` reads the load of the joint.
+        hook_order: order in which effects run in each hook, smaller first. The encoder's
+            eccentricity comes before its scale, and that before its zero.
 
     Traits, also class attributes. The search of a diagnosis treats an effect as its traits say,
     whatever its id:
@@ -325,7 +330,8 @@ class Effect:
     remembers_path: ClassVar[bool] = False
     reads_other_joints: ClassVar[bool] = False
     reads_delivered_effort: ClassVar[bool] = False
-    reading_order: ClassVar[int] = 0
+    reads_load: ClassVar[bool] = False
+    hook_order: ClassVar[int] = 0
     is_limit: ClassVar[bool] = False
     periodic: ClassVar[bool] = False
     needs_effort_sensor: ClassVar[bool] = False
@@ -341,7 +347,7 @@ class Effect:
         """Part of the signal path: ``command``, ``actuator``, ``transmission``, ``rigid body``,
         ``sensor``, ``contact`` or ``surroundings``.
         """
-        if self.overrides("command_latency", "command") and not self.overrides("drive"):
+        if self.overrides("command_latency", "command") and not self.overrides("servo", "drive"):
             return "command"
         return PATHS[self.family]
 

@@ -353,7 +353,7 @@ class RowSimulator:
         batch.bind("qvel")[:, at_dof] = world.velocity
         batch.bind("qfrc_applied")[:, at_dof] = written.constant
         batch.forward()
-        if hooks["friction"] or hooks["gear"]:
+        if _reads_load(hooks):
             world.load = batch.bind("qfrc_bias")[:, at_dof]
         self.roll_in(world, rows, effects)
         shifts = [self.segments[r].motor_shift for r in rows]
@@ -375,7 +375,7 @@ class RowSimulator:
         rows, steps = commands.shape[:2]
         q, v, effort = self._motion(steps, rows)
         level, start = world.friction_level, world.time
-        loaded = bool(hooks["friction"] or hooks["gear"])
+        loaded = _reads_load(hooks)
         commanded = np.ascontiguousarray(commands.swapaxes(0, 1))
         pushed = np.empty((rows, len(self.joints)))
         by_hand = bare.any()
@@ -426,6 +426,11 @@ class RowSimulator:
         effort[steps - 1] += actuator_force[:, at_dof]
         effort[steps] = effort[steps - 1]
         return q, v, effort
+
+
+def _reads_load(hooks: Hooks) -> bool:
+    """Whether an effect between steps needs the load of its joint."""
+    return bool(hooks["friction"] or hooks["gear"] or any(e.reads_load for e, _ in hooks["servo"]))
 
 
 def _span(index: NDArray[np.int64]) -> slice | NDArray[np.int64]:

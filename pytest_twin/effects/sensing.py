@@ -16,7 +16,7 @@ class EncoderBias(Effect):
     id = "encoder_bias"
     family = "sensing"
     nearly_linear = True
-    reading_order = 2
+    hook_order = 2
     common_to_geared_motors = True
     law = "measured = q + bias; the servo regulates q + in_loop bias"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
@@ -54,7 +54,7 @@ class EncoderScale(Effect):
 
     id = "encoder_scale"
     family = "sensing"
-    reading_order = 1
+    hook_order = 1
     law = "measured = (1 + scale_error) q"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
@@ -139,7 +139,7 @@ class EffortBias(Effect):
     id = "effort_bias"
     family = "sensing"
     needs_effort_sensor = True
-    reading_order = 2
+    hook_order = 2
     law = "measured effort = effort + bias"
     source = "ISO 376; zero offset of force-proving instruments"
     parameters = (
@@ -161,7 +161,7 @@ class EffortScale(Effect):
     id = "effort_scale"
     family = "sensing"
     needs_effort_sensor = True
-    reading_order = 1
+    hook_order = 1
     law = "measured effort = (1 + scale_error) effort"
     source = "ISO 376; sensitivity of force-proving instruments"
     parameters = (

@@ -33,7 +33,8 @@ _BLOCK = 64
 """Steps that are prepared and closed together: few enough to stay in a core's cache."""
 _PER_ROW = (
     "gain", "stiffness", "damping", "offset", "lower", "upper", "friction_level",
-    "motor_armature", "motor_damping", "link_inertia", "coldness",
+    "motor_armature", "motor_damping", "link_inertia", "coldness", "least_setpoint",
+    "greatest_setpoint",
 )  # fmt: skip
 _AT_ONCE, _SAMPLES, _STEPS = 0, 1, 2
 """Pace of a joint's laws: all samples at once, sample by sample, at the model's own step."""

@@ -15,7 +15,15 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects import actuation, contact, friction, rigid_body, timing, transmission
+from pytest_twin.effects import (
+    actuation,
+    contact,
+    directional,
+    friction,
+    rigid_body,
+    timing,
+    transmission,
+)
 from pytest_twin.effects.base import ModelFields
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.realization import Realization, patch
@@ -123,6 +131,11 @@ def _viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
         return None
     _add_damping(w, name, 0, values["coefficient"])
     return f"joint '{name}' damping", {}
+
+
+def _directional_viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    written = _viscous(w, joint, values)
+    return None if written is None else (written[0], {"difference": values["difference"]})
 
 
 def _add_damping(w: NativeWriter, name: str, order: int, value: float) -> None:
@@ -308,6 +321,7 @@ def _six(tensor: FloatArray) -> list[float]:
 
 _NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] = {
     friction.ViscousFriction.id: _viscous,
+    directional.DirectionalViscousFriction.id: _directional_viscous,
     friction.QuadraticDrag.id: _drag,
     friction.CoulombFriction.id: _coulomb,
     friction.AsymmetricFriction.id: _asymmetric,
