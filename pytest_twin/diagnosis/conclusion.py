@@ -48,14 +48,12 @@ class Structure:
         near: window length, s, of the problem that locates what is unexplained; None where that is
             the problem itself.
         notes: one line each, for the reader.
-        problems: every problem that was simulated.
     """
 
     given: Given
     found: Searched
     near: float | None
     notes: tuple[str, ...]
-    problems: tuple[Problem, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.roles import Roles, roles_of
+from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import (
@@ -40,6 +42,7 @@ from pytest_twin.diagnosis.simulated import (
     simulated_so,
     stepped_otherwise,
 )
+from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
 from pytest_twin.diagnosis.verdict import JointError, Verdict
@@ -83,6 +86,7 @@ class Diagnosis:
         prepared, selected: problem of the final parameters, and model selection.
         tested: problem, recordings and residuals behind the errors.
         roles: which recordings were fitted, validated, and held out.
+        trace: every step of the search.
         cost: computing time.
     """
 
@@ -95,6 +99,7 @@ class Diagnosis:
     selected: Selected
     tested: Searched
     roles: Roles
+    trace: Trace
     cost: Cost
 
     @property
@@ -133,6 +138,7 @@ class Diagnosis:
             "realization": realization,
             "trials": self._trials(),
             "notes": list(self.notes),
+            "search_trace": self.trace.to_json(),
             "cost": self.cost.to_json(),
         }
 
@@ -156,6 +162,7 @@ def diagnose(
     *,
     inherited: Patched | None = None,
     threads: int = 0,
+    run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Diagnosis:
     """Diagnose a model: locate errors, identify effects, fit them, and test them.
@@ -168,6 +175,8 @@ def diagnose(
         trials: the recordings.
         inherited: effects of an earlier diagnosis that the MJCF of ``realization`` cannot hold.
         threads: threads of batch simulations, 0 for all cores.
+        run: the time that it may take, and who is told of its steps; by default as long as it
+            takes.
         progress: called with the fraction done.
 
     Raises:
@@ -175,6 +184,7 @@ def diagnose(
         SpecError: a controller, payload or actuator is missing in the model.
     """
     since = time.perf_counter()
+    run = Run() if run is None else run
     roles = roles_of(trials)
     for i, trial in enumerate(roles.test):
         # What a recording asks of the model is missing now, not after a search of minutes.
@@ -183,7 +193,7 @@ def diagnose(
     with np.errstate(over="ignore", invalid="ignore"):
         structure = find_structure(
             realization, roles.of_search,
-            inherited=inherited, threads=threads, progress=progress,
+            inherited=inherited, threads=threads, run=run, progress=progress,
         )  # fmt: skip
         progress(0.88)
         assessed = assess(structure, trials, roles.test)
@@ -193,11 +203,14 @@ def diagnose(
         progress(0.9)
         step = coarse_step(tested.prepared.problem, tested.explained.hypothesis, tested.errors)
     notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *step]
+    notes += not_tried(run)
     progress(0.94)
+    for problem in assessed.problems:
+        run.budget.add(problem)
     return Diagnosis(
         tested.verdict, assessed.explained, tested.errors, left, tuple(dict.fromkeys(notes)),
-        structure.found.prepared, structure.found.selected, tested, roles,
-        cost([*structure.problems, *assessed.problems], since),
+        structure.found.prepared, structure.found.selected, tested, roles, run.trace,
+        cost(run.budget, since),
     )  # fmt: skip
 
 
@@ -207,6 +220,7 @@ def find_structure(
     *,
     inherited: Patched | None = None,
     threads: int = 0,
+    run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Structure:
     """Choose effects and fit them; no test recording is known here.
@@ -214,8 +228,9 @@ def find_structure(
     Args:
         realization: the nominal model.
         trials: the fit recordings, and as held out the validation recordings.
-        inherited, threads, progress, errors: as :func:`diagnose`.
+        inherited, threads, run, progress, errors: as :func:`diagnose`.
     """
+    run = Run() if run is None else run
     notes: list[str] = []
     given = Given.of(realization, inherited, threads)
     progress(0.02)
@@ -224,18 +239,9 @@ def find_structure(
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
-    steps = 0
-
-    def say(text: str) -> None:
-        nonlocal steps
-        del text
-        steps += 1
-        # The number of rounds is unknown: each one advances by a fixed part of the remainder.
-        progress(0.06 + 0.74 * (1.0 - 0.95**steps))
-
-    problems: list[Problem] = []
-    given, prepared, trials = simulated_so(given, prepared, trials, problems)
-    sought = _sought(given, prepared, trials, problems, say)
+    given, prepared, trials = simulated_so(given, prepared, trials, run)
+    with run.budget.searching():
+        sought = _sought(given, prepared, trials, run)
     given, notes = sought.given, [*notes, *sought.notes]
     progress(0.82)
     found = with_final_parameters(sought.found)
@@ -244,7 +250,7 @@ def find_structure(
     if given.substeps:
         notes.append(simulated_in_words(found.prepared))
     notes += found.explained.notes
-    return Structure(given, found, sought.near, tuple(notes), tuple(problems))
+    return Structure(given, found, sought.near, tuple(notes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,58 +265,87 @@ class _Sought:
     notes: tuple[str, ...]
 
 
-def _sought(
-    given: Given,
-    prepared: Prepared,
-    trials: TrialSet,
-    problems: list[Problem],
-    say: Callable[[str], None],
-) -> _Sought:
+def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _Sought:
     """Search whole motions, and windows of them where these tell more.
+
+    Every step after the first search has its result to fall back on, where time runs out.
 
     Args:
         given: the model, and how it is stepped.
         prepared, trials: its problem over whole motions.
-        problems: gets every problem that was searched.
-        say: told what is considered.
+        run: the diagnosis.
     """
     notes: list[str] = []
-    problems.append(prepared.problem)
-    contact = prepared.problem.simulator.models.contact
+    problem = prepared.problem
+    run.budget.add(problem)
+    contact = problem.simulator.models.contact
     clear, start = EMPTY, EMPTY
     if contact.world.size:
-        away = _posed_away(given, trials, contact)
-        if away is not None:
-            problems.append(away[0].problem)
-            clear = _found_away(*away, say)
-            start = _with_contact(prepared.problem, clear, say)
-    given, found = searched_so(given, prepared, trials, problems, say, start)
+        clear = run.attempt(
+            "the search for effects far from contact",
+            lambda: _found_away(given, trials, contact, run), EMPTY,
+        )  # fmt: skip
+        if clear.terms:
+            start = run.attempt(
+                "contact effects in addition", lambda: _with_contact(problem, clear, run), clear
+            )
+    run.begin("whole recordings", problem)
+    given, found = searched_so(given, prepared, trials, run, start)
     if found.astray and contact.world.size:
-        found = _once_more(found, say)
+        found = run.attempt("contact effects once more", partial(_once_more, found, run), found)
     elif found.far_from and not contact.world.size:
-        found = _by_shorter(found, given, problems, say)
-    given, found = found_so(found, given, problems, say)
-    stepped = stepped_otherwise(found, given)
-    if stepped is not None:
-        other = _sought(stepped, *pose(stepped, found.trials, []), problems, say)
-        if explains_more(other.found, found):
-            return other
+        found = run.attempt(
+            "a search from shorter windows", partial(_by_shorter, found, given, run), found
+        )
+    given, found = run.attempt(
+        "dry friction that creeps otherwise", partial(found_so, found, given, run), (given, found)
+    )
+    other = run.attempt(
+        "recordings of a simulation", partial(_stepped_otherwise, found, given, run), None
+    )
+    if other is not None:
+        return other
     near: float | None = None
     if found.astray and (clear.terms or not contact.world.size):
         near = WINDOW
-        cut, kept = pose(given, trials, [], window=WINDOW)
-        problems.append(cut.problem)
-        if contact.world.size:
-            # What acts in the air is known from there.
-            cut.problem.family = _CONTACT
-
-        def longer() -> Prepared:
-            halves, _ = pose(given, trials, [], window=_half_of(trials))
-            problems.append(halves.problem)
-            return halves
-
-        found = _windowed(found, cut, kept, clear, say, notes, longer)
+        found, said = run.attempt(
+            f"windows of {WINDOW:g} s",
+            partial(_by_windows, found, given, trials, clear, run),
+            (found, list[str]()),
+        )
+        notes += said
     return _Sought(given, found, near, tuple(notes))
+
+
+def _stepped_otherwise(found: Searched, given: Given, run: Run) -> _Sought | None:
+    """What is found with the integration error of a simulation's step left in, if that explains
+    more; None if not, or if no such error is seen.
+    """
+    stepped = stepped_otherwise(found, given)
+    if stepped is None:
+        return None
+    prepared, trials = pose(stepped, found.trials, [])
+    other = _sought(stepped, prepared, trials, run)
+    return other if explains_more(other.found, found) else None
+
+
+def _by_windows(
+    found: Searched, given: Given, trials: TrialSet, clear: Hypothesis, run: Run
+) -> tuple[Searched, list[str]]:
+    """What explains most, of whole motions and windows of them, and what a reader has to know."""
+    cut, kept = pose(given, trials, [], window=WINDOW)
+    run.begin(f"windows of {WINDOW:g} s", cut.problem)
+    if cut.problem.simulator.models.contact.world.size:
+        # What acts in the air is known from there.
+        cut.problem.family = _CONTACT
+
+    def longer() -> Prepared:
+        halves, _ = pose(given, trials, [], window=_half_of(trials))
+        run.begin("windows of half a recording", halves.problem)
+        return halves
+
+    notes: list[str] = []
+    return _windowed(found, cut, kept, clear, run, notes, longer), notes
 
 
 def _posed_away(
@@ -323,45 +358,52 @@ def _posed_away(
         return None
 
 
-def _found_away(prepared: Prepared, trials: TrialSet, say: Callable[[str], None]) -> Hypothesis:
-    """What explains the motion far from what the robot meets.
+def _found_away(given: Given, trials: TrialSet, contact: ContactGeoms, run: Run) -> Hypothesis:
+    """What explains the motion far from what the robot meets; nothing where it never is.
 
     There deviations are small, and every law can be seen along the measured motion; in contact each
     has to be simulated.
     """
-    return search(prepared, trials, Selection(prepared.problem, say)).explained.hypothesis
+    away = _posed_away(given, trials, contact)
+    if away is None:
+        return EMPTY
+    prepared, kept = away
+    run.begin("windows far from contact", prepared.problem)
+    return search(prepared, kept, Selection(prepared.problem, run)).explained.hypothesis
 
 
-def _with_contact(problem: Problem, clear: Hypothesis, say: Callable[[str], None]) -> Hypothesis:
+def _with_contact(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
     """What was found in the air, and what contact alone adds to that."""
+    run.begin("contact effects over whole recordings", problem)
     problem.family = _CONTACT
-    selected = from_start(Selection(problem, say), clear)
-    problem.family = None
+    try:
+        selected = from_start(Selection(problem, run), clear)
+    finally:
+        problem.family = None
     return selected.best.hypothesis
 
 
-def _once_more(found: Searched, say: Callable[[str], None]) -> Searched:
+def _once_more(found: Searched, run: Run) -> Searched:
     """What contact adds to all that was found, and what is found from there: a surface that was
     hidden behind what acts in contact as well (a late clock, a drive at its limit) stands out now.
     """
     problem, known = found.prepared.problem, found.explained.hypothesis
-    more = _with_contact(problem, known, say)
+    more = _with_contact(problem, known, run)
     if set(more.terms) <= set(known.terms):
         return found
-    return _from_there(found, more, say)
+    return _from_there(found, more, run)
 
 
-def _from_there(found: Searched, start: Hypothesis, say: Callable[[str], None]) -> Searched:
+def _from_there(found: Searched, start: Hypothesis, run: Run) -> Searched:
     """What is found from a hypothesis, where that leaves less than what was found."""
-    selection = Selection(found.prepared.problem, say)
+    run.begin("whole recordings once more", found.prepared.problem)
+    selection = Selection(found.prepared.problem, run)
     other = search(found.prepared, found.trials, selection, start)
     found = found.judged_again()
     return other if other.leaves_less(found) else found
 
 
-def _by_shorter(
-    found: Searched, given: Given, problems: list[Problem], say: Callable[[str], None]
-) -> Searched:
+def _by_shorter(found: Searched, given: Given, run: Run) -> Searched:
     """What is found from where windows lead in which the model as it came stays near what was
     recorded, or nearer.
     """
@@ -372,9 +414,9 @@ def _by_shorter(
         near = stays_near(cut.problem, left_everywhere(cut.problem, EMPTY))
         if near or window <= 2.0 * SHORTEST:
             break
-    problems.append(cut.problem)
-    start = search(cut, kept, Selection(cut.problem, say, _CLEAR)).explained.hypothesis
-    return _from_there(found, start, say) if start.terms else found
+    run.begin(f"windows of {window:g} s", cut.problem)
+    start = search(cut, kept, Selection(cut.problem, run, _CLEAR)).explained.hypothesis
+    return _from_there(found, start, run) if start.terms else found
 
 
 def _windowed(
@@ -382,7 +424,7 @@ def _windowed(
     cut: Prepared,
     kept: TrialSet,
     clear: Hypothesis,
-    say: Callable[[str], None],
+    run: Run,
     notes: list[str],
     longer: Callable[[], Prepared],
 ) -> Searched:
@@ -392,25 +434,27 @@ def _windowed(
         found: by whole motions.
         cut, kept: the problem in windows, and its trials.
         clear: what was found far from what the robot meets.
-        say: told what is considered.
+        run: the diagnosis.
         notes: gets how it was named.
         longer: poses the problem in windows that are longer.
     """
-    other = confirmed(cut, kept, found, say)
+    other = confirmed(cut, kept, found, run)
     if other is None:
         # Where nothing is met, no search begins that along the motion leaves too much.
         share_left = 1.0 if clear.terms else _CLEAR
-        other = search(cut, kept, Selection(cut.problem, say, share_left), clear)
+        other = search(cut, kept, Selection(cut.problem, run, share_left), clear)
     if other.supersedes(found):
         notes.append(_IN_WINDOWS)
         return replace(other, whole=found.prepared.problem)
     if other.beside(found):
         if found.slips:
-            whole = with_drive_of(found, other, longer())
+            with run.budget.apart():
+                whole = with_drive_of(found, other, longer())
             if whole.follows_better(found):
                 notes.append(_AS_A_DRIVE)
                 return whole
-        whole = carried(found, other)
+        with run.budget.apart():
+            whole = carried(found, other)
         if whole.follows_better(found):
             notes.append(_NAMED_IN_WINDOWS)
             return whole

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.start import FreeStart, Starts
 from pytest_twin.effects import catalogue
@@ -108,6 +109,11 @@ class Problem:
         return sum(simulator.stepped for simulator in self._simulators)
 
     @property
+    def once(self) -> int:
+        """Steps of one simulation of all segments."""
+        return int(self.simulator.steps.sum())
+
+    @property
     def repeated(self) -> int:
         """Of these, what had been simulated before."""
         return sum(simulator.repeated for simulator in self._simulators)
@@ -163,7 +169,11 @@ class Problem:
 
         Where the motion follows parameters in leaps, the error of the step does so too: these are
         simulated with the finer step, which has a share of it left to correct.
+
+        Raises:
+            OutOfTime: the time of the search is over.
         """
+        check()
         out: list[list[Predicted]] = [[] for _ in hypotheses]
         for simulator, rough, share in (
             (self.simulator, False, 1.0),
@@ -214,6 +224,7 @@ class Problem:
         """
         key = _key(hypothesis)
         if key not in self._refined_at:
+            check()
             if len(self._refined_at) >= _REMEMBERED:
                 self._refined_at.pop(next(iter(self._refined_at)))
             starts = self._freed(hypothesis)

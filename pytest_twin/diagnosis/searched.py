@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.drive import together, unweighed, with_drive
 from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
@@ -40,6 +42,8 @@ from pytest_twin.trial import Trial
 _MOSTLY = 0.1
 # Share that has to be left for names from windows to be sought over whole motions.
 _SOME = 0.01
+# Confidence of an effect whose alternatives were not compared.
+_UNCOMPARED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,9 +159,31 @@ def search(
 def concluded(
     prepared: Prepared, trials: TrialSet, selection: Selection, selected: Selected
 ) -> Searched:
-    """What a search chose, gone on with where the floor falls, judged."""
-    selected = _to_the_floor(prepared, selection, selected)
-    return _searched(prepared, trials, selected, prune(prepared.problem, selected))
+    """What a search chose, gone on with where the floor falls, judged.
+
+    The judgement uses the reserved time where the time of the search is over.
+    """
+    run, problem = selection.diagnosis_run, prepared.problem
+    goes_on = partial(_to_the_floor, prepared, selection, selected)
+    if not run.over:
+        selected = run.attempt("the search with a lower noise floor", goes_on, selected)
+    with run.budget.reserved():
+        _weigh_untested(run, selected)
+        best = selected.best
+        if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
+            selected.best = selection.contest.as_it_is(best.hypothesis, slopes=True)
+        pruned = prune(problem, selected, hurried=run.budget.out_of_time)
+        for note in pruned.notes:
+            run.step(problem, "pruning", "rejected", note, best=pruned.fitted.hypothesis)
+        return _searched(prepared, trials, selected, pruned)
+
+
+def _weigh_untested(run: Run, selected: Selected) -> None:
+    """Halve the confidence of effects whose alternatives were not compared for want of time."""
+    for term in selected.best.hypothesis.terms if run.over else ():
+        if term not in selected.confidence:
+            selected.confidence[term] = _UNCOMPARED
+            run.skip(f"the comparison of {term.effect} with its alternatives")
 
 
 def _to_the_floor(prepared: Prepared, selection: Selection, selected: Selected) -> Selected:
@@ -172,18 +198,17 @@ def _to_the_floor(prepared: Prepared, selection: Selection, selected: Selected) 
 def from_start(selection: Selection, start: Hypothesis) -> Selected:
     """What a search chooses that begins with a hypothesis, fitted; or with the model as it came."""
     contest = selection.contest
-    rival = contest.settled(contest.as_it_is(start)) if start.terms else None
-    return selection.run(rival)
+    with selection.diagnosis_run.budget.reserved():
+        rival = contest.as_it_is(start) if start.terms else None
+    return selection.run(None if rival is None else contest.settled(rival))
 
 
-def confirmed(
-    prepared: Prepared, trials: TrialSet, other: Searched, say: Callable[[str], None]
-) -> Searched | None:
+def confirmed(prepared: Prepared, trials: TrialSet, other: Searched, run: Run) -> Searched | None:
     """What another search found, fitted here and held against its rivals, if it explains this."""
     start = other.explained.hypothesis
     if not start.terms:
         return None
-    selection = Selection(prepared.problem, say)
+    selection = Selection(prepared.problem, run)
     contest = selection.contest
     rival = contest.settled(contest.as_it_is(start))
     before, after = (left_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))

@@ -28,6 +28,7 @@ from pytest_twin.diagnosis.prepare import (
     discretization,
 )
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.searched import Searched, pose
@@ -46,19 +47,19 @@ _LEAST = 1e-9
 
 
 def simulated_so(
-    given: Given, prepared: Prepared, trials: TrialSet, problems: list[Problem]
+    given: Given, prepared: Prepared, trials: TrialSet, run: Run
 ) -> tuple[Given, Prepared, TrialSet]:
     """The problem, stepped as the recordings were simulated, where they are the model's as it came.
 
     Args:
         given: the model.
         prepared, trials: the problem as a robot would have it.
-        problems: gets the one that is left behind, if one is.
+        run: the diagnosis.
     """
     substeps = _substeps_of(prepared)
     if not substeps:
         return given, prepared, trials
-    problems.append(prepared.problem)
+    run.budget.add(prepared.problem)
     given = replace(given, substeps=substeps)
     return given, *pose(given, trials, [])
 

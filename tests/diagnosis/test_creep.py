@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
-from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.searched import pose
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.effects.constraint import hold, stiff
@@ -138,13 +138,13 @@ def test_a_search_goes_on_the_way_that_it_sees(tmp_path: Path, holds: bool) -> N
     realization, trials = given_by(tmp_path, delay=0.012, holds=holds)
     given = Given.of(realization, None, threads=1)
     prepared, trials = pose(given, trials, [])
-    problems: list[Problem] = []
-    said: list[str] = []
-    stepped, found = searched_so(given, prepared, trials, problems, said.append, EMPTY)
+    run = Run()
+    stepped, found = searched_so(given, prepared, trials, run, EMPTY)
     assert stepped.creeps is not holds
     assert [t.effect for t in found.explained.hypothesis.terms] == ["command_delay"]
     # Nothing that was left in the one way was held against more names.
-    assert [text[0] for text in said if text[0] in "+-~="] == ["+"]
+    accepted = [step for step in run.trace.steps if step.decision == "accepted"]
+    assert [step.move for step in accepted] == ["addition"]
     assert found.verdict == "explained"
 
 

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.first_order.screen import View
 from pytest_twin.diagnosis.fit import nudged, proposals, weighted_cost
@@ -80,7 +81,12 @@ def polish(
 
 
 def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
-    """As :meth:`Linear.differences`, in batches that need the same steps."""
+    """As :meth:`Linear.differences`, in batches that need the same steps.
+
+    Raises:
+        OutOfTime: the time of the search is over.
+    """
+    check()
     groups: dict[tuple[bool, bool], list[int]] = {}
     for i, h in enumerate(hypotheses):
         effects = [t.law for t in h.terms]

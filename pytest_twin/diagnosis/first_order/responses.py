@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.first_order.along import Along, along
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
@@ -293,7 +294,12 @@ class Linear:
     # -- candidates
 
     def responses(self, terms: Sequence[Term]) -> list[Response]:
-        """All candidates', those of one effect together."""
+        """All candidates', those of one effect together.
+
+        Raises:
+            OutOfTime: the time of the search is over.
+        """
+        check()
         by_effect: dict[str, list[Term]] = {}
         for term in sorted(terms, key=lambda t: t.effect):
             by_effect.setdefault(term.effect, []).append(term)

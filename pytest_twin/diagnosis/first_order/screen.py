@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.responses import Response
 from pytest_twin.diagnosis.hypothesis import Term
@@ -414,6 +415,7 @@ class Search:
         return [lens.compared(lens.bare, sizes[n])[: self.width] for n in sorted(sizes)]
 
     def _grown(self, lens: Lens, level: Sequence[Structure], count: int) -> list[Structure]:
+        check()
         parents = [s for s in level if len(s.chosen) < self.most]
         lens.answers.take_products(i for s in parents for i in s.chosen)
         tasks = [partial(lens.children, s, count) for s in parents]

@@ -136,7 +136,7 @@ _Gone = Mapping[int, str]
 """Terms that are taken back, by their place in the fit, and what a reader is told of each."""
 
 
-def prune(problem: Problem, selected: Selected) -> Pruned:
+def prune(problem: Problem, selected: Selected, *, hurried: bool = False) -> Pruned:
     """Take back what explains nothing above the floor, and what explains too little to be right.
 
     A term stays where some signal of the tested recordings, refitted without it, stands above
@@ -153,7 +153,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     problem.refine_at(EMPTY)
     (before,) = _levels(problem, [EMPTY], problem.tested)
     while fitted.hypothesis.terms:
-        refitted, weights, base, levels = _without_each(problem, fitted)
+        refitted, weights, base, levels = _without_each(problem, fitted, hurried)
         tested = _Tested(
             problem, fitted, selected.confidence, before, base, refitted, levels, weights
         )
@@ -164,8 +164,15 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
         if not gone:
             return Pruned(fitted, [f.hypothesis for f in refitted], notes)
         notes += gone.values()
-        fitted = tested.without(list(gone))
+        fitted = _with_slopes(problem, tested.without(list(gone)), weights)
     return Pruned(fitted, [], notes)
+
+
+def _with_slopes(problem: Problem, fitted: Fitted, weights: FloatArray) -> Fitted:
+    """The same with its Jacobian."""
+    if fitted.jacobian.shape[2] == fitted.hypothesis.theta.size:
+        return fitted
+    return fit(problem, [fitted.hypothesis], weights, problem.fit, iterations=0)[0]
 
 
 def _diverging(tested: _Tested) -> _Gone:
@@ -458,15 +465,24 @@ def _levels(
 
 
 def _without_each(
-    problem: Problem, fitted: Fitted
+    problem: Problem, fitted: Fitted, hurried: bool
 ) -> tuple[list[Fitted], FloatArray, FloatArray, list[FloatArray]]:
     """The rest refitted without each of the terms, the weights of that, what the fit leaves, and
     what each rest does; with the simulator's step corrected for the fit.
+
+    In a hurry each takes one step, along the slopes of the fit.
     """
     problem.refine_at(fitted.hypothesis)
     weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
     starts = [fitted.hypothesis.without(t) for t in fitted.hypothesis.terms]
-    refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
+    shared = [
+        fitted.jacobian[:, :, fitted.hypothesis.parameters_without(t)]
+        for t in fitted.hypothesis.terms
+    ]
+    refitted = fit(
+        problem, starts, weights, problem.fit,
+        iterations=1 if hurried else _REFIT, slopes=False, jacobians=shared if hurried else None,
+    )  # fmt: skip
     each = [fitted.hypothesis, *(f.hypothesis for f in refitted)]
     base, *levels = _levels(problem, each, problem.tested)
     return refitted, weights, base, levels

@@ -1,0 +1,111 @@
+"""What a diagnosis may spend: one budget of time and of simulations for all of its searches.
+
+Work is counted in simulations of all data: the steps that were asked for, divided by the steps of
+one simulation of all recordings. Unlike seconds, it is the same on every machine.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from pytest_twin.diagnosis.deadline import CHECK, OutOfTime, no_bound
+from pytest_twin.diagnosis.problem import Problem
+
+RESERVED = 0.2
+"""Share of the time that is kept for final parameters, intervals, test recordings and the report.
+Six joints with five recordings of 12 s need about a tenth of two minutes for them on two cores."""
+MOST_SIMULATIONS = 1200
+"""Simulations of all data that all searches of a diagnosis may take together: four times what one
+search may take for one effect. Of 200 cases with one to six joints, few need more than 800."""
+
+
+class Budget:
+    """Time and simulations of one diagnosis.
+
+    Args:
+        seconds: wall-clock time from now on for the whole diagnosis; 0 for as long as it takes.
+        simulations: of all data, for all searches.
+        clock: seconds, monotonic.
+    """
+
+    def __init__(
+        self,
+        seconds: float = 0.0,
+        simulations: float = MOST_SIMULATIONS,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.seconds = seconds
+        self.simulations = simulations
+        self.stopped = False
+        self.problems: list[Problem] = []
+        self._clock = clock
+        self._start = clock()
+        self._apart = 0.0
+
+    def add(self, problem: Problem) -> None:
+        """Count the work of one more problem."""
+        if not any(problem is p for p in self.problems):
+            self.problems.append(problem)
+
+    def stop(self) -> None:
+        """Let the search end at the next simulation, as if its time were over."""
+        self.stopped = True
+
+    @property
+    def elapsed(self) -> float:
+        """s since the start."""
+        return self._clock() - self._start
+
+    @property
+    def left(self) -> float:
+        """s that are left of the whole diagnosis; infinite without a bound."""
+        return max(self.seconds - self.elapsed, 0.0) if self.seconds else float("inf")
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the search has to end: its share of the time is over, or it was stopped."""
+        over = bool(self.seconds) and self.elapsed > (1.0 - RESERVED) * self.seconds
+        return self.stopped or over
+
+    @property
+    def work(self) -> float:
+        """Simulations of all data so far."""
+        return sum((p.stepped + p.in_starts) / p.once for p in self.problems)
+
+    @property
+    def spent(self) -> bool:
+        """Whether all searches together have used their simulations."""
+        return self.work - self._apart > self.simulations
+
+    @contextmanager
+    def searching(self) -> Iterator[None]:
+        """Simulations inside raise :class:`OutOfTime` once the search has to end."""
+        token = CHECK.set(self._check)
+        try:
+            yield
+        finally:
+            CHECK.reset(token)
+
+    @contextmanager
+    def reserved(self) -> Iterator[None]:
+        """Simulations inside run to their end: they use the reserved time."""
+        token = CHECK.set(no_bound)
+        try:
+            yield
+        finally:
+            CHECK.reset(token)
+
+    @contextmanager
+    def apart(self) -> Iterator[None]:
+        """Simulations inside are no search over effects: they have bounds of their own."""
+        before = self.work
+        try:
+            yield
+        finally:
+            self._apart += self.work - before
+
+    def _check(self) -> None:
+        if self.out_of_time:
+            raise OutOfTime
