@@ -52,7 +52,8 @@ def diagnose(
         *(("prlimit", f"--cpu={cpu_seconds}") if cpu_seconds else ()),
         *((sys.executable, str(CONFINE), "--read", str(case), "--write", str(box), "--")
           if confined else ()),
-        str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(model_of(case)),
+        str(Path(sys.executable).with_name("pytest-twin")), "diagnose", "--seconds", "0",
+        str(model_of(case)),
         *sorted(str(path) for path in (case / "recordings").glob("*.mcap")),
         "--out", str(box / "said"),
     ]  # fmt: skip

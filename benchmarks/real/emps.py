@@ -183,6 +183,7 @@ def main() -> None:
     if not (why / "diagnosis.json").is_file():
         args.out.mkdir(parents=True, exist_ok=True)
         command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose"]
+        command += ["--seconds", "0"]
         subprocess.run(
             [*command, str(folder / "model.xml"), *map(str, paths), "--out", str(why)], check=False
         )

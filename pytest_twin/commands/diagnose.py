@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import signal
+import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
@@ -36,6 +41,9 @@ EXIT_STATUS = {
     1: "a mismatch is left that no known effect explains",
 }
 EXPLAINED, LEFT_OVER = 0, 1
+SECONDS = 120.0
+"""Time of a diagnosis where none is given, s."""
+# Bound on a diagnosis that takes as long as it takes, s.
 _SECONDS = 4 * 3600.0
 # As diagnosis.diagnose and gate.diagnosis_folder report the fraction done.
 _STAGES = (
@@ -76,6 +84,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"gets {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
         "replaced whole where it is an earlier diagnosis",
     )
+    parser.add_argument(
+        "--seconds",
+        metavar="N",
+        type=_seconds,
+        default=SECONDS,
+        help="time for the diagnosis: then the best result so far is written, with what was not "
+        f"tried (default: {SECONDS:g}; 0: as long as it takes); Ctrl-C ends it early in the same "
+        "way",
+    )
     add_recording_arguments(parser)
     model_files.add_arguments(parser)
 
@@ -96,6 +113,7 @@ def run(args: argparse.Namespace) -> int:
         with (
             Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox,
             Progress("diagnosing", _STAGES) as progress,
+            _stopped_by_interrupt(sandbox, progress),
         ):
             summary = sandbox.call(
                 "pytest_twin.commands.diagnose:diagnose_files",
@@ -106,9 +124,12 @@ def run(args: argparse.Namespace) -> int:
                     "out": str(staging),
                     "topics": args.topics,
                     "options": recording_options(args),
+                    "seconds": args.seconds,
+                    "answer_first": args.seconds > 0.0 or sys.stderr.isatty(),
                     **model_files.search_folders(args),
                 },
                 progress=progress,
+                tell=progress.tell,
             )
         atomic.replace_directory(staging, out)
     json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
@@ -126,16 +147,28 @@ def diagnose_files(
     options: Mapping[str, Any],
     packages: Mapping[str, str] | None = None,
     roots: Sequence[str] = (),
+    seconds: float = 0.0,
+    answer_first: bool = False,
     progress: Callable[[float], None] = lambda fraction: None,
+    tell: Callable[[str, str], None] = lambda kind, text: None,
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
+
+    An interruption (SIGINT) ends the search early: the best so far is written.
 
     Returns:
         The verdict and the lines to print.
     """
     from pytest_twin.commands.replay import load_model
+    from pytest_twin.diagnosis.budget import Budget
+    from pytest_twin.diagnosis.first_answer import FIRST_SECONDS, first_answer
+    from pytest_twin.diagnosis.roles import roles_of
+    from pytest_twin.diagnosis.run import Run
+    from pytest_twin.diagnosis.trace import Step, Trace
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
+    from pytest_twin.realization.quiet import quiet
+    from pytest_twin.report.glance import glance_words
 
     loaded = load_model(Path(model), SearchFolders.of(roots, packages))
     trials = read_trials(
@@ -145,6 +178,20 @@ def diagnose_files(
         loaded.realization.structure,
         RecordingOptions.from_json(options).over(loaded.options),
     )
+    budget = Budget(seconds)
+    signal.signal(signal.SIGINT, lambda number, frame: budget.stop())
+
+    def say_state(step: Step) -> None:
+        best = ", ".join(step.best) or "no effect yet"
+        left = f"; at most {budget.left:.0f} s left" if seconds else ""
+        tell("state", f"{step.stage}; best so far: {best}{left}")
+
+    if answer_first:
+        bound = min(FIRST_SECONDS, 0.2 * seconds) if seconds else FIRST_SECONDS
+        with quiet():
+            seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
+        if seen is not None:
+            tell("line", f"first answer, from one recording: {glance_words(seen)}")
     summary = write_diagnosis(
         Path(out),
         loaded.realization,
@@ -152,10 +199,43 @@ def diagnose_files(
         inherited=loaded.patched,
         model=Path(model).name,
         progress=progress,
+        run=Run(budget, Trace(say_state)),
     )
     located = loaded.realization.source.located
     chosen = () if located is None or located.root is None else located.words()
     return {**summary, "words": [*chosen, *summary["words"]]}
+
+
+def _seconds(text: str) -> float:
+    """A time in s, 0 or more."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
+    if not 0.0 <= seconds < _SECONDS:
+        raise argparse.ArgumentTypeError(
+            f"got {text!r}, expected a time in s, 0 to {_SECONDS:g} (0: as long as it takes)"
+        )
+    return seconds
+
+
+@contextlib.contextmanager
+def _stopped_by_interrupt(sandbox: Sandbox, progress: Progress) -> Iterator[None]:
+    """The first Ctrl-C inside ends the search early; the second one aborts."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, before)
+        sandbox.interrupt()
+        progress.tell("line", "stopping: the best result so far is written; Ctrl-C again aborts")
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _check_out(out: Path) -> None:

@@ -239,6 +239,7 @@ def find_structure(
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
+    run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
     given, prepared, trials = simulated_so(given, prepared, trials, run)
     with run.budget.searching():
         sought = _sought(given, prepared, trials, run)

@@ -33,6 +33,16 @@ class Run:
         """Whether the searches have to end."""
         return self.budget.out_of_time or self.budget.spent
 
+    @property
+    def share_done(self) -> float:
+        """Share of the search that is done, 0 to 1: a guess, unless its time is bounded."""
+        steps = len(self.trace.steps) + self.trace.left_out
+        # The number of steps is unknown: each one advances by a fixed part of the remainder.
+        done = 1.0 - 0.98**steps
+        if not self.budget.seconds:
+            return done
+        return min(max(done, self.budget.elapsed / (0.8 * self.budget.seconds)), 1.0)
+
     def begin(self, stage: str, problem: Problem) -> None:
         """Search a problem next; steps that follow belong to ``stage``."""
         self.budget.add(problem)

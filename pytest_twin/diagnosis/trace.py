@@ -66,7 +66,7 @@ class Trace:
     """Steps of all searches of a diagnosis, in order.
 
     Args:
-        listener: called with each step.
+        listeners: called with each step.
 
     Attributes:
         stage: what is searched now.
@@ -74,11 +74,11 @@ class Trace:
         left_out: how many came after these.
     """
 
-    def __init__(self, listener: Callable[[Step], None] = lambda step: None) -> None:
+    def __init__(self, *listeners: Callable[[Step], None]) -> None:
+        self.listeners = [*listeners]
         self.stage = "whole recordings"
         self.steps: list[Step] = []
         self.left_out = 0
-        self._listener = listener
 
     def add(self, step: Step) -> None:
         """Keep a step, or count it where there are too many."""
@@ -86,7 +86,8 @@ class Trace:
             self.steps.append(step)
         else:
             self.left_out += 1
-        self._listener(step)
+        for listener in self.listeners:
+            listener(step)
 
     def to_json(self) -> dict[str, Any]:
         """``search_trace`` of ``diagnosis.json``."""

@@ -10,6 +10,7 @@ from typing import Any
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.write import write_realization
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats import atomic
 from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
@@ -27,6 +28,7 @@ def write_diagnosis(
     inherited: Patched | None,
     model: str,
     progress: Callable[[float], None],
+    run: Run | None = None,
 ) -> dict[str, Any]:
     """Diagnose, and write what was found into an empty folder.
 
@@ -37,6 +39,8 @@ def write_diagnosis(
         inherited: effects beside the model, where an earlier diagnosis wrote it.
         model: what the report calls it.
         progress: told the fraction done.
+        run: the time that it may take, and who is told of its steps; as long as it takes by
+            default.
 
     Returns:
         The verdict, and the lines for a terminal.
@@ -45,7 +49,7 @@ def write_diagnosis(
         TwinError: the model or the recordings cannot be used, or the folder cannot be written.
     """
     with quiet():
-        found = diagnose(realization, trials, inherited=inherited, progress=progress)
+        found = diagnose(realization, trials, inherited=inherited, run=run, progress=progress)
         (folder / REALIZATION).mkdir()
         patched = write_realization(
             folder / REALIZATION,

@@ -86,6 +86,11 @@ def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
     return before, after, floor
 
 
+def _score_shown(score: float | None) -> str:
+    """A score of the search; nothing where none was computed."""
+    return "" if score is None else f"{score:.1f}"
+
+
 def render(view: DiagnosisView) -> str:
     """The report as one HTML document without external files."""
     folder = resources.files(__package__)
@@ -167,6 +172,11 @@ def _template() -> jinja2.Template:
         loader=jinja2.PackageLoader("pytest_twin.report", "."),
     )
     environment.filters.update(
-        number=number, quantity=quantity, percent=percent, spans=spans_said, errors=errors_shown
+        number=number,
+        quantity=quantity,
+        percent=percent,
+        spans=spans_said,
+        errors=errors_shown,
+        score=_score_shown,
     )
     return environment.get_template("diagnosis.html.j2")

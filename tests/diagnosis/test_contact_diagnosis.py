@@ -56,7 +56,7 @@ def test_a_contact_that_differs_is_named_with_its_size(
     hidden: dict[str, Any],
 ) -> None:
     words = case(tmp_path, joints, **hidden)
-    assert cli.main(["diagnose", *words, "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert said["verdict"] == "explained"
     (finding,) = said["findings"]
@@ -76,7 +76,7 @@ def test_what_is_wrong_in_the_air_is_named_beside_what_is_wrong_at_the_table(
     tmp_path: Path,
 ) -> None:
     words = case(tmp_path, ONE, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
-    assert cli.main(["diagnose", *words, "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert said["verdict"] == "explained"
     found = {f["effect"]: f["parameters"] for f in said["findings"]}

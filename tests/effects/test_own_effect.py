@@ -53,7 +53,7 @@ def test_it_is_listed(site: Path) -> None:
 def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
     """What was in nobody's catalogue is named once somebody has put it there."""
     words = case(tmp_path / "case", magnet=0.08)
-    done = pytest_twin("diagnose", *words, "--out", str(tmp_path / "why"))
+    done = pytest_twin("diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "why"))
     assert done.returncode == 0, done.stdout + done.stderr
     said = json.loads((tmp_path / "why" / "diagnosis.json").read_text())
     assert [(f["effect"], f["joint"]) for f in said["findings"]] == [("magnet", "left")]
