@@ -190,8 +190,8 @@ def diagnose_files(
         bound = min(FIRST_SECONDS, 0.2 * seconds) if seconds else FIRST_SECONDS
         with quiet():
             seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
-        if seen is not None:
-            tell("line", f"first answer, from one recording: {glance_words(seen)}")
+        words = f"none within {bound:g} s" if seen is None else glance_words(seen)
+        tell("line", f"first answer, from one recording: {words}")
     summary = write_diagnosis(
         Path(out),
         loaded.realization,
