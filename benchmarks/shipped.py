@@ -5,8 +5,8 @@
 
 FOLDER holds unpacked packages, one a folder: `pip install --no-deps --target FOLDER NAME...`.
 Every URDF and every MJCF in it is loaded by MuJoCo and Pinocchio, and by pytest-twin with no
-option: a robot comes through where pytest-twin loads whatever one of them loads. Up to N robots of
-each package also go through `audit`, `realize` (URDF), `init` and `pytest --twin-release`. The
+option: a robot comes through where pytest-twin loads whatever one of them loads. Up to N robots
+with a joint, of each package, also go through `audit`, `realize` (URDF), `init` and `pytest --twin-release`. The
 state file holds a line for each robot: a run that was cut short goes on where it stopped.
 """
 
@@ -30,6 +30,7 @@ from pytest_twin.realization.sandbox import Sandbox
 STAGES = ("audit", "realize", "init", "release")
 HEADING = "## Robots of other packages, in their shipped place"
 _ROOT = re.compile(r"<(robot|mujoco)\b")
+_JOINT = re.compile(r"<(joint|freejoint)\b")
 _WITHOUT_DISPLAY = {"MUJOCO_GL": "disable"}
 
 
@@ -148,14 +149,20 @@ def run(folder: Path, state: Path, full: int, seconds: float) -> None:
                 _add(state, known[name])
         names = [path.relative_to(folder).as_posix() for path in paths]
         loaded = [known[name] for name in names if known[name]["loads"]["here"] == "loads"]
-        left = [line for line in loaded if "stages" not in line]
-        for line in spread(left, full - (len(loaded) - len(left))):
+        left = [line for line in loaded if "stages" not in line and _moves(folder / line["path"])]
+        done = sum("stages" in line for line in loaded)
+        for line in spread(left, full - done):
             known[line["path"]] = {
                 **line,
                 "stages": through_commands(folder / line["path"], seconds),
             }
             _add(state, known[line["path"]])
             print(line["path"], file=sys.stderr, flush=True)
+
+
+def _moves(path: Path) -> bool:
+    """Whether a file states a joint: one without is scenery, or a part for others to include."""
+    return _JOINT.search(path.read_text(errors="replace")) is not None
 
 
 def spread(lines: list[dict[str, Any]], count: int) -> list[dict[str, Any]]:
