@@ -5,9 +5,10 @@
 
 FOLDER holds unpacked packages, one a folder: `pip install --no-deps --target FOLDER NAME...`.
 Every URDF and every MJCF in it is loaded by MuJoCo and Pinocchio, and by pytest-twin with no
-option: a robot comes through where pytest-twin loads whatever one of them loads. Up to N robots
-with a joint, of each package, also go through `audit`, `realize` (URDF), `init` and `pytest --twin-release`. The
-state file holds a line for each robot: a run that was cut short goes on where it stopped.
+option: a robot comes through where pytest-twin loads whatever one of them loads. Up to N robots of
+each package that have a joint also go through `audit`, `realize` (URDF), `init` and
+`pytest --twin-release`. The state file holds a line for each robot: a run that was cut short goes
+on where it stopped.
 """
 
 from __future__ import annotations
