@@ -158,3 +158,25 @@ def test_a_scene_without_bodies_is_refused_and_leaves_no_folder(tmp_path: Path) 
     assert done.returncode == 2
     assert "arena.xml: there is nothing to test in this model (expected a joint," in done.stderr
     assert not (tmp_path / "twin").exists()
+
+
+MASSLESS = """\
+<robot name="bare"><link name="base"/><link name="a"/><link name="b"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="9"/></joint>
+<joint name="j2" type="revolute"><origin xyz="0 0 .3"/><parent link="a"/><child link="b"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="1" effort="9"/></joint></robot>
+"""
+
+
+def test_a_robot_without_masses_gets_no_golden_of_forces(tmp_path: Path) -> None:
+    (tmp_path / "bare.urdf").write_text(MASSLESS)
+    done = run("pytest-twin", "init", "bare.urdf", "--out", "twin", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "bare.urdf:1: 2 moving links have no inertia ('a', 'b'): raised to" in done.stdout
+    told = json.loads((tmp_path / "twin/.twin/init.json").read_text())
+    none = "no moving link has a mass; state masses in the model first"
+    for kind in ("step", "settling", "frequency_response", "joint_direction"):
+        assert told["nothing_to_propose"][kind] == none
+    assert {golden.split("/")[1] for golden in told["goldens"]} >= {"fk", "limits"}
+    assert told["left_out"] == told["failing"] == {}
