@@ -60,6 +60,8 @@ FINDINGS = {
     ("asymmetric_friction", "coulomb"): "coulomb",
     ("asymmetric_friction", "offset"): "offset",
     ("quadratic_drag", "coefficient"): "drag",
+    ("directional_viscous_friction", "coefficient"): "viscous",
+    ("directional_viscous_friction", "difference"): "viscous_difference",
 }
 
 

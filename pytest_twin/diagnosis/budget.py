@@ -13,8 +13,9 @@ from contextlib import contextmanager
 from pytest_twin.diagnosis.deadline import CHECK, OutOfTime, no_bound
 from pytest_twin.diagnosis.problem import Problem
 
-RESERVED = 0.2
-"""Share of the time that is kept for final parameters, intervals, test recordings and the report.
+RESERVED, LAST = 0.2, 0.1
+"""Shares of the time: kept for what follows the search (final parameters, intervals, test
+recordings, the report), and of that for what follows the final parameters.
 Six joints with five recordings of 12 s need about a tenth of two minutes for them on two cores."""
 MOST_SIMULATIONS = 1200
 """Simulations of all data that all searches of a diagnosis may take together: four times what one
@@ -89,6 +90,15 @@ class Budget:
             CHECK.reset(token)
 
     @contextmanager
+    def fitting(self) -> Iterator[None]:
+        """Simulations inside raise :class:`OutOfTime` where only the last share of time is left."""
+        token = CHECK.set(self._check_last)
+        try:
+            yield
+        finally:
+            CHECK.reset(token)
+
+    @contextmanager
     def reserved(self) -> Iterator[None]:
         """Simulations inside run to their end: they use the reserved time."""
         token = CHECK.set(no_bound)
@@ -108,4 +118,8 @@ class Budget:
 
     def _check(self) -> None:
         if self.out_of_time:
+            raise OutOfTime
+
+    def _check_last(self) -> None:
+        if self.seconds and self.elapsed > (1.0 - LAST) * self.seconds:
             raise OutOfTime

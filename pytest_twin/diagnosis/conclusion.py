@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pytest_twin.diagnosis.budget import Budget
+from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.findings import (
     Explained,
@@ -25,16 +27,13 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term
 from pytest_twin.diagnosis.other_unit import without_other_units
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.restraint import Pruned
+from pytest_twin.diagnosis.search.contest import LONG, QUICK, Contest
+from pytest_twin.diagnosis.search.restraint import Pruned, without_each
 from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhere, pose
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import verdict
 from pytest_twin.errors import RecordingError, SimulationError, TwinError
 from pytest_twin.trial import Trial
-
-_REFIT = 4
-"""Iterations of a fit of the other effects once one is taken away; as in pruning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +75,17 @@ class Assessed:
     problems: tuple[Problem, ...]
 
 
-def with_final_parameters(found: Searched) -> Searched:
+def with_final_parameters(found: Searched, budget: Budget) -> Searched:
     """The chosen effects, fitted to fit and validation recordings together.
 
-    Without validation recordings the parameters are final already.
+    Without validation recordings the parameters are final already, unless the search ran out of
+    time: then they are fitted a little further.
+
+    Args:
+        found: the search.
+        budget: what is left of its time bounds the fit.
     """
-    prepared, pruned = _refitted(found)
+    prepared, pruned = _refitted(found, budget)
     problem = prepared.problem
     everything = (*found.trials.fit, *found.trials.held_out)
     explained = explain(prepared, found.selected, pruned, everything)
@@ -102,9 +106,10 @@ def with_final_parameters(found: Searched) -> Searched:
     )
 
 
-def _refitted(found: Searched) -> tuple[Prepared, Pruned]:
+def _refitted(found: Searched, budget: Budget) -> tuple[Prepared, Pruned]:
     problem, start = found.prepared.problem, found.pruned.fitted.hypothesis
-    if not len(problem.held_out):
+    hurried = budget.out_of_time
+    if not len(problem.held_out) and not hurried:
         return found.prepared, found.pruned
     every = replace(problem, fit=problem.everywhere, held_out=problem.held_out[:0])
     prepared = replace(found.prepared, problem=every)
@@ -112,16 +117,20 @@ def _refitted(found: Searched) -> tuple[Prepared, Pruned]:
         return prepared, found.pruned
     contest = Contest(every)
     best = contest.as_it_is(start, slopes=True)
-    moved = contest.settled(best)
+    try:
+        with budget.fitting():
+            iterations = QUICK if hurried else LONG
+            (moved,) = contest.rivals([start], contest.weights(best), iterations, slopes=True)
+    except OutOfTime:
+        moved = best
     contest.judge([moved], best, likelihood=found.likelihood)
     if np.isfinite(moved.evidence) and (
         moved.evidence >= 0.0 or found.likelihood is log_likelihood
     ):
         best = moved
-    gone = [best.hypothesis.without(t) for t in best.hypothesis.terms]
-    rests = contest.rivals(gone, contest.weights(best), _REFIT)
+    rests, *_ = without_each(every, best.fitted, hurried)
     return prepared, replace(
-        found.pruned, fitted=best.fitted, rests=[r.hypothesis for r in rests], absent={}
+        found.pruned, fitted=best.fitted, rests=[f.hypothesis for f in rests], absent={}
     )
 
 

@@ -245,7 +245,7 @@ def find_structure(
         sought = _sought(given, prepared, trials, run)
     given, notes = sought.given, [*notes, *sought.notes]
     progress(0.82)
-    found = with_final_parameters(sought.found)
+    found = with_final_parameters(sought.found, run.budget)
     if given.creeps:
         notes.append(CREEPS)
     if given.substeps:

@@ -23,8 +23,8 @@ from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT, own_mismatch, worth_a_name
 from pytest_twin.effects.segment import Predicted
 
-QUICK, FAIR, _LONG = 2, 4, 8
-"""Iterations of a fit that ranks, and of one that decides."""
+QUICK, FAIR, LONG = 2, 4, 8
+"""Iterations of a fit that ranks, of one that decides, and of one that goes to the end."""
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many.
 _IN_FRONT, FRONT = 150.0, 4
 # Share of the best one's evidence within which so many rivals are judged each with the simulator's
@@ -219,7 +219,7 @@ class Contest:
         # Where impacts fall between steps depends on the parameters themselves.
         for _ in range(_ROUGH_ROUNDS if rival.hypothesis.rough else 1):
             self.problem.refine_at(rival.hypothesis)
-            settled = self.rivals([rival.hypothesis], self.weights(rival), _LONG, slopes=True)[0]
+            settled = self.rivals([rival.hypothesis], self.weights(rival), LONG, slopes=True)[0]
             if not np.isfinite(settled.held_residual).all():
                 # A fit that diverges on what it has not seen is none: stay where it did not.
                 return self.rivals([rival.hypothesis], self.weights(rival), 0, slopes=True)[0]

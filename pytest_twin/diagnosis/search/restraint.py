@@ -153,7 +153,7 @@ def prune(problem: Problem, selected: Selected, *, hurried: bool = False) -> Pru
     problem.refine_at(EMPTY)
     (before,) = _levels(problem, [EMPTY], problem.tested)
     while fitted.hypothesis.terms:
-        refitted, weights, base, levels = _without_each(problem, fitted, hurried)
+        refitted, weights, base, levels = without_each(problem, fitted, hurried)
         tested = _Tested(
             problem, fitted, selected.confidence, before, base, refitted, levels, weights
         )
@@ -464,8 +464,8 @@ def _levels(
     return [in_floors(residual, problem.signal_floor) for residual in residuals]
 
 
-def _without_each(
-    problem: Problem, fitted: Fitted, hurried: bool
+def without_each(
+    problem: Problem, fitted: Fitted, hurried: bool = False
 ) -> tuple[list[Fitted], FloatArray, FloatArray, list[FloatArray]]:
     """The rest refitted without each of the terms, the weights of that, what the fit leaves, and
     what each rest does; with the simulator's step corrected for the fit.

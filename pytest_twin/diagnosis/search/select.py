@@ -68,6 +68,8 @@ _EVEN = 10.0
 _LIKE = 2.0 * EARNS
 # Rivals in one place that are simulated.
 _MOST_CLOSE = 2
+# Structures that are simulated once where the time is over before they are fitted.
+_MOST_HURRIED = 4
 # Terms that act on one joint and may be a crowd in the place of fewer.
 _CROWD = 3
 
@@ -100,6 +102,8 @@ class Selection:
         self.attempts = _ATTEMPTS if share_left >= 1.0 else 1
         self.contest = Contest(problem, self.diagnosis_run)
         self.regrown: tuple[Term, ...] = ()
+        self.shortlist: list[Hypothesis] = []
+        """What is best along the motion at the fit at hand, while it is simulated."""
         self.first: tuple[Term, ...] | None = None
         self.last_look: Look | None = None
         self.known: dict[Term, list[Response]] = {}
@@ -121,12 +125,31 @@ class Selection:
             self._grow(selected)
             return selected if self.left_off else self._regrown(selected)
         except OutOfTime:
+            with self.diagnosis_run.budget.reserved():
+                selected.best = self._best_of_shortlist(selected.best)
             self._end(selected.best)
             return selected
 
     def anew(self) -> Selection:
         """Another search of the same problem, which may have changed."""
         return Selection(self.problem, self.diagnosis_run, self.share_left)
+
+    def _best_of_shortlist(self, best: Rival) -> Rival:
+        """What was about to be simulated, as it was fitted along the motion, where that earns its
+        name; else the best so far.
+        """
+        more = [h for h in self.shortlist if set(best.hypothesis.terms) < set(h.terms)]
+        if not more:
+            return best
+        self.problem.refine_at(best.hypothesis)
+        rivals = self.contest.rivals(more[:_MOST_HURRIED], self.contest.weights(best), 0)
+        self.contest.judge(rivals, best)
+        earning = [r for r in rivals if self._earns(r, best) and not self._strained(r)]
+        if not earning:
+            return best
+        top = simplest(sorted(earning, key=lambda r: -r.evidence))
+        self._step("addition", "accepted", "fitted to the linearized motion alone", top, best)
+        return top
 
     def _end(self, best: Rival) -> None:
         """Say that the search ended for want of time."""
@@ -308,8 +331,11 @@ class Selection:
         fewest = min(len(h.terms) for h in starts)
         simple = [h for h in starts if len(h.terms) == fewest]
         weights = self.problem.weights(left)
+        self.shortlist = starts
         self.problem.refine_at(self.contest.nearest(simple, weights))
-        return self.contest.heats(starts, weights, best)
+        rivals = self.contest.heats(starts, weights, best)
+        self.shortlist = []
+        return rivals
 
     def _hopeless(self, found: Foremost) -> bool:
         """Whether this is a second look, and even what is best along the motion leaves too much."""
