@@ -47,7 +47,7 @@ def braked(tmp_path: Path) -> tuple[Realization, TrialSet]:
 def test_a_search_that_is_stopped_ends_with_the_best_so_far(
     braked: tuple[Realization, TrialSet], accepted: int
 ) -> None:
-    """Effects whose alternatives were not compared are no surer than half."""
+    """Effects whose alternatives were not simulated are no surer than 80 %."""
     budget = Budget()
     run = Run(budget, Trace(lambda step: budget.stop() if step.decision == "accepted" else None))
     if not accepted:
@@ -58,7 +58,7 @@ def test_a_search_that_is_stopped_ends_with_the_best_so_far(
     (note,) = [n for n in found.notes if n.startswith("the search ended early")]
     assert "because it was stopped. Not tried: " in note
     assert bool(found.explained.findings) is bool(accepted)
-    assert all(f.confidence <= 0.5 for f in found.explained.findings)
+    assert all(f.confidence <= 0.8 for f in found.explained.findings)
     assert all(f.parameters and f.held_out_gain > 0.5 for f in found.explained.findings)
 
 

@@ -68,6 +68,8 @@ _EVEN = 10.0
 _LIKE = 2.0 * EARNS
 # Rivals in one place that are simulated.
 _MOST_CLOSE = 2
+# Greatest confidence of an effect that was compared with its alternatives along the motion alone.
+_ALONG = 0.8
 # Structures that are simulated once where the time is over before they are fitted.
 _MOST_HURRIED = 4
 # Terms that act on one joint and may be a crowd in the place of fewer.
@@ -102,6 +104,7 @@ class Selection:
         self.attempts = _ATTEMPTS if share_left >= 1.0 else 1
         self.contest = Contest(problem, self.diagnosis_run)
         self.regrown: tuple[Term, ...] = ()
+        self._scored = self.contest.nominal, 0.0
         self.shortlist: list[Hypothesis] = []
         """What is best along the motion at the fit at hand, while it is simulated."""
         self.first: tuple[Term, ...] | None = None
@@ -127,6 +130,7 @@ class Selection:
         except OutOfTime:
             with self.diagnosis_run.budget.reserved():
                 selected.best = self._best_of_shortlist(selected.best)
+            self._weigh_along(selected)
             self._end(selected.best)
             return selected
 
@@ -151,6 +155,28 @@ class Selection:
         self._step("addition", "accepted", "fitted to the linearized motion alone", top, best)
         return top
 
+    def _weigh_along(self, selected: Selected) -> None:
+        """Compare effects with their alternatives along the motion alone, in the reserved time;
+        none is sure then.
+        """
+        best, terms = selected.best, selected.best.hypothesis.terms
+        contact = self.problem.simulator.models.contact.world.size
+        if contact or all(t in selected.confidence for t in terms):
+            return
+        try:
+            with self.diagnosis_run.budget.fitting():
+                if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
+                    best = selected.best = self.contest.as_it_is(best.hypothesis, slopes=True)
+                self.problem.refine_at(best.hypothesis)
+                look = look_around(self.problem, best)
+                price = self.contest.name_price
+                found = exchanges(self.problem, best, look, self.known, price)
+                selected.weigh(self._weighed(best, found, []))
+        except OutOfTime:
+            return
+        for t in terms:
+            selected.confidence[t] = min(selected.confidence[t], _ALONG)
+
     def _end(self, best: Rival) -> None:
         """Say that the search ended for want of time."""
         stage = self.diagnosis_run.trace.stage
@@ -159,9 +185,13 @@ class Selection:
 
     def _score(self, rival: Rival) -> float:
         """Evidence over the nominal model."""
-        copy = replace(rival)
-        self.contest.judge([copy], self.contest.nominal)
-        return copy.evidence
+        known, score = self._scored
+        if known is not rival:
+            copy = replace(rival)
+            self.contest.judge([copy], self.contest.nominal)
+            score = copy.evidence
+            self._scored = rival, score
+        return score
 
     def _step(
         self, move: str, decision: Decision, reason: str, proposed: Rival | None, best: Rival
