@@ -143,7 +143,7 @@ def made_to_stand_out(
     Both are scaled within what is plausible; what came out is measured.
     """
     change, rest = shown(scene, hidden, background, force)
-    ratio = change / rest
+    ratio = max(change / rest, 1e-9)
     by = float(np.clip(wanted / ratio, 0.2, 2.0))
     hidden = resized(hidden, by)
     if force is not None:
@@ -208,8 +208,12 @@ def files() -> list[str]:
 def write_truth(
     path: Path, head: dict[str, Any], robot: Robot, cell: Cell, logger: Logger, hidden: Hidden,
     background: Background, visibility: dict[tuple[str, int], float], tail: dict[str, Any],
+    laws: tuple[str, ...] = (),
 ) -> None:  # fmt: skip
-    """Write what a case hides, what else differs, and how it was logged."""
+    """Write what a case hides, what else differs, and how it was logged.
+
+    ``laws``: effects of the whole robot that reality has by another law than the nominal model.
+    """
     label = [j.name for j in robot.joints]
 
     def at(joint: int) -> str | None:
@@ -227,6 +231,7 @@ def write_truth(
             *({"effect": e, "joint": at(i), "parameters": p}
               for e, joined in background.effects.items() for i, p in joined.items()),
             *cell.facts(), *logger.facts(),
+            *({"effect": e, "joint": None, "parameters": {}} for e in laws),
         ],
         "cell": asdict(cell), "sensors": logger.told(),
     }  # fmt: skip
