@@ -49,7 +49,7 @@ def _checked(effect: object, name: str) -> Effect:
     for p in effect.parameters if effect.is_limit else ():
         # The search extends the starts geometrically.
         ends = (0.0, *p.starts)
-        if not p.choice and any(a >= b for a, b in itertools.pairwise(ends)):
+        if p.neutral is not None and any(a >= b for a, b in itertools.pairwise(ends)):
             _refuse(name, f"parameters.{p.name}.starts", p.starts, "positive, increasing: a limit")
     return effect
 

@@ -39,7 +39,7 @@ class VelocityFilter(Effect):
     source = "derivative filter; Astrom, Murray, Feedback Systems (2008), sec. 10.5"
     parameters = (
         Parameter(
-            "time_constant", "time", 0.0, 0.0, 0.2, (0.003, 0.01, 0.03),
+            "time_constant", "time", 0.0, 0.0, 0.2, (0.005, 0.02),
             meaning="time constant of the velocity filter",
         ),
     )  # fmt: skip
@@ -126,7 +126,7 @@ class IntegralGain(Effect):
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the time.
         Parameter(
-            "inverse_integral_time", "one", 0.0, 0.0, 100.0, (0.5, 2.0, 8.0), "one",
+            "inverse_integral_time", "one", 0.0, 0.0, 100.0, (0.7, 4.0), "one",
             ("integral_time", "time"), meaning="integral time (gain divided by integral gain)",
         ),
     )  # fmt: skip
@@ -149,9 +149,9 @@ class IntegralGain(Effect):
         if integral is None:
             at_rest = world.asked(world.motor_position, np.zeros_like(world.motor_velocity))
             settled = _per_gain(world.load - at_rest, world)
-            # A moving joint does not show how much of its effort is the integral term's.
-            still = (world.motor_velocity == 0.0) & (rate > 0.0)
-            integral = np.where(still, settled, 0.0)
+            # Later in a recording the joint moves: its effort does not show the term.
+            begins = world.time[:, None] <= world.timestep
+            integral = np.where(begins & (rate > 0.0), settled, 0.0)
         effort = world.asked(world.motor_position, world.motor_velocity) + world.gain * integral
         saturated = ((effort > world.upper) & (error > 0.0)) | (
             (effort < world.lower) & (error < 0.0)
@@ -177,7 +177,7 @@ class ControlPeriod(Effect):
     source = "zero-order hold; Franklin, Powell, Workman, Digital Control (1998), ch. 4 and 5"
     parameters = (
         Parameter(
-            "period", "time", 0.0, 0.0, 0.04, (0.003, 0.01, 0.02), meaning="control period"
+            "period", "time", 0.0, 0.0, 0.04, (0.005, 0.015), meaning="control period"
         ),
         Parameter(
             "computing_delay", "one", None, 0.0, 2.0, (0.0, 1.0),
