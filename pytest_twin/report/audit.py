@@ -14,6 +14,7 @@ from typing import Any
 import jinja2
 
 from pytest_twin.report.text import number, printable
+from pytest_twin.words import counted
 
 MARKS: Mapping[str, str] = {"critical": "X", "warning": "!", "unknown": "?", "info": "."}
 """By severity, the gravest first."""
@@ -99,8 +100,9 @@ def summary(audit: Mapping[str, Any]) -> str:
     facts = audit["facts"]
     if audit["kind"] == "srdf":
         return (
-            f"{facts['groups']} groups, {facts['states']} states, {facts['end_effectors']} end "
-            f"effectors, {facts['disabled_pairs']} disabled pairs"
+            f"{counted(facts['groups'], 'group')}, {counted(facts['states'], 'state')}, "
+            f"{counted(facts['end_effectors'], 'end effector')}, "
+            f"{counted(facts['disabled_pairs'], 'disabled pair')}"
         )
     return (
         f"{facts['bodies']} bodies, {facts['joints']} joints, "

@@ -391,7 +391,7 @@ def test_the_urdf_is_found_in_the_usual_places(
         assert main(["audit", str(srdf), "--out", str(tmp_path)]) == 0
         said = capsys.readouterr().out
         assert f"URDF: {urdf}" in said
-        assert "3 groups, 2 states, 1 end effectors, 4 disabled pairs" in said
+        assert "3 groups, 2 states, 1 end effector, 4 disabled pairs" in said
         page = (tmp_path / f"{srdf.name}.audit.html").read_text()
         assert str(urdf) in page
         report = json.loads((tmp_path / f"{srdf.name}.audit.json").read_text())

@@ -121,7 +121,7 @@ def test_a_mass_that_is_off_by_7_percent_fails_a_torque_step(link: str, tmp_path
 def test_a_link_that_is_too_light_to_be_felt_is_named(tmp_path: Path) -> None:
     robot = arm(tmp_path, {**MASSES, "cover": 1e-5})
     notes = " ".join(first("step", robot)["joint0"]["notes"])
-    assert "Too light to be felt in this step: cover, less than 0.4 % of the inertia" in notes
+    assert "Not tested by this step: the mass of cover (less than 0.4 % of the inertia" in notes
 
 
 def test_a_robot_without_servos_falls_and_is_told_so(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_robot_without_servos_falls_and_is_told_so(tmp_path: Path) -> None:
     assert list(specs) == ["gravity"]
     assert specs["gravity"]["title"] == "Fall from the pose under gravity; nothing holds the joints"
     notes = " ".join(specs["gravity"]["notes"])
-    assert "No controller: a URDF states none, its motors take torques." in notes
+    assert "No controller: a URDF states none, and its motors take torques." in notes
     assert "Left out: motion without gravity, because no servo would move the joints." in notes
 
 
