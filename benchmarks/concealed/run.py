@@ -35,12 +35,14 @@ CONFINE = Path(__file__).with_name("confine.py")
 
 
 def diagnose(
-    case: Path, out: Path, seconds: float, cores: Sequence[int] = (), cpu_seconds: int = 0
-) -> dict[str, object]:
+    case: Path, out: Path, seconds: float, cores: Sequence[int] = (), cpu_seconds: int = 0,
+    ends_after: float | None = None,
+) -> dict[str, object]:  # fmt: skip
     """Run the command on one case, on some cores or all; its status, wall time and last words.
 
     ``cpu_seconds`` limits the time that a processor works on it, which other programs on the
-    machine do not change; 0: no limit. A process that reaches it is killed.
+    machine do not change; 0: no limit. A process that reaches it is killed. ``ends_after``: s after
+    which the diagnosis itself ends with the best that it has; None: its own default.
     """
     case, out = case.resolve(), out.resolve()
     box = out.with_name(f"{out.name}.box")
@@ -56,6 +58,7 @@ def diagnose(
         str(model_of(case)),
         *sorted(str(path) for path in (case / "recordings").glob("*.mcap")),
         "--out", str(box / "said"),
+        *(() if ends_after is None else ("--seconds", str(ends_after))),
     ]  # fmt: skip
     told: dict[str, object] = {"case": case.name, "confined": confined}
     environment = {**os.environ, "TMPDIR": str(box), "HOME": str(box)}
@@ -90,12 +93,13 @@ def processor_seconds() -> float:
 
 
 def answer(
-    case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]], cpu_seconds: int = 0
-) -> float:
+    case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]], cpu_seconds: int = 0,
+    ends_after: float | None = None,
+) -> float:  # fmt: skip
     """Diagnose a case on the next cores that are free, and say so; s that it took."""
     cores = free.get()
     try:
-        told = diagnose(case, out / case.name, seconds, cores, cpu_seconds)
+        told = diagnose(case, out / case.name, seconds, cores, cpu_seconds, ends_after)
     finally:
         free.put(cores)
     (out / f"{case.name}.run.json").write_text(json.dumps(told, indent=1) + "\n")
@@ -115,6 +119,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--cpu-seconds", type=int, default=0, help="of each process; 0: no limit")
+    parser.add_argument("--ends-after", type=float, help="--seconds of the diagnosis itself")
     parser.add_argument("--jobs", type=int, default=2, help="cases at the same time")
     parser.add_argument("--cores", type=int, default=1, help="of each case")
     parser.add_argument("--joints", type=int, help="cases of so many alone")
@@ -132,7 +137,7 @@ def main() -> None:
         free.put(every[first : first + args.cores])
     with ThreadPoolExecutor(free.qsize()) as pool:
         one = partial(answer, out=args.out, seconds=args.seconds, free=free,
-                      cpu_seconds=args.cpu_seconds)  # fmt: skip
+                      cpu_seconds=args.cpu_seconds, ends_after=args.ends_after)  # fmt: skip
         # Where one ends in an error or is interrupted, those that have not begun do not begin.
         seconds = list(pool.map(one, open_cases))
     if seconds:
