@@ -45,6 +45,7 @@ from pytest_twin.diagnosis.simulated import (
 from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
+from pytest_twin.diagnosis.unnamed_law.tested import TestedLaws, laws_left, on_test
 from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import WINDOW, segments_of
 from pytest_twin.effects.contact_geoms import ContactGeoms
@@ -85,6 +86,7 @@ class Diagnosis:
         notes: one line each, for the reader.
         prepared, selected: problem of the final parameters, and model selection.
         tested: problem, recordings and residuals behind the errors.
+        free: laws without a name for a part of the residual.
         roles: which recordings were fitted, validated, and held out.
         trace: every step of the search.
         cost: computing time.
@@ -98,6 +100,7 @@ class Diagnosis:
     prepared: Prepared
     selected: Selected
     tested: Searched
+    free: TestedLaws
     roles: Roles
     trace: Trace
     cost: Cost
@@ -113,7 +116,10 @@ class Diagnosis:
         return {
             "schema": 1,
             "verdict": self.verdict,
-            "findings": [finding_json(f) for f in self.explained.findings],
+            "findings": [
+                *(finding_json(f) for f in self.explained.findings),
+                *self.free.findings_json,
+            ],
             "held_out": {
                 joint: {
                     "rms_before": e.before,
@@ -132,6 +138,7 @@ class Diagnosis:
                     "fraction": round(item.fraction, 5),
                     "where": item.where.summary,
                     "windows": dict(item.where.windows),
+                    **self._modelled(joint),
                 }
                 for joint, item in self.left.items()
             },
@@ -141,6 +148,11 @@ class Diagnosis:
             "search_trace": self.trace.to_json(),
             "cost": self.cost.to_json(),
         }
+
+    def _modelled(self, joint: str) -> dict[str, float]:
+        """What laws without a name remove of the unexplained error of a joint."""
+        removed = self.free.removed(joint)
+        return {} if removed is None else {"unnamed_law_removes": round(removed, 5)}
 
     def _trials(self) -> dict[str, list[str]]:
         """Names of the recordings that were used, by role."""
@@ -195,21 +207,24 @@ def diagnose(
             realization, roles.of_search,
             inherited=inherited, threads=threads, run=run, progress=progress,
         )  # fmt: skip
+        progress(0.85)
+        laws = laws_left(structure.given, structure.found, structure.near)
         progress(0.88)
         assessed = assess(structure, trials, roles.test)
         tested, left = assessed.tested, dict[str, Left]()
         if tested.verdict in ("improved", "unexplained"):
             left = unexplained(tested, *assessed.near)
+        free = on_test(laws, structure.found.prepared.problem, tested)
         progress(0.9)
         step = coarse_step(tested.prepared.problem, tested.explained.hypothesis, tested.errors)
-    notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *step]
+    notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *free.notes, *step]
     notes += not_tried(run)
     progress(0.94)
     for problem in assessed.problems:
         run.budget.add(problem)
     return Diagnosis(
-        tested.verdict, assessed.explained, tested.errors, left, tuple(dict.fromkeys(notes)),
-        structure.found.prepared, structure.found.selected, tested, roles, run.trace,
+        tested.verdict, assessed.explained, free.tested.errors, left, tuple(dict.fromkeys(notes)),
+        structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
         cost(run.budget, since),
     )  # fmt: skip
 

@@ -315,6 +315,7 @@ class Effect:
             position.
         dry_friction_level: name of the parameter that is a constant level of dry friction; None
             without one.
+        candidate: whether the search proposes it.
     """
 
     id: ClassVar[str]
@@ -341,6 +342,7 @@ class Effect:
     depends_only_on_position: ClassVar[bool] = False
     friction_varies_with_position: ClassVar[bool] = False
     dry_friction_level: ClassVar[str | None] = None
+    candidate: ClassVar[bool] = True
 
     @property
     def path(self) -> str:

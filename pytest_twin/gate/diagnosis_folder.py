@@ -55,7 +55,7 @@ def write_diagnosis(
             folder / REALIZATION,
             realization,
             found.prepared.problem,
-            found.explained.hypothesis,
+            found.free.hypothesis,
             inherited,
             found.prepared.coldness,
             found.prepared.substeps,

@@ -25,6 +25,7 @@ from pytest_twin.report.finding_words import (
     table_row,
     to_confirm,
 )
+from pytest_twin.report.law_plot import law_figure
 from pytest_twin.report.text import number, printable, quantity
 
 MAX_FIGURES = 12
@@ -118,7 +119,8 @@ def render(view: DiagnosisView) -> str:
 
 
 def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
-    law, source = view.laws[finding["effect"]]
+    equation, source = view.laws[finding["effect"]]
+    law = finding.get("law")
     return {
         **finding,
         "name": place(finding),
@@ -130,8 +132,9 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
         "alternatives": [{**a, "name": place(a)} for a in finding["alternatives"]],
         "correlated": finding.get("correlated", []),
         "windows": [(n, spans_said(w)) for n, w in finding["where"]["windows"].items()],
-        "law": law,
+        "equation": equation,
         "source": source,
+        "curve": _data_uri(law_figure(law, finding["joint"])) if law is not None else None,
     }
 
 

@@ -22,6 +22,8 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
     Args:
         finding: of ``diagnosis.json``.
     """
+    if "law" in finding:
+        return law_sentence(finding)
     known = {p.reported_name: p for p in _parameters(finding["effect"])}
     values, forms = [], []
     for key, estimate in finding["parameters"].items():
@@ -38,6 +40,15 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
     listed = ", ".join(f"{meaning} {amount}" for meaning, amount in values)
     name = place(finding)
     return f"{name[:1].upper()}{name[1:]}{form}: {listed}."
+
+
+def law_sentence(finding: Mapping[str, Any]) -> str:
+    """What a law without a name does, and the known effect of the same shape, if there is one."""
+    law = finding["law"]
+    text = f"No known effect explains joint {finding['joint']}; a fitted law does: {law['words']}"
+    if law["resembles"] is None:
+        return f"{text}."
+    return f"{text}. It has the shape of {place({'effect': law['resembles'], 'joint': None})}."
 
 
 def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
@@ -65,6 +76,8 @@ def place(item: Mapping[str, Any]) -> str:
     """Effect and joint of a finding or an alternative, ``command delay at joint elbow``."""
     words = (_PROPER_NAMES.get(word, word) for word in str(item["effect"]).split("_"))
     name = " ".join(words)
+    if "variable" in item:
+        name += f" over {item['variable']}, {item['acts']},"
     return name if item["joint"] is None else f"{name} at joint {item['joint']}"
 
 

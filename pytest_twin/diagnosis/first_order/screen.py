@@ -34,7 +34,7 @@ def candidates(problem: Problem) -> list[Term]:
     servo = problem.simulator.layout.servo
     found = []
     for effect in catalogue().values():
-        if problem.family not in (None, effect.family):
+        if not effect.candidate or problem.family not in (None, effect.family):
             continue
         if effect.needs_effort_sensor and problem.effort_floor is None:
             continue

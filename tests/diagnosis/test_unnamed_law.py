@@ -1,0 +1,139 @@
+"""Forces that no effect with a name explains: what is a function of the state is found, what is not
+is refused.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from one_joint_plant import JOINT, STEP, Hidden, record
+
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.searched import pose
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
+from pytest_twin.realization import load
+
+TOPICS = {"state": "/joint_states", "command": "/joint_commands"}
+AT = 0.25
+"""rad, of what acts in one place."""
+
+
+def magnet(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A pull towards a pose."""
+    x = (q - AT) / 0.06
+    return -0.5 * x * np.exp(0.5 - x * x / 2.0)
+
+
+def sticky(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A stretch that rubs."""
+    return -0.6 * np.tanh(v / 0.01) * np.exp(-(((q - AT) / 0.1) ** 2))
+
+
+def rubber(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A spring that acts beyond a pose and loses a part of its work."""
+    return -(2.0 + np.tanh(v / 0.01)) * np.maximum(q - AT, 0.0)
+
+
+def notch(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A resistance at one speed."""
+    return -0.5 * np.sign(v) * np.exp(-(((np.abs(v) - 1.2) / 0.25) ** 2))
+
+
+def push(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The same push in every recording, at the same time."""
+    return np.full_like(q, 0.6 * np.sin(np.pi * (t - 3.0) / 1.5) if 3.0 < t < 4.5 else 0.0)
+
+
+def push_in_one(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A push in one recording alone."""
+    out = push(t, q, v)
+    out[1:] = 0.0
+    return out
+
+
+def random_torque(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Noise with a correlation time of 0.2 s, of its own in each recording."""
+    return WALK[min(int(t / STEP), len(WALK) - 1), : len(q)]
+
+
+def _walk(steps: int, recordings: int) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    out, keep = np.zeros((steps, recordings)), np.exp(-STEP / 0.2)
+    for k in range(1, steps):
+        noise = rng.standard_normal(recordings)
+        out[k] = keep * out[k - 1] + 0.4 * np.sqrt(1.0 - keep**2) * noise
+    return out
+
+
+WALK = _walk(round(10.0 / STEP), 5)
+
+
+def posed(folder: Path, hidden: Hidden, window: float | None) -> tuple[Prepared, TrialSet]:
+    paths = sorted(folder.glob("*.mcap")) or record(folder, hidden)
+    realization = load(folder / "model.xml")
+    trials = read_trials(paths, [], TOPICS, realization.structure)
+    return pose(Given.of(realization, None, 1), trials, [], window=window)
+
+
+def found(folder: Path, hidden: Hidden) -> FreeLaws:
+    """What is found from the fit recordings, without a search before."""
+    near, _ = posed(folder, hidden, 0.5)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return free_laws(near, EMPTY, {JOINT: Where("", {})}, near.problem.fit)
+
+
+def removed(folder: Path, hidden: Hidden, laws: FreeLaws) -> float:
+    """Share of the squared error of the held-out recordings that is gone."""
+    problem = posed(folder, hidden, None)[0].problem
+    before, after = problem.errors([EMPTY, laws.hypothesis], problem.held_out)
+    return 1.0 - float(np.sum(after**2) / np.sum(before**2))
+
+
+@pytest.mark.parametrize(
+    ("hidden", "variable", "against_motion"),
+    [(magnet, "position", False), (sticky, "position", True), (notch, "speed", True)],
+)
+def test_a_function_of_the_state_is_found_over_its_variable(
+    tmp_path: Path, hidden: Hidden, variable: str, against_motion: bool
+) -> None:
+    laws = found(tmp_path, hidden)
+    (law,) = laws.laws
+    assert law.curve.variable.name == variable
+    assert law.curve.against_motion is against_motion
+    assert removed(tmp_path, hidden, laws) > 0.9
+
+
+def test_a_spring_with_hysteresis_is_a_force_and_a_friction(tmp_path: Path) -> None:
+    laws = found(tmp_path, rubber)
+    assert {law.curve.against_motion for law in laws.laws} == {False, True}
+    assert removed(tmp_path, rubber, laws) > 0.9
+
+
+@pytest.mark.parametrize("hidden", [push, push_in_one, random_torque])
+def test_a_force_in_time_is_no_law(tmp_path: Path, hidden: Hidden) -> None:
+    laws = found(tmp_path, hidden)
+    assert not laws.laws
+    (note,) = laws.notes
+    assert "A push in time or a random torque looks like this" in note
+    assert f"({100 * WORTH:.0f} % required)" in note
+
+
+def test_the_curve_is_the_hidden_force_within_its_band(tmp_path: Path) -> None:
+    (law,) = found(tmp_path, magnet).laws
+    curve = law.curve
+    often = curve.occupancy > 0.2 / len(curve.knots)
+    truth = magnet(0.0, curve.knots, curve.knots)
+    off = np.abs(curve.values - truth)[often]
+    assert off.max() < 0.1 * np.abs(truth).max()
+    assert np.mean(off <= curve.half_width[often] + 0.02) > 0.8
+    assert "a pull towards 0.25 rad" in law.words
