@@ -76,7 +76,7 @@ def verdict_on(truth: dict[str, Any], said: dict[str, Any] | None) -> Verdict:
     if said is None:
         missed = False if effects else None
         return Verdict(missed, 0.0 if effects else None, (), None, ())
-    findings = said["findings"]
+    findings = [f for f in said["findings"] if f["effect"] != "unnamed_law"]
     named: list[Named] = [(f["effect"], f["joint"]) for f in findings]
     right = set().union(*(accepted(e) for e in effects)) if effects else set()
     background = {(b["effect"], b["joint"]) for b in truth["background"]}

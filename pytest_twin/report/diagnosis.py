@@ -141,9 +141,16 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
 def _left(said: Mapping[str, Any]) -> list[str]:
     return [
         f"Unexplained: {percent(u['fraction'])} of the squared error of joint {joint}; "
-        f"mainly {u['where']}."
+        f"mainly {u['where']}.{_modelled(u)}"
         for joint, u in said["unexplained"].items()
     ]
+
+
+def _modelled(unexplained: Mapping[str, Any]) -> str:
+    removed = unexplained.get("unnamed_law_removes")
+    if removed is None:
+        return ""
+    return f" The fitted law removes {percent(removed)} of the squared held-out error."
 
 
 def spans_said(windows: Sequence[Sequence[float]]) -> str:

@@ -4,7 +4,9 @@ is refused.
 
 from __future__ import annotations
 
+import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +16,25 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from one_joint_plant import JOINT, STEP, Hidden, record
 
+from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.patched.model import read_effects
+from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared
-from pytest_twin.diagnosis.searched import pose
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.restraint import Pruned
+from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhere, pose
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
+from pytest_twin.diagnosis.unnamed_law.tested import laws_left, on_test
+from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
 from pytest_twin.realization import load
+from pytest_twin.report.finding_words import finding_sentence
+from pytest_twin.report.law_plot import law_figure
 
 TOPICS = {"state": "/joint_states", "command": "/joint_commands"}
 AT = 0.25
@@ -137,3 +150,77 @@ def test_the_curve_is_the_hidden_force_within_its_band(tmp_path: Path) -> None:
     assert off.max() < 0.1 * np.abs(truth).max()
     assert np.mean(off <= curve.half_width[often] + 0.02) > 0.8
     assert "a pull towards 0.25 rad" in law.words
+
+
+def nothing_found(prepared: Prepared, trials: TrialSet) -> Searched:
+    """A search that came to nothing."""
+    problem = prepared.problem
+    nominal = Contest(problem).nominal
+    left = left_everywhere(problem, EMPTY)
+    errors = joint_errors(prepared, left, left)
+    return Searched(
+        prepared,
+        trials,
+        Selected(nominal, nominal),
+        Pruned(nominal.fitted, [], []),
+        Explained((), EMPTY),
+        left,
+        left,
+        errors,
+        "unexplained",
+    )
+
+
+def test_a_law_is_tested_written_read_and_replayed(tmp_path: Path) -> None:
+    """Its table in the realization predicts the held-out recordings as the diagnosis says."""
+    realization = load((record(tmp_path, magnet)[0].parent) / "model.xml")
+    whole, trials = posed(tmp_path, magnet, None)
+    given = Given.of(realization, None, 1)
+    fit_only = replace(trials, held_out=())
+    fitted, kept = pose(given, fit_only, [], scales=whole.problem.scales)
+    laws = laws_left(given, nothing_found(fitted, kept), None)
+    tested = on_test(laws, fitted.problem, nothing_found(whole, trials))
+    ((law, gain),) = tested.laws
+    assert gain > 0.9
+    assert tested.tested.errors[JOINT].after < 0.2 * tested.tested.errors[JOINT].before
+    (said,) = tested.findings_json
+    assert (said["effect"], said["joint"]) == ("unnamed_law", JOINT)
+    assert said["law"]["variable"] == "position"
+    assert len(said["law"]["knots"]) == len(said["law"]["values"]) == len(said["law"]["band"])
+    low, high = said["parameters"]["peak_force"]["ci95"]
+    assert low < said["parameters"]["peak_force"]["value"] < high
+    assert "a pull towards 0.25 rad" in finding_sentence(said)
+    assert b"<svg" in law_figure(said["law"], JOINT)
+    folder = tmp_path / "patched"
+    folder.mkdir()
+    write_realization(folder, realization, fitted.problem, tested.hypothesis)
+    patched = read_effects(folder / "effects.json")
+    (written,) = patched.beside
+    assert UnnamedLaw().variable(written.values).name == "position"
+    table = json.loads((folder / "effects.json").read_text())["effects"][0]["table"]
+    assert table["outside"] == "no force"
+    assert table["range"] == pytest.approx(law.curve.valid)
+    predicted = replay_patched(load(folder / "model.xml"), patched, trials.held_out, threads=1)
+    off = [p.position - t.position for p, t in zip(predicted, trials.held_out, strict=True)]
+    rms = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
+    assert rms == pytest.approx(tested.tested.errors[JOINT].after, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "expected"),
+    [
+        ("variable", "moon phase", "variable: position, velocity, command"),
+        ("values", [0.0], "values: 64 finite numbers"),
+        ("knots", [0.0] * 64, "knots: ascending, at equal distances"),
+        ("range", None, "range: 2 finite numbers"),
+    ],
+)
+def test_a_table_that_cannot_be_used_names_its_field(
+    field: str, value: object, expected: str
+) -> None:
+    law = UnnamedLaw()
+    values = law.parameters_of(POSITION, (0.0, 1.0), (0.0, 1.0), np.ones(KNOTS))
+    table = law.table_of(values)
+    assert law.read_table(table) == pytest.approx(values)
+    with pytest.raises(ValueError, match=expected):
+        law.read_table({**table, field: value})
