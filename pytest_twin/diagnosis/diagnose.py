@@ -14,6 +14,7 @@ from pytest_twin.diagnosis.coarse_step import coarse_step
 from pytest_twin.diagnosis.conclusion import Structure, assess, with_final_parameters
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.creep import CREEPS, found_so, posed, searched_so
+from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
@@ -45,6 +46,7 @@ from pytest_twin.diagnosis.simulated import (
 from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
+from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
 from pytest_twin.diagnosis.unnamed_law.tested import TestedLaws, laws_left, on_test
 from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import WINDOW, segments_of
@@ -208,7 +210,7 @@ def diagnose(
             inherited=inherited, threads=threads, run=run, progress=progress,
         )  # fmt: skip
         progress(0.85)
-        laws = laws_left(structure.given, structure.found, structure.near)
+        laws = _laws_left(structure, run)
         progress(0.88)
         assessed = assess(structure, trials, roles.test)
         tested, left = assessed.tested, dict[str, Left]()
@@ -227,6 +229,16 @@ def diagnose(
         structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
         cost(run.budget, since),
     )  # fmt: skip
+
+
+def _laws_left(structure: Structure, run: Run) -> FreeLaws:
+    """Laws without a name for what is left, where the time lasts."""
+    try:
+        with run.budget.fitting():
+            return laws_left(structure.given, structure.found, structure.near)
+    except OutOfTime:
+        run.skip("a law without a name for what is left unexplained")
+        return FreeLaws((), structure.found.explained.hypothesis, ())
 
 
 def find_structure(
