@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands import fleet, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -35,6 +35,7 @@ HELP = "name the physics that a model lacks, fit it, and measure the gain on hel
 EXAMPLES = (
     "pytest-twin diagnose twin.yaml moves.mcap sines.mcap --held-out check.mcap --out diagnosis",
     "pytest-twin replay diagnosis check.mcap --out predicted.mcap",
+    "pytest-twin diagnose --fleet fleet.yaml --out diagnoses",
 )
 EXIT_STATUS = {
     0: "nothing is left unexplained",
@@ -61,10 +62,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "model",
         metavar="MODEL",
         type=Path,
+        nargs="?",
         help="MJCF or URDF file, twin.yaml, or the folder of an earlier diagnosis",
     )
     parser.add_argument(
-        "recordings", metavar="RECORDING", type=Path, nargs="+", help=RECORDING_HELP
+        "recordings", metavar="RECORDING", type=Path, nargs="*", help=RECORDING_HELP
     )
     parser.add_argument(
         "--held-out",
@@ -93,6 +95,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"tried (default: {SECONDS:g}; 0: as long as it takes); Ctrl-C ends it early in the same "
         "way",
     )
+    parser.add_argument(
+        "--fleet",
+        metavar="FILE.yaml",
+        type=Path,
+        help="diagnose many robots, instead of MODEL and RECORDING: "
+        "`robots: {NAME: {model: FILE, recordings: [FILE, ...], held_out: [FILE, ...]}}`; "
+        "--out gets a folder for each, and fleet.json",
+    )
+    parser.add_argument(
+        "--jobs",
+        metavar="N",
+        type=int,
+        help="robots of the fleet at the same time (default: the cores)",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run the fleet on the workers of this Dask scheduler, tcp://HOST:PORT (extra `dask`); "
+        "they must see the same files",
+    )
     add_recording_arguments(parser)
     model_files.add_arguments(parser)
 
@@ -103,39 +125,79 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: input that cannot be used.
     """
+    arguments = {
+        "topics": args.topics,
+        "options": recording_options(args),
+        "seconds": args.seconds,
+        "answer_first": args.fleet is None and (args.seconds > 0.0 or sys.stderr.isatty()),
+        **model_files.search_folders(args),
+    }
+    if args.fleet is not None:
+        if args.model is not None:
+            raise TwinError(
+                "MODEL and --fleet exclude each other", value=args.model, expected="one of them"
+            )
+        return fleet.run(args, arguments)
+    if args.model is None or not args.recordings:
+        raise TwinError("nothing to diagnose", expected="MODEL RECORDING..., or --fleet FILE.yaml")
+    if args.scheduler is not None or args.jobs is not None:
+        raise TwinError("--jobs and --scheduler are for a fleet", expected="--fleet FILE.yaml")
     out: Path = args.out.absolute()
+    with Progress("diagnosing", _STAGES) as progress:
+        summary = diagnose_into(
+            out, args.model, args.recordings, args.held_out, arguments, progress
+        )
+    json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
+    show("\n".join(printable(text) for text in summary["words"]))
+    show(f"report: {args.out / REPORT_FILE}")
+    return EXPLAINED if summary["verdict"] in ("no_mismatch", "explained") else LEFT_OVER
+
+
+def diagnose_into(
+    out: Path,
+    model: Path,
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    arguments: Mapping[str, Any],
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Diagnose in a child process and write the folder as a whole; the summary of the child.
+
+    Args:
+        out: absolute; new, empty, or that of an earlier diagnosis.
+        model, recordings, held_out: as the command has them.
+        arguments: further keyword arguments of :func:`diagnose_files`.
+        progress: shows how far it is; Ctrl-C then ends the search early.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
     _check_out(out)
-    model = find_model(args.model)
+    found = find_model(model)
     with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
         staging = Path(scratch) / "diagnosis"
         staging.mkdir()
         # The simulator writes its log into the working folder, so that is one that goes.
         with (
             Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox,
-            Progress("diagnosing", _STAGES) as progress,
-            _stopped_by_interrupt(sandbox, progress),
+            contextlib.nullcontext()
+            if progress is None
+            else _stopped_by_interrupt(sandbox, progress),
         ):
-            summary = sandbox.call(
+            summary: dict[str, Any] = sandbox.call(
                 "pytest_twin.commands.diagnose:diagnose_files",
                 {
-                    "model": str(model),
-                    "recordings": [str(r.absolute()) for r in args.recordings],
-                    "held_out": [str(r.absolute()) for r in args.held_out],
+                    "model": str(found),
+                    "recordings": [str(r.absolute()) for r in recordings],
+                    "held_out": [str(r.absolute()) for r in held_out],
                     "out": str(staging),
-                    "topics": args.topics,
-                    "options": recording_options(args),
-                    "seconds": args.seconds,
-                    "answer_first": args.seconds > 0.0 or sys.stderr.isatty(),
-                    **model_files.search_folders(args),
+                    **arguments,
                 },
                 progress=progress,
-                tell=progress.tell,
+                tell=None if progress is None else progress.tell,
             )
         atomic.replace_directory(staging, out)
-    json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
-    show("\n".join(printable(text) for text in summary["words"]))
-    show(f"report: {args.out / REPORT_FILE}")
-    return EXPLAINED if summary["verdict"] in ("no_mismatch", "explained") else LEFT_OVER
+    return summary
 
 
 def diagnose_files(
@@ -149,6 +211,7 @@ def diagnose_files(
     roots: Sequence[str] = (),
     seconds: float = 0.0,
     answer_first: bool = False,
+    threads: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
     tell: Callable[[str, str], None] = lambda kind, text: None,
 ) -> dict[str, Any]:
@@ -198,6 +261,7 @@ def diagnose_files(
         trials,
         inherited=loaded.patched,
         model=Path(model).name,
+        threads=threads,
         progress=progress,
         run=Run(budget, Trace(say_state)),
     )

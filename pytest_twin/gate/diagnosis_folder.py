@@ -27,6 +27,7 @@ def write_diagnosis(
     *,
     inherited: Patched | None,
     model: str,
+    threads: int = 0,
     progress: Callable[[float], None],
     run: Run | None = None,
 ) -> dict[str, Any]:
@@ -38,6 +39,7 @@ def write_diagnosis(
         trials: what was recorded.
         inherited: effects beside the model, where an earlier diagnosis wrote it.
         model: what the report calls it.
+        threads: of the simulations, 0 for all cores.
         progress: told the fraction done.
         run: the time that it may take, and who is told of its steps; as long as it takes by
             default.
@@ -49,7 +51,10 @@ def write_diagnosis(
         TwinError: the model or the recordings cannot be used, or the folder cannot be written.
     """
     with quiet():
-        found = diagnose(realization, trials, inherited=inherited, run=run, progress=progress)
+        found = diagnose(
+            realization, trials,
+            inherited=inherited, threads=threads, run=run, progress=progress,
+        )  # fmt: skip
         (folder / REALIZATION).mkdir()
         patched = write_realization(
             folder / REALIZATION,
