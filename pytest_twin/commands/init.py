@@ -180,7 +180,10 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
         show(f"to write: {why}")
     for where, why in failing.items():
         show(f"FAILS as it stands: {where}: {why}")
-    show("next: pytest --twin-release")
+    if failing:
+        show("next: pytest says why; pytest --twin-release signs once no golden fails")
+    else:
+        show("next: pytest --twin-release")
     return DONE
 
 
