@@ -90,10 +90,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds",
         metavar="N",
         type=_seconds,
-        default=SECONDS,
         help="time for the diagnosis: then the best result so far is written, with what was not "
-        f"tried (default: {SECONDS:g}; 0: as long as it takes); Ctrl-C ends it early in the same "
-        "way",
+        f"tried (default: {SECONDS:g}, not counting time in which other programs hold the "
+        "processors; 0: as long as it takes); Ctrl-C ends it early in the same way",
     )
     parser.add_argument(
         "--fleet",
@@ -125,11 +124,13 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: input that cannot be used.
     """
+    seconds = SECONDS if args.seconds is None else args.seconds
     arguments = {
         "topics": args.topics,
         "options": recording_options(args),
-        "seconds": args.seconds,
-        "answer_first": args.fleet is None and (args.seconds > 0.0 or sys.stderr.isatty()),
+        "seconds": seconds,
+        "own_time": args.seconds is None,
+        "answer_first": args.fleet is None and (seconds > 0.0 or sys.stderr.isatty()),
         **model_files.search_folders(args),
     }
     if args.fleet is not None:
@@ -210,6 +211,7 @@ def diagnose_files(
     packages: Mapping[str, str] | None = None,
     roots: Sequence[str] = (),
     seconds: float = 0.0,
+    own_time: bool = False,
     answer_first: bool = False,
     threads: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
@@ -241,7 +243,7 @@ def diagnose_files(
         loaded.realization.structure,
         RecordingOptions.from_json(options).over(loaded.options),
     )
-    budget = Budget(seconds)
+    budget = Budget(seconds, own_time=own_time)
     signal.signal(signal.SIGINT, lambda number, frame: budget.stop())
 
     def say_state(step: Step) -> None:

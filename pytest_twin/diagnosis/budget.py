@@ -6,6 +6,7 @@ one simulation of all recordings. Unlike seconds, it is the same on every machin
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,9 +18,17 @@ RESERVED, LAST = 0.2, 0.1
 """Shares of the time: kept for what follows the search (final parameters, intervals, test
 recordings, the report), and of that for what follows the final parameters. Of six joints on two
 cores, imports, reading and the report take 8 to 10 s."""
+STRETCH = 5.0
+"""Times its own time that a diagnosis may take where other programs hold the processors."""
 MOST_SIMULATIONS = 1200
 """Simulations of all data that all searches of a diagnosis may take together: four times what one
 search may take. A case with one joint takes 170 to 830."""
+
+
+def computing_seconds() -> float:
+    """s of all processors that this process and its ended children have used."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
 
 
 class Budget:
@@ -29,6 +38,8 @@ class Budget:
         seconds: wall-clock time from now on for the whole diagnosis; 0 for as long as it takes.
         simulations: of all data, for all searches.
         clock: seconds, monotonic.
+        own_time: whether time in which other programs hold the processors is not counted, up to
+            ``STRETCH`` times ``seconds``.
     """
 
     def __init__(
@@ -36,13 +47,15 @@ class Budget:
         seconds: float = 0.0,
         simulations: float = MOST_SIMULATIONS,
         clock: Callable[[], float] = time.monotonic,
+        own_time: bool = False,
     ) -> None:
         self.seconds = seconds
+        self.own_time = own_time
         self.simulations = simulations
         self.stopped = False
         self.problems: list[Problem] = []
         self._clock = clock
-        self._start = clock()
+        self._start, self._start_computing = clock(), computing_seconds()
         self._apart = 0.0
 
     def add(self, problem: Problem) -> None:
@@ -57,7 +70,12 @@ class Budget:
     @property
     def elapsed(self) -> float:
         """s since the start."""
-        return self._clock() - self._start
+        wall = self._clock() - self._start
+        if not self.own_time:
+            return wall
+        # A search is computing all the time: what is missing went to other programs.
+        computing = computing_seconds() - self._start_computing
+        return max(min(wall, computing), wall / STRETCH)
 
     @property
     def left(self) -> float:

@@ -33,7 +33,7 @@ def first_answer(
     Returns:
         None where the time does not last, or the model cannot be simulated; the diagnosis says why.
     """
-    budget = Budget(seconds / (1.0 - RESERVED))
+    budget = Budget(seconds / (1.0 - RESERVED), own_time=True)
     try:
         with budget.searching(), np.errstate(over="ignore", invalid="ignore"):
             return glance(realization, _worst(realization, trials), patched)

@@ -84,6 +84,17 @@ def test_no_bound_of_time_is_for_as_long_as_it_takes() -> None:
     assert budget.left == np.inf
 
 
+def test_time_that_other_programs_take_is_not_counted_if_asked() -> None:
+    """Up to five times the time by the clock on the wall."""
+    clock = Clock()
+    strict, lenient = (Budget(100.0, clock=clock, own_time=own) for own in (False, True))
+    clock.now += 200.0
+    assert strict.out_of_time
+    assert not lenient.out_of_time
+    clock.now += 300.0
+    assert lenient.out_of_time
+
+
 def test_work_is_shared_by_all_searches(braked: tuple[Realization, TrialSet]) -> None:
     realization, trials = braked
     problem = prepare(realization, trials.fit, (), threads=1).problem
