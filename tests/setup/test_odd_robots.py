@@ -66,7 +66,7 @@ def test_what_has_no_name_is_said(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "robot.xml").write_text(NAMELESS)
     made = run("pytest-twin", "init", "robot.xml", cwd=folder)
-    assert f"note: {folder}/robot.xml: 1 of 1 joints have no name: name them" in (made.stdout)
+    assert "note: robot.xml: 1 of 1 joints have no name: name them" in made.stdout
     assert "nothing proposed for fk: no joint moves a frame that has a name" in made.stdout
     assert "tcp" not in (folder / "twin.yaml").read_text()
 
@@ -180,3 +180,16 @@ def test_a_robot_without_masses_gets_no_golden_of_forces(tmp_path: Path) -> None
         assert told["nothing_to_propose"][kind] == none
     assert {golden.split("/")[1] for golden in told["goldens"]} >= {"fk", "limits"}
     assert told["left_out"] == told["failing"] == {}
+
+
+def test_notes_of_one_kind_are_one_line(tmp_path: Path) -> None:
+    bare = MASSLESS.replace(' effort="9"', "")
+    (tmp_path / "bare.urdf").write_text(bare)
+    done = run("pytest-twin", "init", "bare.urdf", "--out", "twin", cwd=tmp_path)
+    lines = [line for line in done.stdout.splitlines() if "states no effort" in line]
+    assert lines == [
+        "note: bare.urdf:2: joint 'j1' states no effort and has no actuator "
+        "(and 1 more note of this kind in .twin/init.json)"
+    ]
+    told = json.loads((tmp_path / "twin/.twin/init.json").read_text())
+    assert sum("states no effort" in note for note in told["notes"]) == 2
