@@ -309,15 +309,16 @@ def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _So
     contact = problem.simulator.models.contact
     clear, start = EMPTY, EMPTY
     if contact.world.size:
-        clear = run.attempt(
+        away = run.attempt(
             "the search for effects far from contact",
-            lambda: _found_away(given, trials, contact, run), EMPTY,
+            lambda: _found_away(given, trials, contact, run), None,
         )  # fmt: skip
-        if clear.terms:
+        if away is not None:
+            clear = start = away
             start = run.attempt(
                 "contact effects in addition", lambda: _with_contact(problem, clear, run), clear
             )
-    run.begin("whole recordings", problem)
+    run.begin(_stage(problem), problem)
     given, found = searched_so(given, prepared, trials, run, start)
     if found.astray and contact.world.size:
         found = run.attempt("contact effects once more", partial(_once_more, found, run), found)
@@ -386,15 +387,24 @@ def _posed_away(
         return None
 
 
-def _found_away(given: Given, trials: TrialSet, contact: ContactGeoms, run: Run) -> Hypothesis:
-    """What explains the motion far from what the robot meets; nothing where it never is.
+def _stage(problem: Problem) -> str:
+    """What a search of a problem works on."""
+    if all(s.amid for s in problem.simulator.segments):
+        return f"windows of {usual_length(problem):.2g} s"
+    return "whole recordings"
+
+
+def _found_away(
+    given: Given, trials: TrialSet, contact: ContactGeoms, run: Run
+) -> Hypothesis | None:
+    """What explains the motion far from what the robot meets; None where it never is.
 
     There deviations are small, and every law can be seen along the measured motion; in contact each
     has to be simulated.
     """
     away = _posed_away(given, trials, contact)
     if away is None:
-        return EMPTY
+        return None
     prepared, kept = away
     run.begin("windows far from contact", prepared.problem)
     return search(prepared, kept, Selection(prepared.problem, run)).explained.hypothesis
@@ -424,7 +434,7 @@ def _once_more(found: Searched, run: Run) -> Searched:
 
 def _from_there(found: Searched, start: Hypothesis, run: Run) -> Searched:
     """What is found from a hypothesis, where that leaves less than what was found."""
-    run.begin("whole recordings once more", found.prepared.problem)
+    run.begin(f"{_stage(found.prepared.problem)} once more", found.prepared.problem)
     selection = Selection(found.prepared.problem, run)
     other = search(found.prepared, found.trials, selection, start)
     found = found.judged_again()
