@@ -143,7 +143,7 @@ def driver_velocity(traces: Traces, logger: Logger, time: np.ndarray) -> np.ndar
 def stamped(
     traces: Traces, hidden: Hidden, logger: Logger, holed: bool, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(states,) s of stamps and of readings; a late message holds up those behind it."""
+    """(states,) s of stamps and of readings."""
     stamps = np.arange(0.0, traces.seconds, 1.0 / logger.rate)
     stamps = stamps + rng.uniform(0.0, 1.0 / logger.rate)
     stamps += logger.jitter * rng.standard_normal(len(stamps))

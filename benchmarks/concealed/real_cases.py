@@ -43,7 +43,8 @@ from injections import (
     quantized_encoder,
 )  # fmt: skip
 from real_effects import CHOICES, DRAWS, EFFORT_EFFECTS, Change, Concealed
-from real_models import MACHINES, Machine, effects_json, mjcf, twin_yaml
+from real_forms import effects_json, mjcf, twin_yaml
+from real_models import MACHINES, Machine
 from real_rivals import Judge
 
 from pytest_twin.formats.mcap import read_recording, write_recording
@@ -61,6 +62,8 @@ DISTURBED = {"emps": 2, "xl330": 2, "so101_pan": 1, "so101_flex": 1, "so101_roll
              "so101_wrist": 1}  # fmt: skip
 TWO = {"emps": 3, "xl330": 2, "so101_pan": 2, "so101_flex": 2, "so101_roll": 1, "so101_wrist": 0}
 """Cases with disturbed recordings, and with two effects."""
+STEP = {"emps": 0.001, "xl330": 0.001, "so101": 0.002}
+"""s, of the models beside the recordings."""
 BLOCK = sum(COUNTS.values())
 ORDER = np.random.default_rng(20_261_128).permutation(BLOCK)
 VISIBLE, TRIES = 1.0, 6
@@ -229,11 +232,12 @@ def make(seed: int, out: Path, truth: Path) -> str:
         ],
         "disturbed": words, "outside": None,
         "background": [
-            {"effect": effect, "joint": joint, "why": why}
+            {"effect": effect, "joint": joint, "parameters": {}, "why": why}
             for effect, why in machine.background.items()
             for joint in ((None,) if effect == "sensor_delay" else machine.joints)
         ],
-        "recordings": [file for file, _ in files],
+        "recordings": [file for file, _ in files], "seconds": machine.seconds,
+        "step": STEP[machine.folder],
     }  # fmt: skip
     truth.mkdir(parents=True, exist_ok=True)
     (truth / f"{name}.json").write_text(json.dumps(record, indent=1) + "\n")

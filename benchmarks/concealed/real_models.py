@@ -1,4 +1,4 @@
-"""Models that follow three real machines, and what can be taken away from them or falsified.
+"""Models that follow three real machines, as tables of parameters.
 
 A model that follows is the folder's ``model.xml`` with the drive values of :data:`MACHINES`, and
 beside it, in ``effects.json``, what MJCF cannot hold. Sources of the values:
@@ -15,18 +15,8 @@ Parameters are not recordings: the recordings stay where ``TWIN_RECORDINGS`` say
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
-
-import mujoco
-import numpy as np
-from real_replay import Floats, Law
-
-GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -113,7 +103,7 @@ _SO101_HELD = {
     "wrist_roll": 0.01, "gripper": 0.5,
 }  # fmt: skip
 _PAN = Drive(damping=0.80, friction=0.184, armature=0.028, kp=17.7)
-_FLEX = Drive(damping=0.42, friction=0.104, armature=0.028, kp=9.52, zero=0.021)
+_FLEX = Drive(damping=0.42, friction=0.104, armature=0.028, kp=9.52, zero=-0.049)
 _ROLL = Drive(damping=0.645, friction=0.142, armature=0.0058, kp=14.1)
 _BUS = {
     "command_delay": "the bus delay is fitted to 1 ms and differs between servos, which are read "
@@ -201,146 +191,3 @@ MACHINES: Mapping[str, Machine] = {
         ),
     )
 }  # fmt: skip
-
-
-def gravity(tilt: tuple[float, float]) -> Floats:
-    """(3,) gravity in the frame of a base that rolls about x and pitches about y, m/s^2."""
-    roll, pitch = tilt
-    x, y, z = 0.0, -GRAVITY * np.sin(roll), -GRAVITY * np.cos(roll)
-    return np.array(
-        [x * np.cos(pitch) - z * np.sin(pitch), y, x * np.sin(pitch) + z * np.cos(pitch)]
-    )
-
-
-def mjcf(machine: Machine, recordings: Path) -> str:
-    """The model as MJCF, from the file beside the recordings."""
-    root = ElementTree.fromstring((recordings / machine.folder / "model.xml").read_text("utf-8"))
-    option = root.find("option")
-    assert option is not None
-    option.set("gravity", _words(gravity(machine.tilt)))
-    step = float(option.get("timestep", "0.002"))
-    for body in root.iter("body"):
-        name = body.get("name", "")
-        if name in machine.mass:
-            _inertial(body).set("mass", repr(machine.mass[name]))
-        joint = body.find("joint")
-        if joint is None:
-            continue
-        drive = machine.drives.get(joint.get("name", ""))
-        if drive is None:
-            body.remove(joint)
-            _turn(body, machine.held[joint.get("name", "")])
-            continue
-        joint.set("damping", repr(drive.damping))
-        joint.set("frictionloss", repr(drive.friction))
-        joint.set("armature", repr(drive.armature))
-        if drive.spring:
-            joint.set("stiffness", repr(drive.spring))
-        # Stiff dry friction: MuJoCo's default creeps under load.
-        joint.set("solreffriction", _words([2.0 * step, 1.0]))
-        joint.set("solimpfriction", "0.999 0.9999 0.001 0.5 2")
-        if drive.zero:
-            _turn(body, drive.zero)
-    actuators = root.find("actuator")
-    assert actuators is not None
-    for actuator in list(actuators):
-        driven = machine.drives.get(actuator.get("joint", ""))
-        if driven is None:
-            actuators.remove(actuator)
-        elif driven.kp:
-            actuator.set("kp", repr(driven.kp))
-            actuator.set("kv", repr(driven.kv))
-        if machine.limit is not None:
-            actuator.set("forcerange", _words([-machine.limit, machine.limit]))
-    return ElementTree.tostring(root, "unicode") + "\n"
-
-
-def effects_json(machine: Machine) -> str | None:
-    """What stands beside the MJCF, as a diagnosis writes it; None where nothing does."""
-    if not machine.beside:
-        return None
-    effects = [
-        {"effect": effect, "joint": joint, "values": dict(values), "in_model": False}
-        for effect, joint, values in machine.beside
-    ]
-    return json.dumps({"schema": 1, "joints": list(machine.joints), "effects": effects}, indent=1)
-
-
-def twin_yaml(machine: Machine) -> str | None:
-    """Gains by the trial's controller; None where there is one controller alone."""
-    if not machine.controllers:
-        return None
-    lines = [f"  {name}: {{servo: {{kp: {kp!r}}}}}" for name, kp in machine.controllers.items()]
-    return "\n".join(["model: model.xml", "controllers:", *lines]) + "\n"
-
-
-def push(machine: Machine) -> Floats:
-    """(joints,) constant effort of the independent replay: friction that prefers a direction."""
-    return np.array(
-        [
-            d.preload - machine.value("asymmetric_friction", "offset", joint)
-            for joint, d in machine.drives.items()
-        ]
-    )
-
-
-def law(machine: Machine, controller: str | None = None) -> Law | None:
-    """What stands beside the MJCF and is neither constant, delayed nor a reading."""
-    return _xl330(machine, controller or "") if machine.controllers else None
-
-
-def _xl330(machine: Machine, controller: str) -> Law:
-    """A servo whose torque rolls off and whose gear rubs by motor effort and by load."""
-    kp, limit = machine.controllers[controller], machine.limit or np.inf
-    drive = machine.drives["pendulum"]
-    inverse, emf = (machine.value("torque_rolloff", n) for n in ("inverse_knee", "back_emf"))
-    rub = {
-        n: machine.value("motor_load_friction", n)
-        for n in ("coefficient", "stiction_excess", "stribeck_velocity")
-    }
-    by_load = machine.value("load_dependent_friction", "coefficient")
-
-    def act(model: mujoco.MjModel, data: mujoco.MjData, command: Floats) -> None:
-        q, v = data.qpos[0], data.qvel[0]
-        asked = min(max(kp * (command[0] - q), -limit), limit)
-        taken = emf * v if inverse else 0.0
-        effort = (asked - taken) / (1.0 + abs(asked - taken) * inverse)
-        fall = np.exp(-abs(v) / rub["stribeck_velocity"]) if rub["stribeck_velocity"] else 0.0
-        share = rub["coefficient"] + rub["stiction_excess"] * fall
-        mass, lever = model.body_mass[1], -model.body_ipos[1, 2]
-        load = abs(
-            mass * lever * (model.opt.gravity[0] * np.cos(q) + model.opt.gravity[2] * np.sin(q))
-        )
-        model.dof_frictionloss[0] = drive.friction + by_load * load + share * abs(effort)
-        # The MJCF's servo is silent here: its gain is set to zero by ``compiled``.
-        data.qfrc_applied[0] = effort + taken + drive.preload
-
-    return act
-
-
-def compiled(machine: Machine, recordings: Path) -> mujoco.MjModel:
-    """The model for the independent replay."""
-    model = mujoco.MjModel.from_xml_string(mjcf(machine, recordings))
-    if machine.controllers:
-        model.actuator_gainprm[:] = 0.0
-        model.actuator_biasprm[:] = 0.0
-    return model
-
-
-def _inertial(body: ElementTree.Element) -> ElementTree.Element:
-    found = body.find("inertial")
-    assert found is not None
-    return found
-
-
-def _turn(body: ElementTree.Element, angle: float) -> None:
-    """Turn a body about its joint's axis, which is its own z axis."""
-    before = np.array(body.get("quat", "1 0 0 0").split(), float)
-    after = np.empty(4)
-    about_z = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
-    mujoco.mju_mulQuat(after, before / np.linalg.norm(before), about_z)
-    body.set("quat", _words(after))
-
-
-def _words(values: Any) -> str:
-    return " ".join(repr(float(v)) for v in values)

@@ -29,7 +29,8 @@ from injections import (
     scaled_encoder,
 )  # fmt: skip
 from real_effects import EFFORT_EFFECTS, Concealed
-from real_models import Machine, compiled, law, push
+from real_forms import compiled, law, push
+from real_models import Machine
 from real_replay import Floats, replay
 
 ALIKE = 0.25
@@ -38,9 +39,9 @@ between two names; the tool sees no more than that."""
 EFFORT_UNIT = 0.01
 """Change of an effort reading that counts as one background, as a share of its root mean square:
 an echoed effort has no noise of its own."""
-CURVED = 0.3
-"""A rival whose value comes out further than this share from the size that its direction was taken
-at is asked again at the size that came out."""
+ROUNDS, HOPELESS, REACH = 4, 0.7, (0.01, 20.0)
+"""Rounds in which a rival's sizes are found; the share of an effect that a rival may leave in any
+of them without being given up; how far sizes go, in multiples of the first."""
 
 Direction = Callable[[float], Concealed]
 """A rival of some size."""
@@ -94,18 +95,25 @@ class Judge:
         """[effect, joint] of every other name that shows alike."""
         if effect.effect in EFFORT_EFFECTS:
             return []
-        target = self._moved(effect)
-        own = (effect.effect, effect.joint)
-        return [
-            [r.effect, r.joint] for r in rivals_of(self.machine)
-            if (r.effect, r.joint) != own and self._left(target, r) <= ALIKE
-        ]  # fmt: skip
+        target, own = self._moved(effect), (effect.effect, effect.joint)
+        others = [r for r in rivals_of(self.machine) if (r.effect, r.joint) != own]
+        alike = {(r.effect, r.joint) for r in others if self._left(target, r) <= ALIKE}
+        if len(self.machine.joints) == 1:
+            # Two streams shifted against each other: which of them was late is not recorded.
+            late = {("command_delay", self.machine.joints[0]), ("sensor_delay", None)}
+            alike |= late - {own} if own in late else set()
+        return [list(name) for name in sorted(alike, key=str)]
 
     def _left(self, target: Floats, rival: Rival) -> float:
-        """Root mean square in backgrounds of what the best of a rival leaves."""
-        sizes = np.array([size for _, size in rival.directions])
+        """Root mean square in backgrounds of what the best of a rival leaves.
+
+        Friction bends the directions, so they are taken again at the sizes that came out.
+        """
+        first = np.array([size for _, size in rival.directions])
+        sizes = first
+        whole = float(np.sqrt(np.mean(target**2, axis=0)).max())
         left = np.inf
-        for _ in range(3):
+        for _ in range(ROUNDS):
             columns = np.stack(
                 [
                     self._moved(make(float(size))).ravel()
@@ -116,12 +124,10 @@ class Judge:
             weights = np.linalg.lstsq(columns, target.ravel(), rcond=None)[0]
             rest = (target.ravel() - columns @ weights).reshape(target.shape)
             left = min(left, float(np.sqrt(np.mean(rest**2, axis=0)).max()))
-            if len(sizes) > 1 or abs(weights[0] - 1.0) < CURVED or left <= ALIKE:
+            if left <= ALIKE or left > HOPELESS * whole:
                 break
-            # At most tenfold: a rival that has to be that large shows nothing alike.
-            sizes = sizes * np.clip(weights, -10.0, 10.0)
-            if not np.all(np.abs(sizes) > 1e-12):
-                break
+            grown = sizes * weights / first
+            sizes = first * np.where(grown < 0.0, -1.0, 1.0) * np.clip(np.abs(grown), *REACH)
         return left
 
     def _moved(self, effect: Concealed) -> Floats:
@@ -192,7 +198,6 @@ def _of_joint(machine: Machine, joint: str) -> list[Rival]:
     named: list[tuple[str, tuple[tuple[Direction, float], ...]]] = [
         ("encoder_bias", ((_read(biased_encoder, joint), 0.03),)),
         ("encoder_scale", ((_read(scaled_encoder, joint), 0.03),)),
-        ("encoder_eccentricity", ((_bent(joint, 0.0), 0.03), (_bent(joint, np.pi / 2), 0.03))),
         ("viscous_friction", (damped,)),
         ("coulomb_friction", (rubbed,)),
         # By what sets it apart from dry friction that is the same both ways.
@@ -204,7 +209,9 @@ def _of_joint(machine: Machine, joint: str) -> list[Rival]:
         named.append(("torque_constant", ((_louder, 0.1),)))
     else:
         gained = (_stiffer(joint), 0.2)
+        bent = ((_bent(joint, 0.0), 0.03), (_bent(joint, np.pi / 2), 0.03))
         named += [
+            ("encoder_eccentricity", bent),
             ("torque_constant", (gained,)),
             # These servos damp by the joint alone: a gain has no damping to be wrong.
             ("controller_gain", (gained,)),

@@ -1,7 +1,7 @@
 """Make blind cases, diagnose them and write the tables of the results.
 
     python benchmarks/concealed/table.py --out DIR [--seeds 20000:20200] [--jobs 2] [--page FILE]
-        [--family held|cell|engine]
+        [--family held|cell|engine|real]
 
 Continues where it stopped. Writes DIR/cases, DIR/truth and DIR/digests.json before any diagnosis
 runs, then DIR/results and DIR/table.md. ``--page docs/blind_cases.md`` writes the tables there too.
@@ -17,8 +17,10 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-FAMILIES = {"held": "cases.py", "cell": "cell_cases.py", "engine": "engine_cases.py"}
-"""Script that draws the cases of each family: held commands, sampled cells, other engines."""
+FAMILIES = {"held": "cases.py", "cell": "cell_cases.py", "engine": "engine_cases.py",
+            "real": "real_cases.py"}  # fmt: skip
+"""Script that draws the cases of each family: held commands, sampled cells, other engines, real
+recordings in which something is concealed."""
 
 
 def step(script: str, *words: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
-import re
 import shutil
 import tempfile
 from pathlib import Path
@@ -28,8 +27,6 @@ DONE = 0
 SOURCE = manifest.SOURCE_FOLDER
 _MEMORY_BYTES = 2 * 2**30
 _SECONDS = 1800.0
-_MODEL_BYTES = 64 * 2**20
-_PACKAGE = re.compile(r"package://([^/\"'\s]+)/")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,26 +111,7 @@ def run(args: argparse.Namespace) -> int:
     manifest.write(out / manifest.FILE_NAME, written)
     json_output.give(args, json.loads(written.to_text()))
     _tell(out, found, lacking, state)
-    if origin.is_dir():
-        for line in _cut_packages(origin.resolve(), out / SOURCE, found.get("model", [])):
-            show(line)
     return DONE
-
-
-def _cut_packages(origin: Path, source: Path, models: list[str]) -> list[str]:
-    """A line for each package of which only a part was taken in."""
-    above = {folder.name: folder for folder in reversed(origin.parents)}
-    said = {}
-    for model in models:
-        if not model.endswith((".urdf", ".xacro")):
-            continue
-        text = (source / model).read_bytes()[:_MODEL_BYTES].decode("utf-8", "replace")
-        for package in sorted(set(_PACKAGE.findall(text)) & set(above)):
-            said[package] = (
-                f"note: {model} names package://{package}, and only a part of that package was "
-                f"taken in: take in {above[package]}, or give --package {package}=FOLDER later"
-            )
-    return list(said.values())
 
 
 def _date(text: str | None) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from pathlib import Path
 
 import mujoco
@@ -101,12 +100,12 @@ class NamedModel:
         found = (mujoco.mj_id2name(self.model, _OBJECTS[kind], i) for i in range(count))
         return tuple(name for name in found if name)
 
-    @cached_property
+    @property
     def joints(self) -> tuple[str, ...]:
         """Names of all joints, in model order."""
         return self.names("joint")
 
-    @cached_property
+    @property
     def actuators(self) -> tuple[str, ...]:
         """Names of all actuators, in model order."""
         return self.names("actuator")

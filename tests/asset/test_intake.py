@@ -211,16 +211,3 @@ def test_a_manifest_that_was_touched_is_refused(tmp_path: Path) -> None:
     path.write_text('{"schema": 1, "asset": "x", "states": {"source": {"files": {"../a": "0"}}}}')
     with pytest.raises(FormatError, match="not a state"):
         manifest.read(path)
-
-
-def test_a_part_of_a_package_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "arm_description" / "urdf"
-    folder.mkdir(parents=True)
-    mesh = '<mesh filename="package://arm_description/meshes/a.stl"/>'
-    (folder / "arm.urdf").write_text(f'<robot name="arm"><link name="a"/>{mesh}</robot>')
-    assert main(["intake", str(folder), "--out", str(tmp_path / "part")]) == 0
-    said = capsys.readouterr().out
-    assert "arm.urdf names package://arm_description, and only a part of that package" in said
-    assert f"take in {folder.parent}, or give --package arm_description=FOLDER later" in said
-    assert main(["intake", str(folder.parent), "--out", str(tmp_path / "whole")]) == 0
-    assert "only a part" not in capsys.readouterr().out

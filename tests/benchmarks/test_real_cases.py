@@ -8,7 +8,6 @@ import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "concealed"))
 
 import injections
 import real_cases
-import real_models
+import real_forms
 import real_replay
-import real_score
 from injections import Recorded
 from real_effects import CHOICES, DRAWS
 from real_models import MACHINES, Machine
@@ -90,8 +88,8 @@ def test_a_model_that_follows_moves_alike_in_two_simulations(
     monkeypatch.setattr(real_replay, "WINDOW", 100.0)
     bias = machine.value("encoder_bias", "bias")
     ours = real_replay.replay(
-        real_models.compiled(machine, real_cases.RECORDINGS), recorded, real_models.push(machine),
-        real_models.law(machine, recorded.metadata.get("controller")),
+        real_forms.compiled(machine, real_cases.RECORDINGS), recorded, real_forms.push(machine),
+        real_forms.law(machine, recorded.metadata.get("controller")),
         machine.value("command_delay", "delay", machine.joints[0]), lambda q: q - bias,
     ) + bias  # fmt: skip
     assert recorded.state.position is not None
@@ -109,7 +107,7 @@ def test_a_payload_taken_away_is_the_mass_that_the_model_lacks(tmp_path: Path) -
     false = drawn.falsify(machine)
     body, true = machine.tool
     masses = [
-        real_models.compiled(m, real_cases.RECORDINGS).body(body).mass[0] for m in (machine, false)
+        real_forms.compiled(m, real_cases.RECORDINGS).body(body).mass[0] for m in (machine, false)
     ]
     assert masses[0] - masses[1] == pytest.approx(drawn.parameters["mass"])
     assert masses[0] == pytest.approx(machine.mass[body])
@@ -119,7 +117,7 @@ def test_a_payload_taken_away_is_the_mass_that_the_model_lacks(tmp_path: Path) -
 @needs_recordings
 def test_a_tilt_puts_gravity_back_where_the_catalogue_turns_it() -> None:
     pitch = 0.1
-    leaning = real_models.gravity((0.0, -pitch))
+    leaning = real_forms.gravity((0.0, -pitch))
     x, z = leaning[0], leaning[2]
     # gravity in the base frame = Ry(pitch)^T gravity
     back = [np.cos(pitch) * x - np.sin(pitch) * z, np.sin(pitch) * x + np.cos(pitch) * z]
@@ -127,99 +125,9 @@ def test_a_tilt_puts_gravity_back_where_the_catalogue_turns_it() -> None:
 
 
 @needs_recordings
-@pytest.mark.parametrize("seed", [81014, 81063])
+@pytest.mark.parametrize("seed", [81016, 81063])
 def test_a_seed_draws_the_truth_whose_digest_is_committed(seed: int, tmp_path: Path) -> None:
     name = real_cases.make(seed, tmp_path / "cases", tmp_path / "truth")
     committed = json.loads((Path(real_cases.__file__).with_name("truth_digests.json")).read_text())
     content = (tmp_path / "truth" / f"{name}.json").read_bytes()
     assert hashlib.sha256(content).hexdigest() == committed[f"{name}.json"]
-
-
-def _truth(*effects: dict[str, Any], **more: Any) -> dict[str, Any]:
-    return {"effects": list(effects), "background": [], "disturbed": "", **more}
-
-
-LATE = {
-    "effect": "command_delay", "joint": "pan", "parameters": {"delay": 0.03}, "visibility": 5.0,
-    "equivalents": [["sensor_delay", None]],
-}  # fmt: skip
-STIFF = {
-    "effect": "controller_gain", "joint": "pan", "parameters": {"stiffness_error": 0.3},
-    "visibility": 2.0, "equivalents": [],
-}  # fmt: skip
-
-
-def _said(*named: tuple[str, str | None, float], **parameters: Any) -> dict[str, Any]:
-    findings = [
-        {"effect": e, "joint": j, "confidence": c, "parameters": parameters} for e, j, c in named
-    ]
-    held_out = {"pan": {"rms_before": 5.0, "rms_after": 1.0, "floor": 1.0}}
-    return {"findings": findings, "held_out": held_out, "verdict": "explained"}
-
-
-def test_a_name_that_shows_alike_is_as_right_as_the_concealed_one() -> None:
-    for name in (("command_delay", "pan", 0.6), ("sensor_delay", None, 0.5)):
-        verdict = real_score.verdict_on(_truth(LATE), _said(name))
-        assert verdict.first
-        assert verdict.found == 1.0
-        assert not verdict.false
-
-
-def test_another_name_first_is_wrong_and_counts_as_false_when_sure() -> None:
-    said = _said(("armature", "pan", 0.95), ("command_delay", "pan", 0.9))
-    verdict = real_score.verdict_on(_truth(LATE), said)
-    assert verdict.first is False
-    assert verdict.found == 1.0
-    assert verdict.sure_and_false == (("armature", "pan", 0.95),)
-
-
-def test_the_right_name_at_another_joint_is_wrong() -> None:
-    verdict = real_score.verdict_on(_truth(LATE), _said(("command_delay", "lift", 0.5)))
-    assert verdict.first is False
-    assert verdict.false == (("command_delay", "lift", 0.5),)
-    assert not verdict.sure_and_false
-
-
-def test_the_largest_of_two_effects_has_to_come_first() -> None:
-    said = _said(("controller_gain", "pan", 0.99), ("sensor_delay", None, 0.99))
-    verdict = real_score.verdict_on(_truth(STIFF, LATE), said)
-    assert verdict.first is False
-    assert verdict.found == 1.0
-
-
-def test_what_the_machine_has_beyond_its_model_is_neither_false_nor_ahead() -> None:
-    ripple = {"effect": "cogging", "joint": "pan", "why": "tooth mesh"}
-    said = _said(("cogging", "pan", 0.99), ("command_delay", "pan", 0.99))
-    verdict = real_score.verdict_on(_truth(LATE, background=[ripple]), said)
-    assert verdict.first
-    assert not verdict.false
-
-
-def test_a_name_where_nothing_is_concealed_is_false() -> None:
-    verdict = real_score.verdict_on(_truth(), _said(("armature", "pan", 0.9)))
-    assert verdict.first is None
-    assert verdict.sure_and_false == (("armature", "pan", 0.9),)
-
-
-def test_a_free_law_names_nothing_and_so_nothing_false() -> None:
-    verdict = real_score.verdict_on(_truth(LATE), _said(("unnamed_law", "pan", 0.99)))
-    assert verdict.first is False
-    assert not verdict.false
-
-
-def test_no_result_finds_nothing() -> None:
-    verdict = real_score.verdict_on(_truth(LATE), None)
-    assert verdict.first is False
-    assert verdict.found == 0.0
-
-
-def test_an_interval_is_held_against_the_concealed_value() -> None:
-    for bounds, held in (([0.02, 0.04], True), ([0.031, 0.04], False)):
-        said = _said(("command_delay", "pan", 0.9), delay={"value": 0.03, "ci95": bounds})
-        assert real_score.verdict_on(_truth(LATE), said).intervals == (held,)
-
-
-def test_removed_counts_what_is_above_the_floor() -> None:
-    assert real_score.removed(_said()) == pytest.approx(1.0)
-    half = {"held_out": {"pan": {"rms_before": 3.0, "rms_after": 5.0**0.5, "floor": 1.0}}}
-    assert real_score.removed(half) == pytest.approx(0.5)
