@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from functools import partial
 
 import numpy as np
 from mujoco.batch import SimulationError as BatchError
@@ -43,7 +42,8 @@ from pytest_twin.effects.row_models import RowModels, Rows
 from pytest_twin.effects.sampling import behind, sampled, taken
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.effects.spared import unclocked
-from pytest_twin.realization.forks import free_cores, in_forks, threads_here, usable_cores
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
 
@@ -140,7 +140,7 @@ class RowSimulator:
             cores = 1
         if cores > 1:
             self.models.warm(rows, acting(values))
-        each = in_forks([partial(work, p) for p in divided], cores)
+        each = Forks(cores).map(work, divided)
         found: dict[int, Predicted] = {}
         for part, predicted in zip(divided, each, strict=True):
             found.update(zip(part.rows.tolist(), predicted, strict=True))

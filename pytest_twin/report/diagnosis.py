@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from importlib import resources
 from typing import Any
 
 import jinja2
 
-from pytest_twin.realization.forks import in_forks, usable_cores
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import usable_cores
 from pytest_twin.report.diagnosis_plots import joint_figure
 from pytest_twin.report.diagnosis_view import DiagnosisView
 from pytest_twin.report.finding_words import (
@@ -100,7 +101,7 @@ def render(view: DiagnosisView) -> str:
     )
     said = view.said
     drawn = view.joints[:MAX_FIGURES]
-    figures = in_forks([partial(joint_figure, v) for v in drawn], usable_cores())
+    figures = Forks(usable_cores()).map(joint_figure, drawn)
     return _template().render(
         view=view,
         style=style,

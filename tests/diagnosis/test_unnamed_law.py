@@ -20,7 +20,8 @@ from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where
-from pytest_twin.diagnosis.patched.model import read_effects
+from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched, read_effects
+from pytest_twin.diagnosis.patched.ranges import outside_in_words
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared
@@ -31,6 +32,7 @@ from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhe
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
 from pytest_twin.diagnosis.unnamed_law.tested import laws_left, on_test
+from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
 from pytest_twin.realization import load
 from pytest_twin.report.finding_words import finding_sentence
@@ -204,6 +206,25 @@ def test_a_law_is_tested_written_read_and_replayed(tmp_path: Path) -> None:
     off = [p.position - t.position for p, t in zip(predicted, trials.held_out, strict=True)]
     rms = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
     assert rms == pytest.approx(tested.tested.errors[JOINT].after, rel=0.05)
+
+
+def test_a_replay_beyond_the_range_of_a_table_says_so(tmp_path: Path) -> None:
+    record(tmp_path, magnet, seconds=0.1, count=1)
+    law = UnnamedLaw()
+    values = law.parameters_of(POSITION, (0.0, 1.0), (0.0, 1.0), np.ones(KNOTS))
+    patched = Patched((JOINT,), (AppliedEffect(law.id, JOINT, values, in_model=False),))
+    time = np.arange(0.0, 2.0, 0.1)
+    inside, beyond = np.full((20, 1), 0.5), np.linspace(0.05, 2.0, 20)[:, None]
+    realization = load(tmp_path / "model.xml")
+    said = [
+        outside_in_words(realization, patched, time, Predicted(q, 0.0 * q, 0.0 * q))
+        for q in (inside, beyond)
+    ]
+    assert said[0] == ()
+    assert said[1] == (
+        "joint elbow leaves the range in which its unnamed law is known (position 0 to 1 rad) for "
+        "0.9 s: no force is added there",
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -18,7 +17,8 @@ from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.first_order.screen import View
 from pytest_twin.diagnosis.fit import nudged, proposals, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
-from pytest_twin.realization.forks import free_cores, in_forks
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores
 
 NEARBY, FAR_OFF = 3, 8
 """Iterations of what starts near where it ends, and of what stands for something else."""
@@ -105,8 +105,10 @@ def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Float
         batches += [which[i : i + each] for i in range(0, len(which), each)]
     if cores > 1:
         linear.know_bodies(hypotheses)
-    tasks = [partial(linear.differences, [hypotheses[i] for i in some]) for some in batches]
+    differences = Forks(cores).map(
+        linear.differences, [[hypotheses[i] for i in some] for some in batches]
+    )
     out: dict[int, FloatArray] = {}
-    for some, found in zip(batches, in_forks(tasks, cores), strict=True):
+    for some, found in zip(batches, differences, strict=True):
         out.update(zip(some, found, strict=True))
     return [out[i] for i in range(len(hypotheses))]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from hashlib import sha256
 
 import numpy as np
@@ -37,7 +36,8 @@ from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import BETWEEN_STEPS, in_turn, with_fixed
 from pytest_twin.effects.base import Effect, Values
-from pytest_twin.realization.forks import free_cores, in_forks
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores
 
 _IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *BETWEEN_STEPS)
 _CLOSEST = 16
@@ -310,7 +310,7 @@ class Linear:
                 for start, _ in grid(t)
             ])  # fmt: skip
         order = sorted(by_effect, key=_slow, reverse=True)
-        found = in_forks([partial(self._of_effect, by_effect[e]) for e in order], cores)
+        found = Forks(cores).map(self._of_effect, [by_effect[e] for e in order])
         of = dict(zip(order, found, strict=True))
         return [response for effect in by_effect for response in of[effect]]
 

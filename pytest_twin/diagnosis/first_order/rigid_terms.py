@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain
 
 import mujoco
@@ -17,7 +16,8 @@ from pytest_twin.effects.base import Effect, ModelFields, Values
 from pytest_twin.effects.rigid_body import InertialParameters, Payload
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.spared import unclocked
-from pytest_twin.realization.forks import free_cores, in_forks
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores
 from pytest_twin.realization.quiet import quiet
 
 _EVERY = 0.02
@@ -119,7 +119,7 @@ def rigid_terms(
 
     if cores > 1:
         simulator.models.warm(rows, effects)
-    return list(chain(*in_forks([partial(terms, i) for i in range(0, copies, per)], cores)))
+    return list(chain(*Forks(cores).map(terms, range(0, copies, per))))
 
 
 def slopes(

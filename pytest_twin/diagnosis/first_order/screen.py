@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.first_order.responses import Response
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
-from pytest_twin.realization.forks import in_forks
+from pytest_twin.realization.executor import Forks
 
 _RIDGE = 1e-8
 _SWAPS = 4
@@ -418,8 +418,8 @@ class Search:
         check()
         parents = [s for s in level if len(s.chosen) < self.most]
         lens.answers.take_products(i for s in parents for i in s.chosen)
-        tasks = [partial(lens.children, s, count) for s in parents]
-        wanted = {frozenset(c): c for each in in_forks(tasks, self.cores) for c in each}
+        children = Forks(self.cores).map(partial(lens.children, count=count), parents)
+        wanted = {frozenset(c): c for each in children for c in each}
         new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
         lens.answers.take_products(i for chosen in new.values() for i in chosen)
         self._seen |= {key: lens.structure(chosen) for key, chosen in new.items()}
