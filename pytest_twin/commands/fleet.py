@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.commands import json_output
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic, yaml
@@ -181,6 +182,7 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
         },
     }
     atomic.write_text(out / FLEET_FILE, json.dumps(said, indent=2) + "\n")
+    json_output.give(args, said)
     width = max(len(o.name) for o in outcomes)
     for o in outcomes:
         words = o.verdict or f"not diagnosed: {o.error}"

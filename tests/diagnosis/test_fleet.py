@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -15,6 +16,7 @@ from two_pendulums import case
 
 from pytest_twin.commands.fleet import Options, Outcome, Robot, diagnose_fleet, read_fleet
 from pytest_twin.errors import SpecError
+from pytest_twin.formats.schema import load_schema
 
 
 def pytest_twin(*words: object) -> subprocess.CompletedProcess[str]:
@@ -33,7 +35,9 @@ def test_each_robot_gets_a_folder_and_a_bad_one_stops_no_other(tmp_path: Path) -
         "diagnose", "--fleet", tmp_path / "fleet.yaml", "--out", tmp_path / "out", "--jobs", 2
     )
     assert done.returncode == 2, done.stderr
-    robots = json.loads((tmp_path / "out" / "fleet.json").read_text())["robots"]
+    said = json.loads((tmp_path / "out" / "fleet.json").read_text())
+    jsonschema.validate(said, load_schema("results/fleet.schema.json"))
+    robots = said["robots"]
     assert robots["good"]["verdict"] == "no_mismatch"
     assert (tmp_path / "out" / "good" / "diagnosis.json").is_file()
     assert robots["bad"]["verdict"] is None

@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -34,6 +35,7 @@ from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
 from pytest_twin.diagnosis.unnamed_law.tested import laws_left, on_test
 from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
+from pytest_twin.formats.schema import load_schema
 from pytest_twin.realization import load
 from pytest_twin.report.finding_words import finding_sentence
 from pytest_twin.report.law_plot import law_figure
@@ -187,6 +189,8 @@ def test_a_law_is_tested_written_read_and_replayed(tmp_path: Path) -> None:
     assert tested.tested.errors[JOINT].after < 0.2 * tested.tested.errors[JOINT].before
     (said,) = tested.findings_json
     assert (said["effect"], said["joint"]) == ("unnamed_law", JOINT)
+    of_finding = load_schema("results/diagnosis.schema.json")["properties"]["findings"]["items"]
+    jsonschema.validate(said, of_finding)
     assert said["law"]["variable"] == "position"
     assert len(said["law"]["knots"]) == len(said["law"]["values"]) == len(said["law"]["band"])
     low, high = said["parameters"]["peak_force"]["ci95"]

@@ -131,6 +131,8 @@ def _at_joint(
     problem: Problem, hypothesis: Hypothesis, data: Data
 ) -> tuple[Chosen, Fitted, list[Chosen]] | str:
     """The tables, or why there are none."""
+    if not np.isfinite(data.residual).all():
+        return "the simulation with the findings diverges in places"
     ranking = ranked(data)
     if not ranking:
         return "nothing that a force may depend on varies in the recordings"

@@ -118,7 +118,9 @@ def ranked(data: Data) -> list[Chosen]:
     """One table over each variable, the best first, over a narrow range where it acts in one."""
     singles = []
     for covariate in covariates(data.linear, data.joint):
-        singles.append(judged(data, [covariate], data.responses(covariate)))
+        responses = data.responses(covariate)
+        if np.isfinite(responses).all() and responses.any():
+            singles.append(judged(data, [covariate], responses))
     order = sorted(singles, key=_error)
     for one in order[:_FOREMOST]:
         narrow = _narrowed(one.tables[0], one.coefficients)
