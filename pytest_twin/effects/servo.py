@@ -164,21 +164,21 @@ class IntegralGain(Effect):
 class ControlPeriod(Effect):
     """A sampled servo: it reads its encoder once per period and holds its effort until the next.
 
-    The velocity is the difference of two readings divided by the period. Periods are counted from
-    the start of the recording; the true phase is unknown and matters by half a period at most.
+    The velocity is the difference of two readings divided by the period. When a recording begins
+    within a period is unknown. The law is therefore the mean over all phases: a recording shows
+    the delay that sampling adds, not the steps of the effort.
     """
 
     id = "control_period"
     family = "actuation"
     law = (
-        "effort(t) = gain setpoint(s) - stiffness q(s) - damping (q(s) - q(s - period)) / period; "
-        "s = period floor(t / period - computing_delay)"
+        "effort(t) = mean over s of gain setpoint(s) - stiffness q(s) "
+        "- damping (q(s) - q(s - period)) / period; "
+        "t - (1 + computing_delay) period <= s <= t - computing_delay period"
     )
     source = "zero-order hold; Franklin, Powell, Workman, Digital Control (1998), ch. 4 and 5"
     parameters = (
-        Parameter(
-            "period", "time", 0.0, 0.0, 0.04, (0.005, 0.015), meaning="control period"
-        ),
+        Parameter("period", "time", 0.0, 0.0, 0.04, (0.005, 0.015), meaning="control period"),
         Parameter(
             "computing_delay", "one", None, 0.0, 2.0, (0.0, 1.0),
             meaning="computing delay in control periods",
@@ -208,101 +208,80 @@ class ControlPeriod(Effect):
             longest = float(np.where(acts, delay + 2.0 * period, 0.0).max())
             past = world.state[self.id] = _Past.at(world, longest)
         past.add(world)
-        first, share, rest = _samples(world.time[:, None], world.timestep, period, delay)
-        effort = share * self._effort(world, past, first, period)
-        effort += (1.0 - share) * self._effort(world, past, rest, period)
+        now, one, two = (past.position(delay + k * period) for k in range(3))
+        setpoint = past.setpoint(delay) - past.setpoint(delay + period)
+        position, change = now - one, now - 2.0 * one + two
+        effort = (
+            world.offset
+            + (world.gain * setpoint - world.stiffness * position - world.damping * change / period)
+            / period
+        )
+        effort = within(effort, world.lower, world.upper)
         # The control law at the present state asks for the effort that is held.
         more = effort - world.asked(world.motor_position, world.motor_velocity)
         world.setpoint = np.where(acts, world.setpoint + _per_gain(more, world), world.setpoint)
 
-    @staticmethod
-    def _effort(world: World, past: _Past, ago: FloatArray, period: FloatArray) -> FloatArray:
-        """Effort of the sample that was taken (rows, joints) ``ago``, s, within the limits."""
-        position, setpoint = past.position(ago), past.setpoint(ago)
-        velocity = (position - past.position(ago + period)) / period
-        effort = (
-            world.gain * setpoint - world.stiffness * position - world.damping * velocity
-            + world.offset
-        )  # fmt: skip
-        return within(effort, world.lower, world.upper)
-
-
-def _samples(
-    time: FloatArray, step: float, period: FloatArray, delay: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Samples that a sampled servo uses in the step around ``time``.
-
-    The engine evaluates the control law once a step, at the state of ``time``. A step therefore
-    counts as the time from half a step before to half a step after. Without a period the sampled
-    servo then is the engine's.
-
-    Returns:
-        How long ago the sample in use at the beginning was taken, s; the share of the step that it
-        stays in use; and how long ago, on average, the samples of the rest of the step are taken.
-    """
-    # A rounding error must not move the last sample by a period.
-    begin = time - 0.5 * step
-    last = np.floor((begin - delay) / period + 1e-9) * period
-    until = last + period + delay - begin
-    share = np.minimum(until / step, 1.0)
-    left = np.maximum(step - until, 0.0)
-    whole = np.floor(left / period)
-    behind = period * whole * (left - 0.5 * period * (whole + 1.0))
-    mean = np.where(left > 0.0, behind / np.maximum(left, 1e-12), 0.0)
-    return time - last, share, time - last - period - mean
-
 
 @dataclass(slots=True)
 class _Past:
-    """Positions and setpoints of the last steps.
+    """Integrals of positions and setpoints over time, for the last steps.
 
     Attributes:
-        steps: how many are kept.
         timestep: s.
         count: steps so far.
         positions, setpoints: (steps, rows, joints), step ``k`` at ``k % steps``.
-        velocity: (rows, joints) of the last step.
+        areas, sums: their integrals up to the beginning of each step.
     """
 
-    steps: int
     timestep: float
     count: int
     positions: FloatArray
     setpoints: FloatArray
-    velocity: FloatArray
+    areas: FloatArray
+    sums: FloatArray
 
     @classmethod
     def at(cls, world: World, longest: float) -> _Past:
-        """A past of ``longest`` s in which the joints moved evenly."""
-        steps = int(np.ceil(longest / world.timestep)) + 3
-        # Step -1 is the last one before the present.
-        ago = (steps - np.arange(steps, dtype=np.float64))[:, None, None] * world.timestep
+        """A past of ``longest`` s in which the joints moved evenly under the same setpoint."""
+        step = world.timestep
+        steps = int(np.ceil(longest / step)) + 3
+        ago = step * (steps - np.arange(steps, dtype=np.float64))[:, None, None]
+        position, velocity = world.motor_position, world.motor_velocity
         return cls(
-            steps, world.timestep, 0, world.motor_position - ago * world.motor_velocity,
-            np.tile(world.setpoint, (steps, 1, 1)), world.motor_velocity,
+            step, 0, position - ago * velocity, np.tile(world.setpoint, (steps, 1, 1)),
+            0.5 * ago**2 * velocity - ago * position, -ago * world.setpoint,
         )  # fmt: skip
 
     def add(self, world: World) -> None:
         """Add the present step."""
-        at = self.count % self.steps
-        self.positions[at], self.setpoints[at] = world.motor_position, world.setpoint
-        self.velocity = world.motor_velocity.copy()
+        steps, step = len(self.positions), self.timestep
+        at, last = self.count % steps, (self.count - 1) % steps
+        position = world.motor_position
+        self.areas[at] = self.areas[last] + 0.5 * step * (self.positions[last] + position)
+        self.sums[at] = self.sums[last] + step * self.setpoints[last]
+        self.positions[at], self.setpoints[at] = position, world.setpoint
         self.count += 1
 
     def position(self, ago: FloatArray) -> FloatArray:
-        """(rows, joints) positions so long ago, s; a little ahead if negative."""
-        steps = np.maximum(ago / self.timestep, 0.0)
-        whole = steps.astype(np.int64)
-        here, before = self._of(self.positions, whole), self._of(self.positions, whole + 1)
-        ahead: FloatArray = here + (steps - whole) * (before - here)
-        return ahead + self.velocity * np.maximum(-ago, 0.0)
+        """(rows, joints) integral of the position until so long ago, s."""
+        whole = np.ceil(ago / self.timestep).astype(np.int64)
+        since = whole * self.timestep - ago
+        before = self._of(self.positions, whole)
+        rise = self._of(self.positions, np.maximum(whole - 1, 0)) - before
+        inside = before + 0.5 * rise * since / self.timestep
+        return self._of(self.areas, whole) + inside * since
 
     def setpoint(self, ago: FloatArray) -> FloatArray:
-        """(rows, joints) setpoints of the nearest steps so long ago, s."""
-        steps = np.floor(np.maximum(ago / self.timestep, 0.0) + 0.5)
-        return self._of(self.setpoints, steps.astype(np.int64))
+        """(rows, joints) integral of the setpoint until so long ago, s.
+
+        The engine holds the setpoint of a step from half a step before to half a step after.
+        """
+        back = ago - 0.5 * self.timestep
+        whole = np.maximum(np.ceil(back / self.timestep), 0.0).astype(np.int64)
+        since = whole * self.timestep - back
+        return self._of(self.sums, whole) + self._of(self.setpoints, whole) * since
 
     def _of(self, kept: FloatArray, back: NDArray[np.int64]) -> FloatArray:
-        at = (self.count - 1 - back) % self.steps
+        at = (self.count - 1 - back) % len(kept)
         found: FloatArray = np.take_along_axis(kept, at[None], axis=0)[0]
         return found
