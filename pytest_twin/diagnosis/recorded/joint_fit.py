@@ -1,0 +1,246 @@
+"""A quick fit of the parameters that every joint has, to the measured positions alone.
+
+It is no diagnosis: it lets the smooth physics of all joints be wrong, so that a question about the
+recording is not answered by an error of the model. All joints are perturbed together, and each
+joint's own motion gives its slopes: the cost does not grow with their number, and what couples them
+is corrected by the next iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import effective_samples
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term, effect_values
+from pytest_twin.diagnosis.problem import Problem, corrected
+
+PRIORS: dict[tuple[str, str], float] = {
+    ("command_delay", "delay"): 0.02,
+    ("actuator_lag", "time_constant"): 0.02,
+    ("controller_gain", "stiffness_error"): 0.3,
+    ("controller_gain", "damping_error"): 0.3,
+    ("viscous_friction", "coefficient"): 0.5,
+    ("coulomb_friction", "coulomb"): 0.5,
+    ("armature", "inertia"): 0.3,
+    ("joint_spring", "stiffness"): 0.3,
+    ("encoder_bias", "bias"): 0.03,
+}
+"""Effect and parameter -> standard deviation of its prior around the model's value, in the scale of
+the parameter (s, 1, or the joint's typical damping, effort, inertia and stiffness, or rad). Wide:
+they hold back only what the recordings do not show."""
+DELAY = list(PRIORS).index(("command_delay", "delay"))
+_ITERATIONS = 8
+# Shares of a Gauss-Newton step that are tried.
+_STEPS = (1.0, 0.3)
+# Gain of the log-posterior, per joint, under which a fit has converged.
+_GAIN = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """Parameters of all joints at their optimum, and what they leave.
+
+    Attributes:
+        residual: (samples, joints) of the fit's segments, rad or m.
+        slopes: (samples, parameters, joints) of the prediction per parameter, each joint by itself.
+        theta: (parameters, joints) in the parameters' scales, in the order of :data:`PRIORS`.
+        log_posterior: of all joints.
+        converged: whether another step would gain nothing.
+    """
+
+    residual: FloatArray
+    slopes: FloatArray
+    theta: FloatArray
+    log_posterior: float
+    converged: bool
+
+
+@dataclass(slots=True)
+class _State:
+    theta: FloatArray
+    residual: FloatArray
+    score: float
+    converged: bool = False
+
+
+def fit_joints(
+    problem: Problem,
+    groups: Sequence[NDArray[np.int64]],
+    noise: FloatArray,
+    delays: Sequence[float],
+) -> list[JointFit]:
+    """Fit the smooth parameters of all joints to each group of segments.
+
+    The groups are the same recordings under different assumptions. Slopes are taken where the
+    posterior is highest and used for all of them: what is assumed changes them little. Each fit also
+    tries the parameters of the best, with the delay that the assumptions differ by.
+
+    Args:
+        problem: whose segments take part.
+        groups: segments of each assumption, in the same order of recordings.
+        noise: (joints,) of the encoders, rad or m.
+        delays: s, by which a command acts late on average under each assumption.
+
+    Returns:
+        One fit for each group.
+    """
+    space = _Space(problem, groups, noise)
+    none = np.zeros(space.shape)
+    states = space.states([(i, none) for i in range(len(groups))])
+    while True:
+        best = max(range(len(states)), key=lambda i: states[i].score)
+        slopes = space.slopes(best, states[best])
+        if all(s.converged for s in states) or space.iterations >= _ITERATIONS:
+            break
+        tried = []
+        for i, state in enumerate(states):
+            step = space.step(state, slopes)
+            tried += [(i, state.theta + share * step) for share in _STEPS]
+            if i != best:
+                other = states[best].theta.copy()
+                other[DELAY] += delays[best] - delays[i]
+                tried.append((i, other))
+        found = space.states(tried)
+        for i, state in enumerate(states):
+            mine = [f for f, (at, _) in zip(found, tried, strict=True) if at == i]
+            better = max(mine, key=lambda f: f.score)
+            better.converged = better.score < state.score + _GAIN * space.shape[1]
+            state.converged = True
+            states[i] = better if better.score > state.score else state
+    return [JointFit(s.residual, slopes, s.theta, s.score, s.converged) for s in states]
+
+
+class _Space:
+    """The parameters of all joints: their terms, bounds and priors."""
+
+    def __init__(
+        self, problem: Problem, groups: Sequence[NDArray[np.int64]], noise: FloatArray
+    ) -> None:
+        self.problem, self.groups, self.noise = problem, groups, noise
+        self.lengths = problem.lengths(groups[0])
+        self.iterations = 0
+        joints = len(problem.joints)
+        effects = list(dict.fromkeys(effect for effect, _ in PRIORS))
+        self.terms = tuple(Term(e, j) for e in effects for j in range(joints))
+        self.rest = np.concatenate([
+            [p.absent if p.neutral is None else p.neutral for p in t.parameters]
+            for t in self.terms
+        ])  # fmt: skip
+        self.shape = (len(PRIORS), joints)
+        self.columns = np.zeros(self.shape, dtype=np.int64)
+        self.lower, self.upper = np.zeros(self.shape), np.zeros(self.shape)
+        self.nudge = np.zeros(len(PRIORS))
+        self.prior = np.array(list(PRIORS.values()))
+        start = np.cumsum([0, *(len(t.parameters) for t in self.terms)])
+        model, dofs = problem.simulator.segments[0].model, problem.simulator.layout.dof_index
+        own = {
+            "viscous_friction": np.reshape(model.dof_damping[dofs], (joints, -1))[:, 0],
+            "coulomb_friction": np.reshape(model.dof_frictionloss[dofs], (joints, -1))[:, 0],
+        }
+        for k, (effect, name) in enumerate(PRIORS):
+            for j in range(joints):
+                term = Term(effect, j)
+                at = next(i for i, p in enumerate(term.parameters) if p.name == name)
+                p = term.parameters[at]
+                self.columns[k, j] = start[self.terms.index(term)] + at
+                self.lower[k, j], self.upper[k, j] = p.lower, p.upper
+                self.nudge[k] = p.step
+                if effect in own:
+                    # The model's own value and the parameter together are not negative.
+                    least = -float(own[effect][j]) / problem.scales.value(p, j)
+                    self.lower[k, j] = max(p.lower, least)
+
+    def states(self, tried: Sequence[tuple[int, FloatArray]]) -> list[_State]:
+        """What parameters leave, (group, (parameters, joints)) each; one batch."""
+        inside = [(i, np.clip(theta, self.lower, self.upper)) for i, theta in tried]
+        return [
+            self._state(theta, residual)
+            for (_, theta), residual in zip(inside, self._residuals(inside), strict=True)
+        ]
+
+    def _state(self, theta: FloatArray, residual: FloatArray) -> _State:
+        if not np.isfinite(residual).all():
+            return _State(theta, residual, -np.inf)
+        effective = effective_samples(residual, self.lengths)
+        square = np.maximum(np.mean(residual**2, axis=0), self.noise**2)
+        held_back = float(np.sum((theta / self.prior[:, None]) ** 2))
+        score = -0.5 * (float(np.sum(effective * np.log(square))) + held_back)
+        return _State(theta, residual, score)
+
+    def _residuals(self, tried: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
+        """(samples, joints) measured less predicted positions, rad or m."""
+        problem = self.problem
+        rows = np.concatenate([self.groups[i] for i, _ in tried])
+        each = [
+            h
+            for i, theta in tried
+            for h in [self.hypothesis(theta)] * len(self.groups[i])
+        ]  # fmt: skip
+        values = effect_values(each, len(problem.joints), problem.scales)
+        parts = []
+        for row, p in zip(rows, problem.simulator.simulate(rows, values), strict=True):
+            error, start = problem.defect.get(int(row)), problem.starts.get(int(row))
+            read = p if error is None else corrected(p, error)
+            off = problem.simulator.segments[row].position - read.position
+            off = off if start is None else start.freed(off)
+            parts.append(off * problem.trust.get(int(row), 1.0))
+        ends = np.cumsum([0, *(len(self.groups[i]) for i, _ in tried)])
+        return [
+            np.concatenate(parts[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)
+        ]
+
+    def hypothesis(self, theta: FloatArray) -> Hypothesis:
+        """All terms, with (parameters, joints) in their scales."""
+        values = self.rest.copy()
+        values[self.columns] = theta
+        return Hypothesis(self.terms, values)
+
+    def slopes(self, group: int, state: _State) -> FloatArray:
+        """(samples, parameters, joints); all joints are perturbed together."""
+        self.iterations += 1
+        moved = []
+        for k, nudge in enumerate(self.nudge):
+            theta = state.theta.copy()
+            theta[k] += nudge
+            moved.append((group, theta))
+        changes = [
+            (state.residual - residual) / nudge
+            for residual, nudge in zip(self._residuals(moved), self.nudge, strict=True)
+        ]
+        return np.nan_to_num(np.stack(changes, axis=1))
+
+    def step(self, state: _State, slopes: FloatArray) -> FloatArray:
+        """(parameters, joints) bounded Gauss-Newton step, each joint by itself."""
+        step = np.zeros(self.shape)
+        for j in range(self.shape[1]):
+            step[:, j] = bounded_step(
+                slopes[:, :, j], state.residual[:, j], state.theta[:, j], self.prior,
+                (self.lower[:, j], self.upper[:, j]), self.noise[j],
+            )  # fmt: skip
+        return step
+
+
+def bounded_step(
+    slopes: FloatArray,
+    residual: FloatArray,
+    theta: FloatArray,
+    prior: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+    noise: float,
+) -> FloatArray:
+    """(parameters,) change that leaves least of (samples,) residuals, held back by the prior."""
+    variance = max(noise**2, float(np.mean(residual**2)))
+    normal = slopes.T @ slopes / variance + np.diag(prior**-2)
+    right = slopes.T @ residual / variance - theta / prior**2
+    # The factor has as many rows as there are parameters, and the same bounded minimum.
+    factor = np.linalg.cholesky(normal)
+    lower = np.minimum(bounds[0] - theta, -1e-12)
+    upper = np.maximum(bounds[1] - theta, 1e-12)
+    found: FloatArray = lsq_linear(factor.T, np.linalg.solve(factor, right), (lower, upper)).x
+    return found
