@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem, corrected
 
@@ -27,6 +26,7 @@ PRIORS: dict[tuple[str, str], float] = {
     ("controller_gain", "damping_error"): 0.3,
     ("viscous_friction", "coefficient"): 0.5,
     ("coulomb_friction", "coulomb"): 0.5,
+    ("dead_zone", "width"): 0.1,
     ("armature", "inertia"): 0.3,
     ("joint_spring", "stiffness"): 0.3,
     ("encoder_bias", "bias"): 0.03,
@@ -35,11 +35,15 @@ PRIORS: dict[tuple[str, str], float] = {
 the parameter (s, 1, or the joint's typical damping, effort, inertia and stiffness, or rad). Wide:
 they hold back only what the recordings do not show."""
 DELAY = list(PRIORS).index(("command_delay", "delay"))
-_ITERATIONS = 8
-# Shares of a Gauss-Newton step that are tried.
-_STEPS = (1.0, 0.3)
+_ITERATIONS = 7
+# Dampings of Levenberg and Marquardt that are tried, shares of each parameter's own curvature.
+_DAMPINGS = (1e-4, 1e-1)
 # Gain of the log-posterior, per joint, under which a fit has converged.
-_GAIN = 0.5
+_GAIN = 1.0
+# Noises at which a fit leaves noise alone, and at which it leaves far more.
+_AT_NOISE, _FAR = 1.1, 3.0
+# Samples of a trajectory's residual that count as one while it is fitted: it is smooth until then.
+_SMOOTH_SAMPLES = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +52,7 @@ class JointFit:
 
     Attributes:
         residual: (samples, joints) of the fit's segments, rad or m.
+        nominal: the same with the model's own parameters.
         slopes: (samples, parameters, joints) of the prediction per parameter, each joint by itself.
         theta: (parameters, joints) in the parameters' scales, in the order of :data:`PRIORS`.
         log_posterior: of all joints.
@@ -55,6 +60,7 @@ class JointFit:
     """
 
     residual: FloatArray
+    nominal: FloatArray
     slopes: FloatArray
     theta: FloatArray
     log_posterior: float
@@ -70,10 +76,7 @@ class _State:
 
 
 def fit_joints(
-    problem: Problem,
-    groups: Sequence[NDArray[np.int64]],
-    noise: FloatArray,
-    delays: Sequence[float],
+    space: Parameters, delays: Sequence[float]
 ) -> list[JointFit]:
     """Fit the smooth parameters of all joints to each group of segments.
 
@@ -82,26 +85,26 @@ def fit_joints(
     tries the parameters of the best, with the delay that the assumptions differ by.
 
     Args:
-        problem: whose segments take part.
-        groups: segments of each assumption, in the same order of recordings.
-        noise: (joints,) of the encoders, rad or m.
+        space: of the parameters, with the segments of each assumption.
         delays: s, by which a command acts late on average under each assumption.
 
     Returns:
         One fit for each group.
     """
-    space = _Space(problem, groups, noise)
     none = np.zeros(space.shape)
-    states = space.states([(i, none) for i in range(len(groups))])
+    states = space.states([(i, none) for i in range(len(space.groups))])
+    nominal = [s.residual for s in states]
     while True:
         best = max(range(len(states)), key=lambda i: states[i].score)
         slopes = space.slopes(best, states[best])
-        if all(s.converged for s in states) or space.iterations >= _ITERATIONS:
+        if space.iterations >= _ITERATIONS or _settled(states, space.noise):
             break
         tried = []
         for i, state in enumerate(states):
-            step = space.step(state, slopes)
-            tried += [(i, state.theta + share * step) for share in _STEPS]
+            tried += [
+                (i, state.theta + space.step(state.theta, state.residual, slopes, damping))
+                for damping in _DAMPINGS
+            ]
             if i != best:
                 other = states[best].theta.copy()
                 other[DELAY] += delays[best] - delays[i]
@@ -113,17 +116,35 @@ def fit_joints(
             better.converged = better.score < state.score + _GAIN * space.shape[1]
             state.converged = True
             states[i] = better if better.score > state.score else state
-    return [JointFit(s.residual, slopes, s.theta, s.score, s.converged) for s in states]
+    return [
+        JointFit(s.residual, before, slopes, s.theta, s.score, s.converged)
+        for s, before in zip(states, nominal, strict=True)
+    ]
 
 
-class _Space:
-    """The parameters of all joints: their terms, bounds and priors."""
+def _settled(states: Sequence[_State], noise: FloatArray) -> bool:
+    """Whether no fit is worth another step: it has converged, leaves noise alone, or leaves far
+    more than one that does.
+    """
+    levels = [np.sqrt(np.mean(s.residual**2, axis=0)) / noise for s in states]
+    fits = [bool((level <= _AT_NOISE).all()) for level in levels]
+    far = [any(fits) and bool((level >= _FAR).any()) for level in levels]
+    return all(s.converged or f or o for s, f, o in zip(states, fits, far, strict=True))
+
+
+class Parameters:
+    """The parameters of all joints: their terms, bounds and priors.
+
+    Args:
+        problem: whose segments take part; its efforts are not used.
+        groups: segments of each assumption, in the same order of recordings.
+        noise: (joints,) of the encoders, rad or m.
+    """
 
     def __init__(
         self, problem: Problem, groups: Sequence[NDArray[np.int64]], noise: FloatArray
     ) -> None:
         self.problem, self.groups, self.noise = problem, groups, noise
-        self.lengths = problem.lengths(groups[0])
         self.iterations = 0
         joints = len(problem.joints)
         effects = list(dict.fromkeys(effect for effect, _ in PRIORS))
@@ -167,10 +188,10 @@ class _Space:
     def _state(self, theta: FloatArray, residual: FloatArray) -> _State:
         if not np.isfinite(residual).all():
             return _State(theta, residual, -np.inf)
-        effective = effective_samples(residual, self.lengths)
-        square = np.maximum(np.mean(residual**2, axis=0), self.noise**2)
+        square = np.mean(residual**2, axis=0) + 0.01 * self.noise**2
         held_back = float(np.sum((theta / self.prior[:, None]) ** 2))
-        score = -0.5 * (float(np.sum(effective * np.log(square))) + held_back)
+        count = len(residual) / _SMOOTH_SAMPLES
+        score = -0.5 * (count * float(np.sum(np.log(square))) + held_back)
         return _State(theta, residual, score)
 
     def _residuals(self, tried: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
@@ -201,6 +222,12 @@ class _Space:
         values[self.columns] = theta
         return Hypothesis(self.terms, values)
 
+    def value(self, theta: FloatArray, effect: str, joint: int) -> float:
+        """The parameter of an effect at a joint, SI units."""
+        k = next(i for i, (name, _) in enumerate(PRIORS) if name == effect)
+        parameter = next(p for p in Term(effect, joint).parameters if p.name == list(PRIORS)[k][1])
+        return float(theta[k, joint] * self.problem.scales.value(parameter, joint))
+
     def slopes(self, group: int, state: _State) -> FloatArray:
         """(samples, parameters, joints); all joints are perturbed together."""
         self.iterations += 1
@@ -215,13 +242,15 @@ class _Space:
         ]
         return np.nan_to_num(np.stack(changes, axis=1))
 
-    def step(self, state: _State, slopes: FloatArray) -> FloatArray:
-        """(parameters, joints) bounded Gauss-Newton step, each joint by itself."""
+    def step(
+        self, theta: FloatArray, residual: FloatArray, slopes: FloatArray, damping: float = 0.0
+    ) -> FloatArray:
+        """(parameters, joints) bounded and damped Gauss-Newton step, each joint by itself."""
         step = np.zeros(self.shape)
         for j in range(self.shape[1]):
             step[:, j] = bounded_step(
-                slopes[:, :, j], state.residual[:, j], state.theta[:, j], self.prior,
-                (self.lower[:, j], self.upper[:, j]), self.noise[j],
+                slopes[:, :, j], residual[:, j], theta[:, j], self.prior,
+                (self.lower[:, j], self.upper[:, j]), self.noise[j], damping,
             )  # fmt: skip
         return step
 
@@ -233,12 +262,14 @@ def bounded_step(
     prior: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
     noise: float,
+    damping: float = 0.0,
 ) -> FloatArray:
     """(parameters,) change that leaves least of (samples,) residuals, held back by the prior."""
     variance = max(noise**2, float(np.mean(residual**2)))
     normal = slopes.T @ slopes / variance + np.diag(prior**-2)
     right = slopes.T @ residual / variance - theta / prior**2
     # The factor has as many rows as there are parameters, and the same bounded minimum.
+    normal += damping * np.diag(np.diag(normal))
     factor = np.linalg.cholesky(normal)
     lower = np.minimum(bounds[0] - theta, -1e-12)
     upper = np.maximum(bounds[1] - theta, 1e-12)
