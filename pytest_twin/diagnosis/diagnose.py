@@ -22,6 +22,7 @@ from pytest_twin.diagnosis.other_unit import without_other_units
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.rivals import Selected
@@ -92,6 +93,7 @@ class Diagnosis:
         roles: which recordings were fitted, validated, and held out.
         trace: every step of the search.
         cost: computing time.
+        settled: what the recordings are.
     """
 
     verdict: Verdict
@@ -106,6 +108,7 @@ class Diagnosis:
     roles: Roles
     trace: Trace
     cost: Cost
+    settled: Settled
 
     @property
     def has_held_out(self) -> bool:
@@ -146,6 +149,9 @@ class Diagnosis:
             },
             "realization": realization,
             "trials": self._trials(),
+            "recordings": self.settled.to_json(
+                [*self.tested.trials.fit, *self.tested.trials.held_out]
+            ),
             "notes": list(self.notes),
             "search_trace": self.trace.to_json(),
             "cost": self.cost.to_json(),
@@ -199,6 +205,8 @@ def diagnose(
     """
     since = time.perf_counter()
     run = Run() if run is None else run
+    settled = settle(Given.of(realization, inherited, threads), roles_of(trials).of_search)
+    trials = settled.applied(trials)
     roles = roles_of(trials)
     for i, trial in enumerate(roles.test):
         # What a recording asks of the model is missing now, not after a search of minutes.
@@ -222,12 +230,13 @@ def diagnose(
     notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *free.notes, *step]
     notes += not_tried(run)
     progress(0.94)
-    for problem in assessed.problems:
+    for problem in (*settled.problems, *assessed.problems):
         run.budget.add(problem)
+    explained = with_doubt(assessed.explained, settled.doubted(roles.of_search.fit))
     return Diagnosis(
-        tested.verdict, assessed.explained, free.tested.errors, left, tuple(dict.fromkeys(notes)),
+        tested.verdict, explained, free.tested.errors, left, tuple(dict.fromkeys(notes)),
         structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
-        cost(run.budget, since),
+        cost(run.budget, since), settled,
     )  # fmt: skip
 
 

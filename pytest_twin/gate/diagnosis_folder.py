@@ -64,6 +64,7 @@ def write_diagnosis(
             inherited,
             found.prepared.coldness,
             found.prepared.substeps,
+            found.settled.found_between,
         )
     said = found.to_json(realization=f"{REALIZATION}/")
     atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")

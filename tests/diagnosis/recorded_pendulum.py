@@ -188,7 +188,7 @@ def record(
 
 
 def cell(
-    folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3, 4), seconds: float = 4.0
+    folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3), seconds: float = 2.5
 ) -> tuple[Path, list[Path]]:
     """The model and recordings, the last of them held out."""
     folder.mkdir(parents=True, exist_ok=True)

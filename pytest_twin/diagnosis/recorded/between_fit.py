@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.prepare import NOISE
 from pytest_twin.diagnosis.recorded.command_between import (
@@ -23,7 +22,7 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
-_SECONDS, _MOST = 4.0, 4
+_SECONDS, _MOST = 2.5, 3
 """s of each recording, from its first change of command, and recordings: enough to tell 2 ms from
 none at the noise of an encoder, at a tenth of the cost of all."""
 _BEFORE = 0.2
@@ -46,29 +45,32 @@ class BetweenFit:
     joints: tuple[str, ...]
 
 
-def fit_between(given: Given, trials: Sequence[Trial]) -> BetweenFit:
+def fit_between(
+    given: Given, trials: Sequence[Trial], ways: Sequence[CommandBetween] = COMMAND_BETWEEN
+) -> BetweenFit:
     """Ask recordings of one command period what their commands do between stamps.
 
     Args:
         given: the model.
-        trials: recordings that do not say it.
+        trials: the recordings.
+        ways: what their commands may do.
 
     Raises:
         TwinError: as :func:`~pytest_twin.diagnosis.searched.pose`.
     """
     chosen = _liveliest(trials)
     asked = tuple(
-        replace(t, command_between=between, effort=None) for between in COMMAND_BETWEEN for t in chosen
+        replace(t, command_between=between, effort=None) for between in ways for t in chosen
     )
     prepared, kept = pose(given, TrialSet(asked, (), ()), [])
     problem, noise = prepared.problem, prepared.floor_parts[NOISE]
     of = [(t.command_between, t.path, t.offset) for t in kept.fit]
     common = [
         (t.path, t.offset) for t in chosen
-        if all((b, t.path, t.offset) in of for b in COMMAND_BETWEEN)
+        if all((b, t.path, t.offset) in of for b in ways)
     ]  # fmt: skip
     groups, owner = [], list[int]()
-    for between in COMMAND_BETWEEN:
+    for between in ways:
         mine = [
             (common.index(of[t][1:]), s)
             for s, t in enumerate(prepared.segment_trial)
@@ -78,23 +80,20 @@ def fit_between(given: Given, trials: Sequence[Trial]) -> BetweenFit:
         owner = [r for r, _ in mine]
     period = float(np.median([np.median(np.diff(t.command_times)) for t in chosen]))
     space = Parameters(problem, groups, noise)
-    fits = fit_joints(space, [period * MEAN_DELAY[b] for b in COMMAND_BETWEEN])
+    fits = fit_joints(space, [period * MEAN_DELAY[b] for b in ways])
     lengths = problem.lengths(groups[0])
     left = {
-        between: _left(fit, space, lengths, owner)
-        for between, fit in zip(COMMAND_BETWEEN, fits, strict=True)
+        between: _left(fit, space, lengths, owner) for between, fit in zip(ways, fits, strict=True)
     }
     answer = decide(left, lengths, owner, noise, period)
-    used: CommandBetween = "held"
-    for between in COMMAND_BETWEEN:
-        if answer.fact.value == between:
-            used = between
-    at = COMMAND_BETWEEN.index(used)
+    used = [i for i, b in enumerate(ways) if b == (answer.fact.value or "held")]
+    at = used[0]
     return BetweenFit(answer, fits[at], space, problem.joints)
 
 
 def _liveliest(trials: Sequence[Trial]) -> list[Trial]:
     """The beginnings of the recordings whose commands move most."""
+
     def moved(trial: Trial) -> float:
         return float(np.abs(np.diff(trial.command, axis=0)).sum() / max(trial.duration, 1e-3))
 

@@ -74,6 +74,8 @@ class Between:
         """Range, s, of what a delay found under an assumption may be more under another possible
         one; (0, 0) where the data tell.
         """
+        if len(self.possible) == 1:
+            return 0.0, 0.0
         shifts = [self.period * (MEAN_DELAY[than] - MEAN_DELAY[b]) for b in self.possible]
         return min(0.0, *shifts), max(0.0, *shifts)
 
@@ -118,7 +120,7 @@ def decide(
     if len(possible) == 1:
         confidence = 1.0 - 0.5 * float(np.exp(-min(nats, 20.0) / 2.0))
         return Between(Fact(best, min(confidence, 0.999), "data", words), (best,), period)
-    plain = _by_the_model(usable, possible, rms)
+    plain = _by_the_model(usable, possible, rms, noise)
     if plain is not None:
         words += f"; the model itself needs no correction if commands are {plain}"
         return Between(Fact(plain, _BY_MODEL, "data", words), (plain,), period)
@@ -148,9 +150,7 @@ def _ratio(
     return np.array(found)
 
 
-def _ruled_out(
-    best: Left, other: Left, ratio: FloatArray, noise: FloatArray, later: float
-) -> bool:
+def _ruled_out(best: Left, other: Left, ratio: FloatArray, noise: FloatArray, later: float) -> bool:
     """Whether an alternative is ruled out that acts ``later`` s later on average.
 
     Where the fitted delay lies nearer to that than to none, the alternative lacks a small part of
@@ -169,11 +169,14 @@ def _by_the_model(
     left: Mapping[CommandBetween, Left],
     possible: Sequence[CommandBetween],
     rms: Mapping[CommandBetween, FloatArray],
+    noise: FloatArray,
 ) -> CommandBetween | None:
     """The only assumption under which the model's own parameters explain the recordings as well as
-    any do; None where several do, or none.
+    any do; None where several do, or none, or where all leave more than noise.
     """
     least = np.min([rms[b] for b in possible], axis=0)
+    if (least > _NEAR * noise).any():
+        return None
     alike = [b for b in possible if (left[b].nominal <= _LIKE * least).all()]
     return alike[0] if len(alike) == 1 else None
 

@@ -1,15 +1,14 @@
 """Findings where the recordings cannot tell what commands do between stamps.
 
-A delay is then known no better than the assumptions differ by: half a command period to the setpoint
-that moves on, half a period the other way to one that ramps.
+A delay is then known no better than the assumptions differ by: half a command period to a
+setpoint that moves on, half a period the other way to one that ramps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
-from pytest_twin.diagnosis.findings import Estimate, Finding
+from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
 from pytest_twin.diagnosis.recorded.command_between import Between
 
 _TIMES = {
@@ -26,17 +25,18 @@ _TEST = (
 )
 
 
-def with_doubt(findings: Sequence[Finding], open_: Between | None) -> tuple[Finding, ...]:
-    """Findings whose times have intervals that allow for every possible setpoint.
+def with_doubt(explained: Explained, open_: Between | None) -> Explained:
+    """The same with findings whose times have intervals that allow for every possible setpoint.
 
     Args:
-        findings: fitted with held commands.
+        explained: fitted with held commands.
         open_: the answer that cannot tell; None where commands are known.
     """
     if open_ is None:
-        return tuple(findings)
+        return explained
     less, more = open_.later("held")
-    return tuple(_doubted(f, less, more) if f.effect in _TIMES else f for f in findings)
+    findings = [_doubted(f, less, more) if f.effect in _TIMES else f for f in explained.findings]
+    return replace(explained, findings=tuple(findings))
 
 
 def _doubted(finding: Finding, less: float, more: float) -> Finding:

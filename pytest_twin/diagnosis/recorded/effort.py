@@ -42,7 +42,7 @@ class Law:
     """How well a law explains efforts.
 
     Attributes:
-        left: deviation of what it leaves, N*m or N; of half the samples, so that jumps count little.
+        left: deviation of what it leaves, N*m or N, by the median, so that jumps count little.
         older: s by which the effort is older than its stamp.
         at_once: deviation where it is not older.
     """
@@ -155,9 +155,7 @@ def _lagged(values: FloatArray, lag: float, step: float) -> FloatArray:
     return out
 
 
-def effort_fact(
-    scale: float, demands: Sequence[Law], drives: Sequence[Law], period: float
-) -> Fact:
+def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], period: float) -> Fact:
     """What a logged effort is.
 
     Args:

@@ -8,6 +8,7 @@ is corrected by the next iteration.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -35,7 +36,7 @@ PRIORS: dict[tuple[str, str], float] = {
 the parameter (s, 1, or the joint's typical damping, effort, inertia and stiffness, or rad). Wide:
 they hold back only what the recordings do not show."""
 DELAY = list(PRIORS).index(("command_delay", "delay"))
-_ITERATIONS = 7
+_ITERATIONS = 6
 # Dampings of Levenberg and Marquardt that are tried, shares of each parameter's own curvature.
 _DAMPINGS = (1e-4, 1e-1)
 # Gain of the log-posterior, per joint, under which a fit has converged.
@@ -75,14 +76,12 @@ class _State:
     converged: bool = False
 
 
-def fit_joints(
-    space: Parameters, delays: Sequence[float]
-) -> list[JointFit]:
+def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
     """Fit the smooth parameters of all joints to each group of segments.
 
     The groups are the same recordings under different assumptions. Slopes are taken where the
-    posterior is highest and used for all of them: what is assumed changes them little. Each fit also
-    tries the parameters of the best, with the delay that the assumptions differ by.
+    posterior is highest and used for all of them: what is assumed changes them little. Each fit
+    also tries the parameters of the best, with the delay that the assumptions differ by.
 
     Args:
         space: of the parameters, with the segments of each assumption.
@@ -212,9 +211,7 @@ class Parameters:
             off = off if start is None else start.freed(off)
             parts.append(off * problem.trust.get(int(row), 1.0))
         ends = np.cumsum([0, *(len(self.groups[i]) for i, _ in tried)])
-        return [
-            np.concatenate(parts[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)
-        ]
+        return [np.concatenate(parts[a:b]) for a, b in itertools.pairwise(ends)]
 
     def hypothesis(self, theta: FloatArray) -> Hypothesis:
         """All terms, with (parameters, joints) in their scales."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded.between_fit import BetweenFit, fit_between
 from pytest_twin.diagnosis.recorded.command_between import Between
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
@@ -32,11 +33,13 @@ class Settled:
         between: answers of recordings that do not say it, one for each command period.
         velocity: joint -> how its velocity is logged.
         effort: joint -> where its logged effort comes from.
+        problems: that were simulated for it.
     """
 
     between: tuple[Between, ...] = ()
     velocity: Mapping[str, Fact] = field(default_factory=dict)
     effort: Mapping[str, Fact] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
 
     def applied(self, trials: TrialSet) -> TrialSet:
         """The recordings as they are used from here on, and what a reader has to know.
@@ -112,8 +115,8 @@ class Settled:
 
     def doubted(self, trials: Sequence[Trial]) -> Between | None:
         """The answer that leaves most open, of those that cannot tell."""
-        open_ = [b for t in trials for b in [self._answer(t)]
-                 if b is not None and len(b.possible) > 1 and t.between_source == "assumed"]  # fmt: skip
+        asked = (self._answer(t) for t in trials if t.between_source == "assumed")
+        open_ = [b for b in asked if b is not None and len(b.possible) > 1]
         return max(open_, key=lambda b: b.period, default=None)
 
     def _between_fact(self, trial: Trial) -> Fact:
@@ -146,17 +149,19 @@ def settle(given: Given, trials: TrialSet) -> Settled:
     trials = Settled(velocity=velocity).applied(trials)
     everything = [*trials.fit, *trials.held_out]
     fits = []
-    for group in _by_period(everything):
+    for group in _alike_recordings(everything):
+        declared = group[0].between_source != "assumed"
+        if declared and all(t.effort is None for t in group):
+            continue
+        ways = (group[0].command_between,) if declared else COMMAND_BETWEEN
         try:
-            fits.append((group, fit_between(given, group)))
+            fits.append((group, fit_between(given, group, ways)))
         except TwinError:
             # Whatever these recordings lack, the diagnosis itself says.
             continue
-    between = tuple(
-        f.answer for group, f in fits if any(t.between_source == "assumed" for t in group)
-    )
-    effort = _efforts(everything, fits)
-    return Settled(between, velocity, effort)
+    between = tuple(f.answer for group, f in fits if group[0].between_source == "assumed")
+    problems = tuple(f.space.problem for _, f in fits)
+    return Settled(between, velocity, _efforts(everything, fits), problems)
 
 
 def _efforts(
@@ -189,14 +194,23 @@ def _velocities(trials: Sequence[Trial]) -> dict[str, Fact]:
     return found
 
 
-def _by_period(trials: Sequence[Trial]) -> list[list[Trial]]:
+def _alike_recordings(trials: Sequence[Trial]) -> list[list[Trial]]:
+    """Recordings of one command period that declare the same, or nothing, of their commands."""
     groups: list[list[Trial]] = []
     for trial in sorted(trials, key=_period):
-        if groups and _alike(_period(groups[-1][0]), _period(trial)):
-            groups[-1].append(trial)
+        for group in groups:
+            if _alike(_period(group[0]), _period(trial)) and _declared(group[0]) == _declared(
+                trial
+            ):
+                group.append(trial)
+                break
         else:
             groups.append([trial])
     return groups
+
+
+def _declared(trial: Trial) -> CommandBetween | None:
+    return None if trial.between_source == "assumed" else trial.command_between
 
 
 def _period(trial: Trial) -> float:

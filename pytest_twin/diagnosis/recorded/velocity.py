@@ -63,9 +63,7 @@ def velocity_signal(
     return _derived(time, position, velocity) or _apart(time, position, velocity)
 
 
-def _derived(
-    time: FloatArray, position: FloatArray, velocity: FloatArray
-) -> VelocitySignal | None:
+def _derived(time: FloatArray, position: FloatArray, velocity: FloatArray) -> VelocitySignal | None:
     """A velocity that the logged positions give to within rounding."""
     period = float(np.median(np.diff(time)))
     slope = np.diff(position) / np.diff(time)
