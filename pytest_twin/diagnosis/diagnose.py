@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.other_unit import without_other_units
+from pytest_twin.diagnosis.own_step import with_its_own_step
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
@@ -343,6 +344,11 @@ def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _So
     )
     if other is not None:
         return other
+    simulated = run.attempt(
+        "the integration error of a simulation", partial(with_its_own_step, found, given, run), None
+    )
+    if simulated is not None:
+        given, found = simulated
     near: float | None = None
     if found.astray and (clear.terms or not contact.world.size):
         near = WINDOW

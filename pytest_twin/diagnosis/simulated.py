@@ -105,10 +105,14 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
 
 
 def explains_more(stepped: Searched, found: Searched) -> bool:
-    """Whether a search with the error of a simulation's step left in explains the recordings, and
-    leaves far less than one without.
+    """Whether a search with the error of a simulation's step left in explains the recordings with
+    no more effects than one without, and leaves far less.
     """
     if stepped.verdict not in ("explained", "no_mismatch"):
+        return False
+    mine, others = (s.explained.hypothesis for s in (stepped, found))
+    if mine.more_terms(others) > 0:
+        # An integration error that needs new physics is that physics.
         return False
     less = [e.after / max(found.errors[j].after, 1e-12) for j, e in stepped.errors.items()]
     return max(less) <= 1.0 and min(less) <= _LEFT

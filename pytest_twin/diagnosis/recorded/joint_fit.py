@@ -242,8 +242,12 @@ class Parameters:
     def step(
         self, theta: FloatArray, residual: FloatArray, slopes: FloatArray, damping: float = 0.0
     ) -> FloatArray:
-        """(parameters, joints) bounded and damped Gauss-Newton step, each joint by itself."""
+        """(parameters, joints) bounded and damped Gauss-Newton step, each joint by itself; none
+        where the prediction diverged.
+        """
         step = np.zeros(self.shape)
+        if not np.isfinite(residual).all():
+            return step
         for j in range(self.shape[1]):
             step[:, j] = bounded_step(
                 slopes[:, :, j], residual[:, j], theta[:, j], self.prior,

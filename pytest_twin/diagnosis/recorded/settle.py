@@ -155,7 +155,9 @@ def settle(given: Given, trials: TrialSet) -> Settled:
             continue
         ways = (group[0].command_between,) if declared else COMMAND_BETWEEN
         try:
-            fits.append((group, fit_between(given, group, ways)))
+            # Parameters far off overflow; what is not finite is never the best.
+            with np.errstate(over="ignore", invalid="ignore"):
+                fits.append((group, fit_between(given, group, ways)))
         except TwinError:
             # Whatever these recordings lack, the diagnosis itself says.
             continue
