@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,14 @@ import pytest
 from audited import CLEAN, changed, line_of, robots, write_clean
 
 from pytest_twin.asset.urdf_elements import ENTRIES
+from pytest_twin.audit.read import read
+from pytest_twin.audit.srdf.document import Srdf
 from pytest_twin.audit.srdf.elements import ELEMENTS
 from pytest_twin.audit.srdf.files import srdfs_of
-from pytest_twin.audit.srdf.run import audit_srdf
+from pytest_twin.audit.srdf.run import audit_srdf, check
 from pytest_twin.cli import main
 from pytest_twin.errors import TwinError
+from pytest_twin.realization import urdf
 
 SRDF = """<?xml version="1.0"?>
 <robot name="clean">
@@ -446,3 +451,27 @@ def test_a_panda_as_shipped_is_clean() -> None:
     found = audit_srdf(str(robots() / "panda_description/srdf/panda.srdf"))
     assert found["findings"] == []
     assert found["facts"]["disabled_pairs"] == 35
+
+
+def test_an_srdf_of_many_wrong_pairs_takes_seconds(tmp_path: Path) -> None:
+    pairs = "".join(
+        f'<disable_collisions link1="left_link_{k}" link2="right_link_{k}"/>\n'
+        for k in range(20_000)
+    )
+    text = SRDF.replace("</robot>", pairs + "</robot>")
+    path = tmp_path / "robot.srdf"
+    path.write_text(text)
+    root = urdf.document(path)
+    start = time.process_time()
+    found = check(Srdf(root, read(write_clean(tmp_path))))
+    assert len(found) == 40_000
+    assert time.process_time() - start < 5.0
+
+
+def test_groups_of_groups_are_bounded(tmp_path: Path) -> None:
+    names = [f"g{k}" for k in range(3000)]
+    chain = "".join(f'<group name="{a}"><group name="{b}"/></group>' for a, b in pairwise(names))
+    path = tmp_path / "robot.srdf"
+    path.write_text(SRDF.replace("</robot>", chain + "</robot>"))
+    with pytest.raises(TwinError, match=r"robot.srdf:2: .*too many groups .*at most 2000"):
+        audit_srdf(str(path), str(write_clean(tmp_path)))

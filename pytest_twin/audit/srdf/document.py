@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
-from pytest_twin.audit.asset import Asset
+from pytest_twin.audit.asset import Asset, Mimic
 from pytest_twin.audit.finding import Finding, Place
 from pytest_twin.realization.node import Node
 
@@ -18,6 +18,10 @@ _WHY: dict[Kind, str] = {
     "joint": "MoveIt drops the element, so the group or state lacks this joint",
     "group": "MoveIt drops the element",
 }
+MOST_GROUPS = 2000
+"""Groups of one file: a humanoid has 30. Parts of groups are followed from each of them."""
+_MOST_OFFERED, _MOST_COMPARED = 200, 2000
+"""Unknown names for which a known one is looked for, and names that each is compared with."""
 _FREE_FLYER = "root_joint"
 """What Pinocchio calls the joint of a floating base; its SRDFs name it without declaring it."""
 
@@ -46,6 +50,12 @@ class Srdf:
 
     root: Node
     asset: Asset
+    _offered: dict[tuple[str, Kind], str | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        count = sum(node.tag == "group" for node in self.root.walk())
+        if count > MOST_GROUPS:
+            raise self.root.limit("too many groups", value=count, expected=f"at most {MOST_GROUPS}")
 
     @cached_property
     def links(self) -> frozenset[str]:
@@ -66,6 +76,17 @@ class Srdf:
     def joints(self) -> frozenset[str]:
         """Joints of the URDF, and virtual joints."""
         return frozenset(self.child_of) | frozenset(self.virtual_joints)
+
+    @cached_property
+    def mimic_of(self) -> dict[str, Mimic]:
+        """Joint of the URDF that follows another -> how."""
+        return {mimic.follower: mimic for mimic in self.asset.mimics}
+
+    @cached_property
+    def passive(self) -> frozenset[str]:
+        """Joints that the SRDF calls passive."""
+        nodes = self.root.all("passive_joint")
+        return frozenset(node.attributes.get("name", "") for node in nodes)
 
     @cached_property
     def groups(self) -> dict[str, Node]:
@@ -100,14 +121,14 @@ class Srdf:
 
     def with_subgroups(self, name: str) -> list[str]:
         """The group and all below it that exist, each once."""
-        found, waiting = [name], [name]
+        found, waiting = {name: None}, [name]
         while waiting:
             for child in self.groups[waiting.pop()].all("group"):
                 part = child.attributes.get("name", "")
                 if part in self.groups and part not in found:
-                    found.append(part)
+                    found[part] = None
                     waiting.append(part)
-        return found
+        return list(found)
 
     def _own(self, group: Node) -> tuple[set[str], set[str]]:
         """Joints and links of a group without its subgroups.
@@ -135,6 +156,14 @@ class Srdf:
         """Names of links, of joints or of groups."""
         return {"link": self.links, "joint": self.joints, "group": self.groups}[kind]
 
+    def _nearest(self, name: str, kind: Kind) -> str | None:
+        """The known name that is most like another; None where none is, or many were asked for."""
+        if (name, kind) not in self._offered and len(self._offered) < _MOST_OFFERED:
+            names = sorted(self.known(kind))[:_MOST_COMPARED]
+            near = difflib.get_close_matches(name, names, n=1)
+            self._offered[name, kind] = near[0] if near else None
+        return self._offered.get((name, kind))
+
     def unknown(self, node: Node, attribute: str, kind: Kind) -> Iterator[Finding]:
         """A finding where an attribute is missing, or names no link, joint or group."""
         name = node.attributes.get(attribute, "")
@@ -144,7 +173,7 @@ class Srdf:
         names = self.known(kind)
         if name in names:
             return
-        near = difflib.get_close_matches(name, sorted(names)[:5000], n=1)
+        near = self._nearest(name, kind)
         free = kind == "joint" and name == _FREE_FLYER
         owner = "this SRDF" if kind == "group" else self.asset.path.name
         yield Finding(
@@ -155,7 +184,7 @@ class Srdf:
             f"no {kind} of this name",
             name,
             None,
-            f"a {kind} of {owner}" + (f", such as '{near[0]}'" if near else ""),
+            f"a {kind} of {owner}" + (f", such as '{near}'" if near else ""),
             "Pinocchio names its free-flyer so; MoveIt drops the element" if free else _WHY[kind],
             f'declare <virtual_joint name="{name}" type="floating" .../>'
             if free

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Sequence
+from functools import cache
 
 from pytest_twin.asset.urdf_elements import by_path
 from pytest_twin.audit.finding import Finding
@@ -48,14 +49,20 @@ def check(srdf: Srdf) -> Iterator[Finding]:
             yield from _attributes(node, node.tag)
             for child in node.children:
                 at = f"{node.tag}/{child.tag}"
-                if child.tag not in _WITHIN or not any(path == at for path, _ in by_path()):
+                if child.tag not in _WITHIN or not _attributes_of(at):
                     yield _unknown(child, at, _WITHIN)
                 else:
                     yield from _attributes(child, at)
 
 
+@cache
+def _attributes_of(at: str) -> tuple[str, ...]:
+    """What SRDF defines at a path; nothing where it defines no such element."""
+    return tuple(attribute for path, attribute in by_path() if path == at and attribute)
+
+
 def _attributes(node: Node, at: str) -> Iterator[Finding]:
-    known = [attribute for path, attribute in by_path() if path == at and attribute is not None]
+    known = _attributes_of(at)
     for name in node.attributes:
         if name not in known:
             yield _unknown(node, f"{at}@{name}", known)

@@ -151,10 +151,8 @@ def _members(srdf: Srdf, state: Node) -> Iterator[Finding]:
             yield _pointless(
                 node, element, f"the group '{group}' does not contain it", f"a joint of '{group}'"
             )
-    followers = {mimic.follower for mimic in srdf.asset.mimics}
-    passive = {node.attributes.get("name") for node in srdf.root.all("passive_joint")}
     moving = {name for name in members if name in srdf.asset.joint}
-    left_out = sorted(moving - stated - followers - passive)
+    left_out = sorted(moving - stated - srdf.mimic_of.keys() - srdf.passive)
     if left_out:
         yield Finding(
             "planning.state_incomplete",
@@ -174,8 +172,9 @@ def _followers(srdf: Srdf, state: Node) -> Iterator[Finding]:
     """Values of joints that follow another and contradict it."""
     values = _values(srdf, state)
     nodes: Mapping[str, Node] = {n.attributes.get("name", ""): n for n in state.all("joint")}
-    for mimic in srdf.asset.mimics:
-        if mimic.follower not in values or mimic.leader not in values:
+    for name in values:
+        mimic = srdf.mimic_of.get(name)
+        if mimic is None or mimic.leader not in values:
             continue
         follows = mimic.multiplier * values[mimic.leader] + mimic.offset
         if abs(values[mimic.follower] - follows) > _MIMIC:
