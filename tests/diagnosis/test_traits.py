@@ -26,6 +26,7 @@ ROOM = Path(pytest_twin.diagnosis.__file__).parent
 OTHER_WORDS = {
     # A key of a trial's metadata and of twin.yaml, and an attribute of MJCF joints.
     ("windows.py", "payload"),
+    ("roles.py", "payload"),
     ("native.py", "payload"),
     ("native.py", "armature"),
 }

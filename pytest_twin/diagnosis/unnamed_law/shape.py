@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects import actuation, friction, transmission
 from pytest_twin.effects.unnamed_law import (
     LOAD,
     POSITION,
@@ -142,7 +143,11 @@ def resembles(curve: Curve, *, turns: bool) -> str | None:
             if curve.against_motion:
                 wave.append(np.ones_like(curve.knots))
             if _share(curve, np.stack(wave, axis=1)) >= _RESEMBLES:
-                return "position_dependent_friction" if curve.against_motion else "cogging"
+                return (
+                    friction.PositionDependentFriction.id
+                    if curve.against_motion
+                    else actuation.Cogging.id
+                )
     return None
 
 
@@ -152,23 +157,23 @@ def _templates(curve: Curve) -> Mapping[str, FloatArray]:
     one = np.ones_like(x)
     known: Mapping[tuple[Variable, bool], Mapping[str, Callable[[], list[FloatArray]]]] = {
         (POSITION, False): {
-            "joint_spring": lambda: [one, x],
+            transmission.JointSpring.id: lambda: [one, x],
         },
         (VELOCITY, False): {
-            "viscous_friction": lambda: [x],
-            "coulomb_friction": lambda: [np.sign(x)],
-            "quadratic_drag": lambda: [x * np.abs(x)],
-            "asymmetric_friction": lambda: [np.sign(x), one],
+            friction.ViscousFriction.id: lambda: [x],
+            friction.CoulombFriction.id: lambda: [np.sign(x)],
+            friction.QuadraticDrag.id: lambda: [x * np.abs(x)],
+            friction.AsymmetricFriction.id: lambda: [np.sign(x), one],
         },
-        (POSITION, True): {"coulomb_friction": lambda: [one]},
+        (POSITION, True): {friction.CoulombFriction.id: lambda: [one]},
         (SPEED, True): {
-            "coulomb_friction": lambda: [one],
-            "viscous_friction": lambda: [x],
-            "quadratic_drag": lambda: [x**2],
+            friction.CoulombFriction.id: lambda: [one],
+            friction.ViscousFriction.id: lambda: [x],
+            friction.QuadraticDrag.id: lambda: [x**2],
         },
         (LOAD, True): {
-            "coulomb_friction": lambda: [one],
-            "load_dependent_friction": lambda: [x],
+            friction.CoulombFriction.id: lambda: [one],
+            friction.LoadDependentFriction.id: lambda: [x],
         },
     }
     found = known.get((curve.variable, curve.against_motion), {})
