@@ -225,7 +225,7 @@ def diagnose(
         tested, left = assessed.tested, dict[str, Left]()
         if tested.verdict in ("improved", "unexplained"):
             left = unexplained(tested, *assessed.near)
-        free = on_test(laws, structure.found.prepared.problem, tested)
+        free = on_test(laws, structure.found.prepared.problem, tested, searched_all=not run.untried)
         progress(0.9)
         step = coarse_step(tested.prepared.problem, tested.explained.hypothesis, tested.errors)
     notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *free.notes, *step]

@@ -186,6 +186,9 @@ def test_a_law_is_tested_written_read_and_replayed(tmp_path: Path) -> None:
     tested = on_test(laws, fitted.problem, nothing_found(whole, trials))
     ((law, gain),) = tested.laws
     assert gain > 0.9
+    early = on_test(laws, fitted.problem, nothing_found(whole, trials), searched_all=False)
+    assert [law.confidence for law, _ in early.laws] == [0.5]
+    assert "a known effect may explain what the fitted law does" in early.notes[0]
     assert tested.tested.errors[JOINT].after < 0.2 * tested.tested.errors[JOINT].before
     (said,) = tested.findings_json
     assert (said["effect"], said["joint"]) == ("unnamed_law", JOINT)

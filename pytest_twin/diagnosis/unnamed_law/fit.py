@@ -30,9 +30,11 @@ from pytest_twin.diagnosis.unnamed_law.shape import Curve, resembles
 from pytest_twin.diagnosis.unnamed_law.simulated import Fitted, fitted
 from pytest_twin.diagnosis.verdict import UNSEEN
 
-WORTH = 0.3
+WORTH = 0.5
 """Share of the squared error of left-out recordings that a law must remove, first along the
-measured motion, then simulated. Random torques, pushes and a shaker reached 0.1."""
+measured motion, then simulated. Of the forces that tests and blind cases hide, functions of the
+state reach 0.97 to 0.999; a push at the same time in all recordings reaches 0.2, random torques and
+a shaker 0.1."""
 _FEWEST = 2
 """Recordings that cross-validation needs."""
 _MOST_JOINTS = 2

@@ -18,6 +18,9 @@ from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json
 from pytest_twin.diagnosis.windows import WINDOW
 
+_EARLY = 0.5
+"""Largest confidence where known effects were not all tried."""
+
 
 @dataclass(frozen=True, slots=True)
 class TestedLaws:
@@ -68,13 +71,17 @@ def laws_left(given: Given, found: Searched, near: float | None) -> FreeLaws:
     return free_laws(prepared, hypothesis, where, prepared.problem.fit)
 
 
-def on_test(found: FreeLaws, fitted: Problem, tested: Searched) -> TestedLaws:
+def on_test(
+    found: FreeLaws, fitted: Problem, tested: Searched, *, searched_all: bool = True
+) -> TestedLaws:
     """Predict the test recordings with the laws; those that they do not confirm are dropped.
 
     Args:
         found: the laws.
         fitted: the problem whose numbering they have.
         tested: the diagnosis on the test recordings.
+        searched_all: whether the search over effects with a name came to its end; confidence is at
+            most 50 % where it did not.
     """
     problem, named = tested.prepared.problem, tested.explained.hypothesis
     laws = found.laws if tested.verdict in ("improved", "unexplained") else ()
@@ -96,8 +103,14 @@ def on_test(found: FreeLaws, fitted: Problem, tested: Searched) -> TestedLaws:
             gains.append(_gain(_squared(problem, left_everywhere(problem, without)), whole))
         worst = int(np.argmin(gains))
         if gains[worst] >= WORTH:
+            if not searched_all:
+                kept = [replace(law, confidence=min(law.confidence, _EARLY)) for law in kept]
+                notes.append(
+                    "the search over known effects ended early: a known effect may explain what "
+                    "the fitted law does"
+                )
             errors = joint_errors(tested.prepared, tested.before, after)
-            gone = [law.term for law in found.laws if law not in kept]
+            gone = [law.term for law in found.laws if law.term not in terms]
             return TestedLaws(
                 tuple(zip(kept, gains, strict=True)),
                 found.hypothesis.without(*gone),
