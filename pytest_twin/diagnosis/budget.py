@@ -90,13 +90,17 @@ class Budget:
 
     @property
     def work(self) -> float:
-        """Simulations of all data so far."""
+        """Simulations of all data so far, with those that find where segments start."""
         return sum((p.stepped + p.in_starts) / p.once for p in self.problems)
 
     @property
     def spent(self) -> bool:
         """Whether all searches together have used their simulations."""
-        return self.work - self._apart > self.simulations
+        return self._stepped - self._apart > self.simulations
+
+    @property
+    def _stepped(self) -> float:
+        return sum(p.stepped / p.once for p in self.problems)
 
     @contextmanager
     def searching(self) -> Iterator[None]:
@@ -128,11 +132,11 @@ class Budget:
     @contextmanager
     def apart(self) -> Iterator[None]:
         """Simulations inside are no search over effects: they have bounds of their own."""
-        before = self.work
+        before = self._stepped
         try:
             yield
         finally:
-            self._apart += self.work - before
+            self._apart += self._stepped - before
 
     def _check(self) -> None:
         if self.out_of_time:
