@@ -75,7 +75,9 @@ class Actuation:
         if self.commands - {"effort"} or not self.loose:
             return None
         if realization.path.suffix.lower() != ".urdf":
-            servo = "position servos; its motors take torques" if self.commands else "actuators"
+            servo = "actuators with a name" if realization.model.nu else "actuators"
+            if self.commands:
+                servo = "position servos; its motors take torques"
             return f"No controller: the model has no {servo}."
         if not self.commands:
             return (

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pytest_twin.checks import check_of
+from pytest_twin.checks import check_of, proposals
 from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
@@ -280,3 +280,23 @@ def test_the_servo_lines_of_twin_yaml_load_once_the_gains_are_in(tmp_path: Path)
     assert first("settling", realization)["gravity"]["title"] == (
         "Servos hold the pose under gravity"
     )
+
+
+@pytest.mark.parametrize(
+    ("actuator", "words"),
+    [
+        ("", "the model has no actuators."),
+        ('<motor joint="j"/>', "the model has no actuators with a name."),
+        ('<motor name="m" joint="j"/>', "the model has no position servos; its motors take torq"),
+    ],
+)
+def test_what_a_model_without_servos_is_told(tmp_path: Path, actuator: str, words: str) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="b"><joint name="j"/><geom size=".1" mass="1"/></body>'
+        f"</worldbody><actuator>{actuator}</actuator></mujoco>"
+    )
+    realization = load(path)
+    said = proposals.Actuation.of(realization).no_controller(realization)
+    assert said is not None
+    assert words in said
