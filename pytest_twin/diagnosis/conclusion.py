@@ -30,6 +30,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import LONG, QUICK, Contest
 from pytest_twin.diagnosis.search.restraint import Pruned, without_each
 from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhere, pose
+from pytest_twin.diagnosis.totals import at_zero
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import verdict
 from pytest_twin.errors import RecordingError, SimulationError, TwinError
@@ -47,12 +48,14 @@ class Structure:
         near: window length, s, of the problem that locates what is unexplained; None where that is
             the problem itself.
         notes: one line each, for the reader.
+        rival_simulations: of all recordings, to compare the final set of effects with others.
     """
 
     given: Given
     found: Searched
     near: float | None
     notes: tuple[str, ...]
+    rival_simulations: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +90,7 @@ def with_final_parameters(found: Searched, budget: Budget) -> Searched:
     """
     prepared, pruned = _refitted(found, budget)
     problem = prepared.problem
+    pruned = _possible(problem, pruned)
     everything = (*found.trials.fit, *found.trials.held_out)
     explained = explain(prepared, found.selected, pruned, everything)
     if found.whole is not None:
@@ -104,6 +108,16 @@ def with_final_parameters(found: Searched, budget: Budget) -> Searched:
         errors=errors,
         verdict=verdict(errors, explained.findings),
     )
+
+
+def _possible(problem: Problem, pruned: Pruned) -> Pruned:
+    """A fit whose totals of model and corrections are at least zero."""
+    h = pruned.fitted.hypothesis
+    theta = at_zero(problem, h)
+    if np.array_equal(theta, h.theta):
+        return pruned
+    fitted = Contest(problem).as_it_is(h.with_theta(theta), slopes=True).fitted
+    return replace(pruned, fitted=fitted)
 
 
 def _refitted(found: Searched, budget: Budget) -> tuple[Prepared, Pruned]:

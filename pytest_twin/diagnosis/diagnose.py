@@ -24,6 +24,7 @@ from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt
+from pytest_twin.diagnosis.rival_sets import with_rival_sets
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.rivals import Selected
@@ -123,9 +124,10 @@ class Diagnosis:
             "schema": 1,
             "verdict": self.verdict,
             "findings": [
-                *(finding_json(f) for f in self.explained.findings),
+                *(finding_json(f) for f in self.explained.findings if not f.small),
                 *self.free.findings_json,
             ],
+            "small_corrections": [finding_json(f) for f in self.explained.findings if f.small],
             "held_out": {
                 joint: {
                     "rms_before": e.before,
@@ -237,7 +239,7 @@ def diagnose(
     return Diagnosis(
         tested.verdict, explained, free.tested.errors, left, tuple(dict.fromkeys(notes)),
         structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
-        cost(run.budget, since), settled,
+        cost(run.budget, since, structure.rival_simulations), settled,
     )  # fmt: skip
 
 
@@ -282,13 +284,19 @@ def find_structure(
         sought = _sought(given, prepared, trials, run)
     given, notes = sought.given, [*notes, *sought.notes]
     progress(0.82)
-    found = with_final_parameters(sought.found, run.budget)
+    with run.budget.searching():
+        found, simulations = run.attempt(
+            "other sets of effects in the place of the final one",
+            lambda: with_rival_sets(sought.found, run),
+            (sought.found, 0.0),
+        )
+    found = with_final_parameters(found, run.budget)
     if given.creeps:
         notes.append(CREEPS)
     if given.substeps:
         notes.append(simulated_in_words(found.prepared))
     notes += found.explained.notes
-    return Structure(given, found, sought.near, tuple(notes))
+    return Structure(given, found, sought.near, tuple(notes), simulations)
 
 
 @dataclass(frozen=True, slots=True)

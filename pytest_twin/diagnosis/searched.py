@@ -426,11 +426,14 @@ def joint_errors(
     """
     problem = prepared.problem
     inside = problem.in_test
+    travel = np.ptp(
+        np.concatenate([problem.simulator.segments[s].position for s in problem.tested]), axis=0
+    )
     found = {}
     for j, joint in enumerate(problem.joints):
         if problem.floor[j] >= UNSEEN:
             continue
         rms = [float(np.sqrt(np.mean(r[inside, j] ** 2))) for r in (before, after)]
         floor, unit = float(problem.floor[j]), joint_unit(problem, j)
-        found[joint] = JointError(rms[0], rms[1], floor, unit)
+        found[joint] = JointError(rms[0], rms[1], floor, unit, float(travel[j]))
     return found

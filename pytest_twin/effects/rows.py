@@ -168,6 +168,23 @@ class RowSimulator:
         segments = [self.segments[r] for r in rows]
         return motion[0], motion[1], sampled(segments, effects, motion, self.timestep)
 
+    def efforts_beside(
+        self, rows: NDArray[np.int64], values: EffectValues
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Efforts that sensors read of each row, (stamps, joints) each: as they are simulated, one
+        step earlier and one later.
+        """
+        effects = acting(with_fixed(values, self.fixed, len(rows)))
+        q, v, effort = self._moved(rows, effects)
+        self._count(rows)
+        segments = [self.segments[r] for r in rows]
+        earlier = np.concatenate([effort[:, :1], effort[:, :-1]], axis=1)
+        later = np.concatenate([effort[:, 1:], effort[:, -1:]], axis=1)
+        read = [
+            sampled(segments, effects, (q, v, e), self.timestep) for e in (effort, earlier, later)
+        ]
+        return [(a.effort, b.effort, c.effort) for a, b, c in zip(*read, strict=True)]
+
     def gear_stretch(
         self, rows: NDArray[np.int64], values: EffectValues, load: FloatArray
     ) -> FloatArray:

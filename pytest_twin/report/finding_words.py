@@ -62,7 +62,7 @@ def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
 def ambiguous(finding: Mapping[str, Any]) -> str:
     """The effects that the recordings do not separate from a finding; empty without any."""
     rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - SURE]
-    listed = " or ".join(f"{place(a)} ({percent(a['confidence'])})" for a in rivals)
+    listed = " or ".join(f"{place_of_set(a)} ({percent(a['confidence'])})" for a in rivals)
     return f"Ambiguous: it may also be {listed}." if listed else ""
 
 
@@ -79,6 +79,19 @@ def place(item: Mapping[str, Any]) -> str:
     if "variable" in item:
         name += f" over {item['variable']}, {item['acts']},"
     return name if item["joint"] is None else f"{name} at joint {item['joint']}"
+
+
+def place_of_set(item: Mapping[str, Any]) -> str:
+    """All effects of an alternative and, of a set, the findings that it replaces."""
+    names = [place(item), *(place(other) for other in item.get("together_with", ()))]
+    gone = [place(other) for other in item.get("instead_of", ())]
+    instead = f" instead of {_listed(gone)}" if gone else ""
+    return f"{_listed(names)}{instead}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def table_row(finding: Mapping[str, Any], key: str) -> tuple[str, str, str]:

@@ -80,6 +80,22 @@ def polish(
     return fits
 
 
+def slopes_along(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+    """(bins, signals, parameters) of each hypothesis's prediction along the measured motion, per
+    scaled parameter; zero where a fit does not move it.
+    """
+    nudges = [nudged(h) for h in hypotheses]
+    here = _differences(linear, hypotheses)
+    moved = iter(_differences(linear, [row for rows, _ in nudges for row in rows]))
+    out = []
+    for h, base, (_, steps) in zip(hypotheses, here, nudges, strict=True):
+        slope = np.zeros((*base.shape, h.theta.size))
+        for column, step in zip(np.flatnonzero(h.movable), steps, strict=True):
+            slope[..., column] = (next(moved) - base) / step
+        out.append(np.nan_to_num(slope, posinf=0.0, neginf=0.0))
+    return out
+
+
 def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
     """As :meth:`Linear.differences`, in batches that need the same steps.
 

@@ -437,8 +437,10 @@ class Linear:
             change = _only(change[0], joint)
             if self.problem.effort_floor is not None and segment.effort is not None:
                 measured = segment.effort[None]
-                effort = effect.sense_effort(measured, mine) - measured
-                change = np.concatenate([change, _only(effort[0], joint)], axis=1)
+                effort = effect.sense_effort(measured, mine)[0] - segment.effort
+                if effect.overrides("sample_time"):
+                    effort = effort + self._effort_at(i, late[0]) - self.along.effort[i]
+                change = np.concatenate([change, _only(effort, joint)], axis=1)
             direct.append(change)
         q0 = np.array([self.simulator.segments[s].initial_position for s in self.segments])
         v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
@@ -452,6 +454,18 @@ class Linear:
         time = self.along.time[i]
         return np.stack(
             [np.interp(stamps[:, j], time, values[:, j]) for j in range(values.shape[1])], axis=1
+        )
+
+    def _effort_at(self, i: int, taken: FloatArray) -> FloatArray:
+        """(stamps, joints) predicted efforts of segment ``i`` as they would be read at other times,
+        (stamps, joints) s, linear between stamps.
+        """
+        effort, stamps = self.along.effort[i], self.simulator.segments[self.segments[i]].time
+        own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
+        own = self.simulator.taken(self.segments[i : i + 1], own, _sensing(in_turn(self.own)))[0]
+        return np.stack(
+            [np.interp(taken[:, j], own[:, j], effort[:, j]) for j in range(effort.shape[1])],
+            axis=1,
         )
 
     # -- whole hypotheses
@@ -512,7 +526,10 @@ class Linear:
             position = self._at(self.along.predicted_position[i], i, stamps[0])[None]
             velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
             measured = segment.effort is not None and self.problem.effort_floor is not None
-            effort = segment.effort[None] if measured and segment.effort is not None else position
+            effort = position
+            if measured and segment.effort is not None:
+                late = self._effort_at(i, stamps[0]) - self.along.effort[i]
+                effort = (segment.effort + late)[None]
             for effect, v in mine:
                 position, velocity = effect.sense(stamps, position, velocity, v)
                 effort = effect.sense_effort(effort, v)

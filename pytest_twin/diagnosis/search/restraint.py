@@ -262,7 +262,7 @@ def _within_a_step(tested: _Tested) -> _Gone:
     """
     problem = tested.problem
     for k, t in enumerate(tested.terms):
-        shift = _longest_shift(problem, tested.fitted.hypothesis, t)
+        shift = longest_shift(problem, tested.fitted.hypothesis, t)
         if 0.0 < shift < _PART_OF_A_STEP * problem.simulator.timestep:
             return {
                 k: f"rejected: {tested.label(k)}: it shifts signals by at most {1e3 * shift:.2g} "
@@ -271,7 +271,7 @@ def _within_a_step(tested: _Tested) -> _Gone:
     return {}
 
 
-def _longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:
+def longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:
     """s by which a law of timing shifts a command or a reading at most, 0 where it is none."""
     if term.law.family != "timing":
         return 0.0

@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.evidence import borne_out
 from pytest_twin.diagnosis.first_order.responses import Linear, Response, linearized
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded_range import not_shown
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.contest import FAIR, QUICK, Contest
 from pytest_twin.diagnosis.search.exchange import (
@@ -51,6 +52,7 @@ from pytest_twin.diagnosis.search.rivals import (
     quieter,
     simplest,
 )
+from pytest_twin.diagnosis.totals import impossible
 from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT_FLOORS
 
@@ -282,13 +284,15 @@ class Selection:
 
     def _strained(self, rival: Rival) -> list[Term]:
         """Laws that stand at a physical bound and leave their joint far from explained, and those
-        that are beyond physics: something else is at work there.
+        that are beyond physics or beyond what recordings show: something else is at work there.
         """
         problem, hypothesis = self.problem, rival.hypothesis
+        refused = {**impossible(problem, hypothesis), **not_shown(problem, hypothesis)}
         left = in_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
         return [
             t for t in hypothesis.terms
-            if problem.less_than_none(hypothesis, t)
+            if t in refused
+            or problem.less_than_none(hypothesis, t)
             or (
                 hypothesis.at_bound(t)
                 and (left.max() if t.joint < 0 else left[t.joint]) > LEFT_FLOORS
