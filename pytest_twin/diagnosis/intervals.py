@@ -60,7 +60,9 @@ class Spread:
         return float(np.sqrt(square * one / together))
 
 
-def spread(problem: Problem, fitted: Fitted, near: Sequence[Near] = ()) -> Spread:
+def spread(
+    problem: Problem, fitted: Fitted, near: Sequence[Near] = (), *, in_parts: bool = True
+) -> Spread:
     """Intervals from the curvature at the optimum, from recordings and from rival structures.
 
     Residuals are correlated in time, and no model is quite right. The widest of three estimates
@@ -75,6 +77,8 @@ def spread(problem: Problem, fitted: Fitted, near: Sequence[Near] = ()) -> Sprea
         problem: what was explained.
         fitted: the fit, with its Jacobian.
         near: structures that explain nearly as much.
+        in_parts: whether fewer than three recordings are cut into parts for the jackknife. A fit
+            that is not at its optimum differs between parts for that reason alone.
     """
     count = fitted.hypothesis.theta.size
     if not count:
@@ -101,7 +105,10 @@ def spread(problem: Problem, fitted: Fitted, near: Sequence[Near] = ()) -> Sprea
     shift = np.abs(inverse @ _discretization_pull(problem, jac, weight))
     owner = clusters([problem.simulator.segments[s].trial for s in problem.fit], lengths)
     information = _by_cluster(jac, weight, owner)
-    half = np.maximum(quantile * deviation, jackknife(_sums(scores, owner), information))
+    between = jackknife(_sums(scores, owner), information)
+    if not in_parts and len({problem.simulator.segments[s].trial for s in problem.fit}) < _FEWEST:
+        between = np.zeros_like(between)
+    half = np.maximum(quantile * deviation, between)
     half = np.hypot(half, quantile * _between_structures(fitted.hypothesis, near))
     for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
         if p.step > SMOOTH_STEP:
@@ -132,7 +139,9 @@ def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
     if count < _FEWEST:
         return np.zeros(size)
     whole = information.sum(axis=0)
-    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    scale = np.sqrt(np.diag(whole))
+    # A parameter without any influence is open, not infinite.
+    scale = np.maximum(scale, 1e-9 * (float(scale.max()) or 1.0))
     values, vectors = np.linalg.eigh(whole / np.outer(scale, scale))
     root = (vectors / np.sqrt(np.maximum(values, 1e-10))) / scale[:, None]
     moved = np.empty((count, size))

@@ -41,6 +41,10 @@ _VERDICT = {
     "improved": "Improved: these findings explain a part, and a residual remains",
     "unexplained": "Unexplained: the model is wrong, and no known effect explains it",
 }
+SMALL = "Small corrections of the model, no missing physics; the patched model contains them"
+_NO_MISMATCH_WITH_CORRECTIONS = (
+    "No mismatch of consequence: the model's error is at most 0.1 % of the travel of each joint"
+)
 _WHAT_TO_DO = (
     "Next: inspect the joint in this regime, and record more motion there. If you know the cause, "
     "add it as an effect (docs, page Effects)."
@@ -55,7 +59,7 @@ def words(said: Mapping[str, Any]) -> list[str]:
         said: ``diagnosis.json``.
     """
     held_out = bool(said["trials"]["held_out"])
-    lines = [_VERDICT[said["verdict"]]]
+    lines = [headline(said)]
     for i, finding in enumerate(said["findings"], 1):
         lines.append(f"  {i}. {finding_sentence(finding)}")
         buys = f"Correcting it {gain(finding, held_out=held_out)}."
@@ -64,6 +68,11 @@ def words(said: Mapping[str, Any]) -> list[str]:
             lines.append(f"     {rivals}")
         if finding["confidence"] < SURE:
             lines.append(f"     {to_confirm(finding)}")
+    if said.get("small_corrections"):
+        lines.append(f"  {SMALL}:")
+        lines += [
+            f"    {finding_sentence(f)} Small: {f['why_small']}." for f in said["small_corrections"]
+        ]
     if said["held_out"]:
         which = "held-out recordings" if held_out else "fitted recordings, none is held out"
         lines.append(f"  RMS error on the {which}:")
@@ -78,6 +87,13 @@ def words(said: Mapping[str, Any]) -> list[str]:
         lines.append(f"  {_WHAT_TO_DO}")
     lines += [f"  Note: {note}" for note in said["notes"]]
     return lines
+
+
+def headline(said: Mapping[str, Any]) -> str:
+    """The verdict of ``diagnosis.json`` as a sentence."""
+    if said["verdict"] == "no_mismatch" and said.get("small_corrections"):
+        return _NO_MISMATCH_WITH_CORRECTIONS
+    return _VERDICT[said["verdict"]]
 
 
 def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -107,9 +123,14 @@ def render(view: DiagnosisView) -> str:
         view=view,
         style=style,
         style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
-        headline=_VERDICT[said["verdict"]],
+        headline=headline(said),
         mood=_MOOD[said["verdict"]],
         findings=[_shown(f, view) for f in said["findings"]],
+        small_title=SMALL,
+        small=[
+            {"sentence": finding_sentence(f), "why": f["why_small"]}
+            for f in said.get("small_corrections", ())
+        ],
         left=_left(said),
         what_to_do=_WHAT_TO_DO,
         figures=[(v.joint, _data_uri(f)) for v, f in zip(drawn, figures, strict=True)],

@@ -102,7 +102,7 @@ class _Tested:
     @cached_property
     def known(self) -> Spread:
         """How well its parameters are known."""
-        return spread(self.problem, self.fitted)
+        return spread(self.problem, self.fitted, in_parts=False)
 
     @cached_property
     def errors(self) -> list[JointError]:
