@@ -232,8 +232,8 @@ def make(seed: int, out: Path, truth: Path) -> str:
         ],
         "disturbed": words, "outside": None,
         "background": [
-            {"effect": effect, "joint": joint, "parameters": {}, "why": why}
-            for effect, why in machine.background.items()
+            {"effect": effect, "joint": joint, "parameters": dict(size), "why": why}
+            for effect, (size, why) in machine.background.items()
             for joint in ((None,) if effect == "sensor_delay" else machine.joints)
         ],
         "recordings": [file for file, _ in files], "seconds": machine.seconds,

@@ -59,7 +59,7 @@ class Machine:
         tilt: roll and pitch of the base in rad that gravity in the file has.
         fit, held_out: (recording, first start, last start) of stretches, s.
         seconds: of a stretch.
-        background: names that what nobody modelled may get, and why; by name.
+        background: name that what nobody modelled may get -> its size, where known, and why.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Machine:
     limit: float | None = None
     beside: tuple[tuple[str, str | None, Mapping[str, float]], ...] = ()
     tilt: tuple[float, float] = (0.0, 0.0)
-    background: Mapping[str, str] = field(default_factory=dict)
+    background: Mapping[str, tuple[Mapping[str, float], str]] = field(default_factory=dict)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -105,11 +105,12 @@ _SO101_HELD = {
 _PAN = Drive(damping=0.80, friction=0.184, armature=0.028, kp=17.7)
 _FLEX = Drive(damping=0.42, friction=0.104, armature=0.028, kp=9.52, zero=-0.049)
 _ROLL = Drive(damping=0.645, friction=0.142, armature=0.0058, kp=14.1)
+_BUS_REST = {"delay": 0.003}
 _BUS = {
-    "command_delay": "the bus delay is fitted to 1 ms and differs between servos, which are read "
-    "one after another",
-    "sensor_delay": "as command_delay",
-}
+    "command_delay": (_BUS_REST, "the bus delay is fitted to 2 ms and differs between servos, "
+                      "which are read one after another"),
+    "sensor_delay": (_BUS_REST, "as command_delay"),
+}  # fmt: skip
 
 
 def _so101(
@@ -133,8 +134,8 @@ MACHINES: Mapping[str, Machine] = {
             ("carriage", 95.1089), mass={"carriage": 95.1089},
             beside=(("asymmetric_friction", "slide", {"coulomb": 0.0, "offset": -3.1648}),),
             background={
-                "directional_viscous_friction": "viscous friction differs between the directions "
-                "by 36.5 N*s/m (docs/real_machines.md)"
+                "directional_viscous_friction": ({}, "viscous friction differs between the "
+                "directions by 36.5 N*s/m (docs/real_machines.md)"),
             },
         ),
         Machine(
@@ -157,10 +158,11 @@ MACHINES: Mapping[str, Machine] = {
                 ("encoder_bias", "pendulum", {"bias": -0.0099, "in_loop": 0.0}),
             ),
             background={
-                "cogging": "tooth mesh ripple (docs/real_machines.md)",
-                "position_dependent_friction": "tooth mesh ripple (docs/real_machines.md)",
-                "command_delay": "4.4 ms found without gain 200 (docs/real_machines.md)",
-                "sensor_delay": "as command_delay",
+                "cogging": ({}, "tooth mesh ripple (docs/real_machines.md)"),
+                "position_dependent_friction": ({}, "tooth mesh ripple (docs/real_machines.md)"),
+                "command_delay": ({"delay": 0.0044}, "found without gain 200 "
+                                  "(docs/real_machines.md)"),
+                "sensor_delay": ({"delay": 0.0044}, "as command_delay"),
             },
         ),
         _so101(
