@@ -26,6 +26,8 @@ ROLES = ("fit", "fit", "fit", "held_out", "held_out")
 HELD_OUT = slice(ROLES.index("held_out"), None)
 STANDS_OUT = (3.0, 30.0)
 """Between which the factor is drawn."""
+FARTHEST = 20.0
+"""rad or m, beyond which a robot does not follow its commands."""
 INVERSE = {"rate_limit": ("rate",), "torque_saturation": ("limit",),
            "torque_speed_limit": ("stall", "no_load_speed")}  # fmt: skip
 FIXED = ("harmonic", "in_loop", "stribeck_velocity", "presliding_distance", "warm_up_time", "start",
@@ -183,7 +185,16 @@ def write_case(
     folder: Path, robot: Robot, cell: Cell, logger: Logger, hidden: Hidden, whole: Run,
     sent: np.ndarray, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Write the nominal model and five recordings, commands being (milliseconds, ..) ``sent``."""
+    """Write the nominal model and five recordings, commands being (milliseconds, ..) ``sent``.
+
+    Raises:
+        ValueError: the robot ran away: a defect of the plant, no case.
+    """
+    farthest = float(np.abs(whole.position).max())
+    if not farthest < FARTHEST:
+        raise ValueError(
+            f"{folder.name}: a joint went to {farthest:g}, beyond {FARTHEST:g} rad or m"
+        )
     recordings = folder / "recordings"
     recordings.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(mjcf(robot))

@@ -119,7 +119,9 @@ class DrakeRobot:
                 plant.AddForceElement(RevoluteSpring(link, 0.0, float(soft[i])))
                 armature = 0.0
             else:
-                shaft = link = plant.AddJoint(kind(j.name, at, body.body_frame(), j.axis, total))
+                shaft = link = plant.AddJoint(
+                    kind(j.name, at, body.body_frame(), j.axis, damping=total)
+                )
             drive = plant.AddJointActuator(f"drive{i}", shaft)
             drive.set_default_rotor_inertia(armature)
             drive.set_default_gear_ratio(1.0)

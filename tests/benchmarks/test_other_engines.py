@@ -118,6 +118,20 @@ def test_an_engine_agrees_with_the_plant_of_sampled_cells(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+def test_a_slide_moves_as_in_the_plant_of_sampled_cells(engine: str) -> None:
+    drawn = (robots.draw(np.random.default_rng(seed), 1, "position") for seed in range(20))
+    robot = next(r for r in drawn if r.joints[0].slide)
+    robot = replace(robot, joints=(replace(robot.joints[0], armature=0.0),))
+    t = np.arange(0.0, 1.0, 1e-3)[:, None, None]
+    wave = 0.2 * (1 - np.cos(2 * np.pi * t))
+    cell = _cell("interpolated")
+    ours = cell_plant.simulate(robot, cell, Hidden(), Background(), wave)
+    theirs = engine_plant.simulate(engine, robot, cell, Hidden(), Background(), wave)
+    every = round(theirs.period / ours.period)
+    assert theirs.position == pytest.approx(ours.position[::every], abs=2e-3)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 def test_a_seed_makes_a_case(engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_cases, "SECONDS", (2.5,))
     monkeypatch.setattr(engine_cases, "TOUCHING", 0.0)
