@@ -1,6 +1,6 @@
 """Laws without a name on forces that are in no catalogue: what they remove of the held-out error.
 
-    python benchmarks/concealed/unnamed_laws.py --out DIR [--seeds 71100:71120]
+    python benchmarks/unnamed_laws.py --out DIR [--seeds 71100:71120]
 
 Each seed hides one force (``kernel.OUTSIDE_KINDS``), in turn. The search over named effects is
 left out: the law is fitted to the fit recordings of the nominal model, in windows, and predicts the
@@ -12,10 +12,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent / "concealed"))
+
 from cases import OUTSIDE_NAMES, make, seeds
 
 from pytest_twin.diagnosis.given import Given
