@@ -19,7 +19,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effort_stamps import within_a_step
-from pytest_twin.diagnosis.evidence import NOISE_FLOORS, effective_samples, log_likelihood, tempered
+from pytest_twin.diagnosis.evidence import NOISE_FLOORS, log_likelihood, tempered
 from pytest_twin.diagnosis.first_order.polish import (
     NEARBY,
     Polished,
@@ -27,7 +27,7 @@ from pytest_twin.diagnosis.first_order.polish import (
     slopes_along,
 )
 from pytest_twin.diagnosis.first_order.responses import Linear
-from pytest_twin.diagnosis.first_order.screen import Answers, Lens, Structure, View, price
+from pytest_twin.diagnosis.first_order.screen import Answers, Lens, Structure, View
 from pytest_twin.diagnosis.fit import Fitted, propose, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
@@ -36,6 +36,14 @@ from pytest_twin.diagnosis.search.exchange import left_without
 from pytest_twin.diagnosis.search.look import look_around
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.set_evidence import (
+    evidence_on,
+    idle_parameters,
+    misfit,
+    recordings_of,
+    set_evidence,
+    set_price,
+)
 
 MOST_SIMULATIONS = 60.0
 """Simulations of all recordings that the comparison may take; what it saves is not needed again."""
@@ -47,15 +55,13 @@ _SINGLE, _KEPT, _GROWN = 60, 6, 3
 # starts of one set at most.
 _OF_SIZE, _POLISHED, _STARTED = (4, 2, 2), 24, 2
 # Sets that are simulated as they start, of these with parameters of what they stand for and with
-# fewer effects; sets that
-# stay for each step of the fit; and evidence behind the final set beyond which none does after one.
+# fewer effects; sets that stay for each step of the fit; evidence behind the final set beyond which
+# none does after one.
 _SIMULATED, _ALIKE, _FEWER, _IN_FRONT, _FAR_BEHIND = 12, 4, 3, (6, 4, 3), 400.0
 _DAMPINGS = (1e-4, 1e-1)
 # Share of the evidence that a set gains over the worst one from which a smaller set in it explains
 # nearly as much.
 _MOST_OF_IT = 0.9
-# Floors below which what a parameter changes is none.
-_IDLE = 0.5
 _AHEAD = 0.5
 """Evidence by which another set must be ahead to take the place of the final one."""
 
@@ -316,57 +322,18 @@ def _along(contest: Contest, view: View, own: Hypothesis, fits: Sequence[Polishe
         return np.zeros(0)
     residuals = [np.nan_to_num(f.residual) for f in everything]
     effective = view.effective_of_best(residuals)
-    closest = min(residuals, key=lambda r: _misfit(r, view.floor))
+    closest = min(residuals, key=lambda r: misfit(r, view.floor))
     samples = tempered(
         effective, np.mean(closest**2, axis=0), view.floor,
-        _recordings(contest.problem, fitted=True),
+        recordings_of(contest.problem, fitted=True),
     )  # fmt: skip
     values = np.array([
         log_likelihood(f.residual, NOISE_FLOORS * view.floor, samples)
-        - _price(contest, f.hypothesis, samples)
+        - set_price(contest, f.hypothesis, samples)
         for f in everything
     ])  # fmt: skip
     over: FloatArray = np.nan_to_num(values[1:] - values[0], nan=-np.inf)
     return over
-
-
-def _misfit(residual: FloatArray, floor: FloatArray) -> float:
-    """Sum over signals of the log mean square, not below the level of noise."""
-    mean_square = np.nan_to_num(np.mean(residual**2, axis=0), nan=np.inf)
-    return float(np.log(np.maximum(mean_square, (NOISE_FLOORS * floor) ** 2)).sum())
-
-
-def _price(contest: Contest, h: Hypothesis, samples: FloatArray, idle: int = 0) -> float:
-    """What the parameters and the effects of a set cost, without those that change nothing."""
-    return float(price(samples) * (h.free - idle) + contest.name_price * len(h.terms))
-
-
-def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]) -> list[int]:
-    """How many switches of each set are neutral to within the noise: the set predicts the same
-    without them, so they are no parameters of it. Each effect keeps one.
-    """
-    out = []
-    for h, slope in zip(sets, slopes_along(linear, sets), strict=True):
-        moves = np.sqrt(np.mean(slope**2, axis=0)) / problem.signal_floor[:, None]
-        count = 0
-        for t in h.terms:
-            place = h.slice_of(t)
-            theta = h.theta[place]
-            own = [k for k in t.switches(theta) if t.movable(theta)[k]]
-            off = [abs(theta[k] - float(t.parameters[k].neutral or 0.0)) for k in own]
-            idle = sum(
-                bool((moves[:, place.start + k] * by < _IDLE).all())
-                for k, by in zip(own, off, strict=True)
-            )
-            count += min(idle, max(len(own) - 1, 0))
-        out.append(count)
-    return out
-
-
-def _recordings(problem: Problem, *, fitted: bool) -> int:
-    """How many recordings are fitted, or are not."""
-    which = problem.fit if fitted else problem.held_out
-    return len({problem.simulator.segments[s].trial for s in which})
 
 
 def _simulated(
@@ -422,7 +389,7 @@ def _front(
         within_a_step(problem, h, r, problem.fit)
         for h, r in zip(sets, [best.fitted.residual, *residuals], strict=True)
     ]
-    values = _evidence(contest, sets, left, lengths, fitted=True)[0]
+    values = evidence_on(contest, sets, left, lengths, fitted=True)[0]
     order = [i for i in np.argsort(-values[1:]) if values[1 + i] > values[0] - behind]
     first = {_form(hypotheses[i]): int(i) for i in reversed(order)}
     chosen = [int(i) for i in order if first[_form(hypotheses[i])] == i][:most]
@@ -441,7 +408,7 @@ def _compared(
     """The likeliest set, and the evidence of the others over it."""
     everyone = [best, *rivals]
     idle = idle_parameters(contest.problem, linear, [r.hypothesis for r in everyone])
-    values, tempering = evidence(contest, everyone, idle)
+    values, tempering = set_evidence(contest, everyone, idle)
     values -= values[0]
     if possible:
         # More effects may follow more; the search has decided that they are not needed.
@@ -468,59 +435,6 @@ def _compared(
     ]
     sets.sort(key=lambda s: -s.evidence)
     return Compared(chosen, tuple(sets), tempering, count.spent)
-
-
-def evidence(
-    contest: Contest, rivals: Sequence[Rival], idle: Sequence[int]
-) -> tuple[FloatArray, float]:
-    """Penalized log-likelihood of sets on fitted and validation recordings, with model error
-    counted by :func:`~pytest_twin.diagnosis.evidence.tempered`; and the share of the effective
-    samples that remains.
-
-    Args:
-        contest: of the problem.
-        rivals: the sets.
-        idle: parameters of each that cost nothing.
-    """
-    problem, sets = contest.problem, [r.hypothesis for r in rivals]
-    residuals = [
-        within_a_step(problem, r.hypothesis, r.fitted.residual, problem.fit) for r in rivals
-    ]
-    values, whole, kept = _evidence(
-        contest, sets, residuals, problem.lengths(problem.fit), fitted=True, idle=idle
-    )
-    if contest.has_held:
-        residuals = [
-            within_a_step(problem, r.hypothesis, r.held_residual, problem.held_out) for r in rivals
-        ]
-        held = _evidence(contest, sets, residuals, problem.lengths(problem.held_out), fitted=False)
-        values, whole, kept = values + held[0], whole + held[1], kept + held[2]
-    return values, kept / max(whole, 1e-300)
-
-
-def _evidence(
-    contest: Contest,
-    sets: Sequence[Hypothesis],
-    residuals: Sequence[FloatArray],
-    lengths: Sequence[int],
-    *,
-    fitted: bool,
-    idle: Sequence[int] = (),
-) -> tuple[FloatArray, float, float]:
-    """Log-likelihood of sets on some recordings, less their price where these are fitted; effective
-    samples, and those that remain with model error counted.
-    """
-    problem, floor = contest.problem, contest.problem.signal_floor
-    closest = min(residuals, key=lambda r: _misfit(r, floor))
-    effective = effective_samples(np.nan_to_num(closest), lengths)
-    samples = tempered(
-        effective, np.mean(closest**2, axis=0), floor, _recordings(problem, fitted=fitted)
-    )
-    values = np.array([log_likelihood(r, NOISE_FLOORS * floor, samples) for r in residuals])
-    if fitted:
-        idle = idle or [0] * len(sets)
-        values -= [_price(contest, h, samples, n) for h, n in zip(sets, idle, strict=True)]
-    return values, float(effective.sum()), float(samples.sum())
 
 
 def _apart(problem: Problem, one: Rival, other: Rival) -> float:
