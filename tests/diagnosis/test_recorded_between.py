@@ -98,6 +98,26 @@ def test_where_both_explain_alike_the_one_that_needs_no_correction_is_right() ->
     assert (found.fact.value, found.fact.confidence) == ("held", 0.9)
 
 
+def of_two(left_nominal: float, right_nominal: float) -> Left:
+    one = left(1.0)
+    residual = np.repeat(one.residual, 2, axis=1)
+    nominal = 1e-4 * np.array([left_nominal, right_nominal])
+    return Left(residual, nominal, True, np.zeros(2))
+
+
+def test_a_joint_that_the_model_lacks_nothing_of_tells_for_the_others() -> None:
+    found = decide(
+        {"held": of_two(1.0, 50.0), "interpolated": of_two(9.0, 60.0)},
+        [1000, 1000], [0, 1], np.array([1e-4, 1e-4]), 0.01,
+    )  # fmt: skip
+    assert found.fact.value == "held"
+    differing = decide(
+        {"held": of_two(1.0, 50.0), "interpolated": of_two(9.0, 1.0)},
+        [1000, 1000], [0, 1], np.array([1e-4, 1e-4]), 0.01,
+    )  # fmt: skip
+    assert differing.fact.value is None
+
+
 def test_a_recording_that_contradicts_the_others_leaves_it_open() -> None:
     best, other = left(1.0, nominal=9.0), left(3.0, nominal=9.0)
     best.residual[1000:] *= 1.2

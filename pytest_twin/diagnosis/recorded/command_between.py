@@ -171,14 +171,16 @@ def _by_the_model(
     rms: Mapping[CommandBetween, FloatArray],
     noise: FloatArray,
 ) -> CommandBetween | None:
-    """The only assumption under which the model's own parameters explain the recordings as well as
-    any do; None where several do, or none, or where all leave more than noise.
+    """The assumption under which the model's own parameters explain some joint as well as any do,
+    where they do so under no other; None where joints differ, or none tells.
+
+    One controller moves all joints: a joint that the model lacks nothing of tells for the others.
     """
     least = np.min([rms[b] for b in possible], axis=0)
-    if (least > _NEAR * noise).any():
-        return None
-    alike = [b for b in possible if (left[b].nominal <= _LIKE * least).all()]
-    return alike[0] if len(alike) == 1 else None
+    alike = {b: (left[b].nominal <= _LIKE * least) & (least <= _NEAR * noise) for b in possible}
+    alone = np.sum(list(alike.values()), axis=0) == 1
+    told = [b for b in possible if (alike[b] & alone).any()]
+    return told[0] if len(told) == 1 else None
 
 
 def _in_words(rms: Mapping[CommandBetween, FloatArray], noise: FloatArray) -> str:
