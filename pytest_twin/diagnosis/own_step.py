@@ -24,7 +24,7 @@ from pytest_twin.diagnosis.searched import Searched, concluded, left_everywhere,
 SUBSTEPS = (1, 2, 4, 5)
 """Steps, for each of the model's, of the simulations that are tried."""
 _NATS = 5.0
-"""Log-likelihood ratio over all recordings from which they come from a simulation: odds of 150 to 1.
+"""Log-likelihood ratio over all recordings from which a simulation made them: odds of 150 to 1.
 Three recordings of 4 s at 100 Hz that MuJoCo made at 2 ms reach 13, where the step's error is
 a fifth of the noise; two reach 10."""
 _NOISE_ALONE = 1.1

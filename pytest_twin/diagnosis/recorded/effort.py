@@ -31,6 +31,7 @@ _REACH, _PARTS = 1.5, 15
 _LATE, _LESS = 0.15, 0.8
 # Ratio of deviations up to which two laws explain the efforts alike.
 _ALIKE = 1.2
+_KEPT = 0.9
 _SMOOTH = 7
 """Samples over which positions and velocities are smoothed."""
 _FINE = 20
@@ -42,7 +43,7 @@ class Law:
     """How well a law explains efforts.
 
     Attributes:
-        left: deviation of what it leaves, N*m or N, by the median, so that jumps count little.
+        left: deviation of what it leaves, N*m or N; the largest tenth, beside jumps, is left out.
         older: s by which the effort is older than its stamp.
         at_once: deviation where it is not older.
     """
@@ -216,5 +217,6 @@ def _left(effort: FloatArray, columns: FloatArray) -> float:
 
 
 def _deviation(values: FloatArray) -> float:
-    """Standard deviation by the median of the absolute values."""
-    return 1.4826 * float(np.median(np.abs(values)))
+    """Root mean square of the smallest nine tenths: a sample beside a jump counts little."""
+    square = np.sort(values**2)
+    return float(np.sqrt(np.mean(square[: max(round(_KEPT * len(square)), 1)])))
