@@ -46,7 +46,8 @@ def main() -> None:
             start = time.perf_counter()
             outcomes = diagnose_fleet(fleet, options, Forks(jobs))
             seconds[jobs] = time.perf_counter() - start
-            print(f"{jobs} jobs: {seconds[jobs]:.1f} s, verdicts {[o.verdict for o in outcomes]}")
+            said = [o.verdict or o.error for o in outcomes]
+            print(f"{jobs} jobs: {seconds[jobs]:.1f} s, verdicts {said}")
     print(f"ratio {seconds[1] / seconds[args.jobs]:.2f} of {args.jobs}")
 
 
