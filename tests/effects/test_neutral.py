@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from importlib.metadata import entry_points
 
 import mujoco
@@ -35,7 +36,7 @@ def model() -> mujoco.MjModel:
     )
 
 
-def segment() -> Segment:
+def segment(coldness: float) -> Segment:
     time = STEP * np.arange(SAMPLES, dtype=np.float64)
     command = np.stack(
         [0.4 * np.sin(9.0 * time), -0.03 + 0.02 * np.cos(14.0 * time), np.sin(20.0 * time)], axis=1
@@ -43,23 +44,24 @@ def segment() -> Segment:
     return Segment(
         trial=0, model=model(), mode="velocity", modes=("position", "position", "velocity"),
         start=0.0, time=time, position=np.zeros((SAMPLES, 3)), velocity=None, effort=None,
-        command_time=time[::10], command=command[::10],
+        command_time=time[::10], command=command[::10], coldness=coldness,
         initial_position=np.zeros(3), initial_velocity=np.zeros(3),
     )  # fmt: skip
 
 
-SIMULATOR = RowSimulator([segment()], JOINTS, threads=1)
+SIMULATOR = RowSimulator([segment(1.0), segment(0.0)], JOINTS, threads=1)
 
 
-def beside(effect: Effect | None, shape: float = 0.0) -> list[Predicted]:
+def beside(effect: Effect | None, shape: float = 0.0, trial: int = 0) -> list[Predicted]:
     """Predictions without an effect, and beside each other in one batch: with the effect at work,
     and with it at its neutral values.
 
     Args:
         effect: None for the first prediction alone.
+        trial: 0 for the coldest, 1 for the warmest.
         shape: which of the starting values the parameters have that only shape the effect.
     """
-    plain = SIMULATOR.followed(np.array([0]), {})[2]
+    plain = SIMULATOR.followed(np.array([trial]), {})[2]
     if effect is None:
         return plain
     rows: dict[str, np.ndarray] = {}
@@ -67,7 +69,7 @@ def beside(effect: Effect | None, shape: float = 0.0) -> list[Predicted]:
         start = p.starts[round(shape * (len(p.starts) - 1))]
         neutral = start if p.neutral is None else p.neutral
         rows[p.name] = np.array([[start] * 3, [neutral] * 3])
-    return plain + SIMULATOR.followed(np.zeros(2, dtype=int), {effect.id: rows})[2]
+    return plain + SIMULATOR.followed(np.full(2, trial), {effect.id: rows})[2]
 
 
 def apart(a: Predicted, b: Predicted) -> float:
@@ -88,7 +90,8 @@ def test_neutral_values_change_nothing(name: str, shape: float) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_starting_values_change_something(name: str) -> None:
     """Otherwise the test above would pass for an effect that does not reach this robot."""
-    changes = (apart(*beside(catalogue()[name], shape)[:2]) for shape in (0.0, 1.0))
+    ways = itertools.product((0.0, 1.0), (0, 1))
+    changes = (apart(*beside(catalogue()[name], *way)[:2]) for way in ways)
     assert any(not change <= 1e-7 for change in changes)
 
 
