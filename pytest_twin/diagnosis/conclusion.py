@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.findings import (
     Explained,
     by_whole_motions,
+    doubted_by_the_test,
     explain,
     held_out_gains,
     untested,
@@ -209,6 +210,7 @@ def _tested(
             for t in found.explained.hypothesis.terms
         },
     )
+    explained = doubted_by_the_test(explained, notes)
     before, after = (left_everywhere(problem, h) for h in (EMPTY, here.hypothesis))
     errors = joint_errors(prepared, before, after)
     tested = replace(

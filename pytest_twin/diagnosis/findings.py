@@ -32,6 +32,8 @@ _LEAST_LISTED, _SAME, _MOST_LISTED = 1e-4, 1.5, 4
 _CORRELATED = 0.9
 # Largest confidence with a parameter at its physical bound, or a joint whose encoder is stuck.
 _DOUBTED = 0.5
+# Share of the squared held-out error by which it may grow by chance.
+_CHANCE = 0.01
 # s after the start of a window under effort commands in which a finding's effect is measured: later
 # the open-loop error of any change dominates.
 _SOON = 0.25
@@ -224,6 +226,26 @@ def with_gains(explained: Explained, gains: Mapping[Term, float]) -> Explained:
     """The same findings with gains that were measured elsewhere."""
     findings = tuple(replace(f, held_out_gain=gains[f.term]) for f in explained.findings)
     return replace(explained, findings=findings)
+
+
+def doubted_by_the_test(explained: Explained, notes: list[str]) -> Explained:
+    """The same findings; one that makes the held-out error larger has at most 50 % confidence.
+
+    Args:
+        explained: findings with their gains on held-out recordings.
+        notes: gets a line for each of them.
+    """
+    findings = []
+    for f in explained.findings:
+        if f.held_out_gain < -_CHANCE:
+            name = f.effect if f.joint is None else f"{f.effect} at {f.joint}"
+            notes.append(
+                f"{name}: it improves the fitted recordings and makes the held-out error larger; "
+                "confidence is at most 50 %"
+            )
+            f = replace(f, confidence=min(f.confidence, _DOUBTED))
+        findings.append(f)
+    return replace(explained, findings=tuple(findings))
 
 
 def untested(explained: Explained) -> Explained:

@@ -76,6 +76,21 @@ def test_parameters_are_fitted_to_fit_and_validation_recordings(tmp_path: Path) 
     assert not len(found.prepared.problem.held_out)
 
 
+def test_a_finding_that_the_held_out_recordings_contradict_is_doubted(tmp_path: Path) -> None:
+    """Friction was higher than the model's while what is fitted was recorded, and lower later."""
+    fit = [put(tmp_path, f"{seed}.mcap", seed) for seed in range(2)]
+    test = record(tmp_path / "test.mcap", 9, joints=LEFT, viscous=-0.02)
+    realization = load_model(tmp_path / "model.xml").realization
+    found = diagnose(realization, read(tmp_path, fit, [test]), threads=1)
+    (finding,) = found.explained.findings
+    assert finding.held_out_gain < 0.0
+    assert finding.confidence <= 0.5
+    said = (
+        "viscous_friction at left: it improves the fitted recordings and makes the held-out error"
+    )
+    assert any(note.startswith(said) for note in found.notes)
+
+
 def test_a_fifth_to_a_third_of_the_time_validates_whatever_the_order(tmp_path: Path) -> None:
     files = [put(tmp_path, f"{seed}.mcap", seed) for seed in range(8)]
     roles = roles_of(read(tmp_path, files, files[7:]))
