@@ -33,6 +33,9 @@ INVERSE = {"rate_limit": ("rate",), "torque_saturation": ("limit",),
 FIXED = ("harmonic", "in_loop", "stribeck_velocity", "presliding_distance", "warm_up_time", "start",
          "duration", "no_load_speed", "damping_time")  # fmt: skip
 
+LEAST = {"contact_friction": -0.28}
+"""Of an effect's error, where a stiffness, gain or friction would not stay above zero otherwise."""
+
 
 class Run(Protocol):
     """What a robot did; arrays are (samples, recordings, joints)."""
@@ -76,6 +79,8 @@ def resized(hidden: Hidden, by: float) -> Hidden:
     def one(effect: str, name: str, value: Any) -> Any:
         if name in INVERSE.get(effect, ()):
             return value / by
+        if name.endswith("_error") or effect == "contact_friction":
+            return max(value * by, LEAST.get(effect, -0.9))
         return value if name in FIXED or isinstance(value, bool) else value * by
 
     return Hidden(

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 pytest.importorskip("numba", reason="the plant is compiled: pip install 'pytest-twin[benchmarks]'")
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "concealed"))
 
+import case_parts
 import cell_cases
 import cell_friction
 import cell_kernel
@@ -150,6 +151,14 @@ def test_a_background_has_the_sizes_of_a_real_model() -> None:
     assert half.effects["base_tilt"][-1]["roll"] == pytest.approx(
         0.5 * background.effects["base_tilt"][-1]["roll"]
     )
+
+
+def test_no_size_makes_a_stiffness_negative() -> None:
+    hidden = Hidden({"contact_stiffness": {-1: {"relative_error": -0.7}},
+                     "rate_limit": {0: {"rate": 0.4}}})  # fmt: skip
+    larger = case_parts.resized(hidden, 2.0).effects
+    assert larger["contact_stiffness"][-1]["relative_error"] == -0.9
+    assert larger["rate_limit"][0]["rate"] == 0.2  # a larger effect is a lower limit
 
 
 def test_any_twenty_seeds_hide_as_planned() -> None:
