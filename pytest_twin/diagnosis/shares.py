@@ -33,6 +33,7 @@ def shared(selected: Selected, compared: Compared) -> Selected:
     structures = [
         _Structure(s.terms, _new(s.rival.hypothesis, own), odds[s.terms], s.apart)
         for s in compared.sets
+        if not _says_the_same(s.rival.hypothesis, own)
     ]
     structures += _of_the_search(selected, own, set(odds), compared.tempering)
     confidence: dict[Term, float] = {}
@@ -68,6 +69,15 @@ class _Structure:
         self, terms: frozenset[Term], new: tuple[Term, ...], odds: float, apart: float | None
     ) -> None:
         self.terms, self.new, self.odds, self.apart = terms, new, odds, apart
+
+
+def _says_the_same(other: Hypothesis, own: Hypothesis) -> bool:
+    """Whether a set only has general laws in the place of their special cases."""
+    new = _new(other, own)
+    gone = _new(own, other)
+    return len(new) == len(gone) > 0 and all(
+        any(special.effect in law.law.generalizes for special in gone) for law in new
+    )
 
 
 def _new(other: Hypothesis, own: Hypothesis) -> tuple[Term, ...]:

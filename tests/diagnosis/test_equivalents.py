@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.equivalents import MOST_SIMULATIONS, Compared, compare, subsets
+from pytest_twin.diagnosis.equivalents import (
+    MOST_SIMULATIONS,
+    Compared,
+    RivalSet,
+    compare,
+    subsets,
+)
 from pytest_twin.diagnosis.evidence import tempered
 from pytest_twin.diagnosis.first_order.responses import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
@@ -202,3 +208,18 @@ def test_confidence_is_shared_by_the_odds_of_sets_that_lack_an_effect() -> None:
     halved = shared(known, replace(alone, tempering=0.5))
     assert halved.confidence[LATE_COMMAND] == pytest.approx(2 / 3)
     assert halved.sets[LATE_COMMAND][0].new == (DRAG,)
+
+
+def test_a_general_law_at_its_special_case_is_no_rival() -> None:
+    problem = problem_of(PENDULUM.format(drive=SERVO), "position", {})
+    contest = Contest(problem)
+    general = Term("asymmetric_friction", FIRST)
+    own = with_values(problem, {DRY: {"coulomb": 0.1}})
+    other = with_values(problem, {general: {"coulomb": 0.1}})
+    best, rival = contest.rivals([own, other], contest.weights(contest.nominal), 0)
+    found = Compared(best, (RivalSet(rival, 0.0, 0.0),), 1.0, 0.0)
+    selected = shared(Selected(best, contest.nominal), found)
+    assert selected.confidence[DRY] == pytest.approx(1.0)
+    # The special case is a rival of the general law.
+    found = Compared(rival, (RivalSet(best, 0.0, 0.0),), 1.0, 0.0)
+    assert shared(Selected(rival, contest.nominal), found).confidence[general] == pytest.approx(0.5)
