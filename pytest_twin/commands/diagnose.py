@@ -136,13 +136,22 @@ def run(args: argparse.Namespace) -> int:
     if args.fleet is not None:
         if args.model is not None:
             raise TwinError(
-                "MODEL and --fleet exclude each other", value=args.model, expected="one of them"
+                "MODEL and --fleet exclude each other",
+                where="--fleet",
+                value=args.model,
+                expected="one of them",
             )
         return fleet.run(args, arguments)
     if args.model is None or not args.recordings:
-        raise TwinError("nothing to diagnose", expected="MODEL RECORDING..., or --fleet FILE.yaml")
+        raise TwinError(
+            "nothing to diagnose",
+            where="MODEL RECORDING",
+            expected="a model and at least one recording, or --fleet FILE.yaml",
+        )
     if args.scheduler is not None or args.jobs is not None:
-        raise TwinError("--jobs and --scheduler are for a fleet", expected="--fleet FILE.yaml")
+        raise TwinError(
+            "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml too"
+        )
     out: Path = args.out.absolute()
     with Progress("diagnosing", _STAGES) as progress:
         summary = diagnose_into(

@@ -73,6 +73,7 @@ class Dask:
         except ImportError:
             raise TwinError(
                 "Dask is not installed",
+                where="--scheduler",
                 value=self.address,
                 expected="pip install 'pytest-twin[dask]'",
             ) from None
@@ -81,6 +82,7 @@ class Dask:
         except (OSError, ValueError) as error:
             raise TwinError(
                 f"no Dask scheduler answers: {error}",
+                where="--scheduler",
                 value=self.address,
                 expected="the address that `dask scheduler` prints, tcp://host:8786",
             ) from None
@@ -91,6 +93,7 @@ class Dask:
             except dask.KilledWorker as error:
                 raise SimulationError(
                     "every Dask worker that had this item died",
+                    where="--scheduler",
                     value=str(error),
                     expected="workers with enough memory; see their logs",
                 ) from None

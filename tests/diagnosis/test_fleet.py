@@ -94,7 +94,7 @@ def test_paths_are_relative_to_the_fleet_file(tmp_path: Path) -> None:
         (["m.xml", "--fleet", "f.yaml", "--out", "o"], "exclude each other"),
         (
             ["m.xml", "r.mcap", "--out", "o", "--jobs", "2"],
-            "--jobs and --scheduler are for a fleet",
+            "--jobs, --scheduler: only for a fleet",
         ),
     ],
 )
