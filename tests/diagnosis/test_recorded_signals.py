@@ -11,7 +11,7 @@ from recorded_pendulum import Reality, cell
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.recorded import Settled, settle
-from pytest_twin.diagnosis.recorded.effort import Law, effort_fact
+from pytest_twin.diagnosis.recorded.effort import Law, Signals, effort_fact, is_the_command
 from pytest_twin.diagnosis.recorded.velocity import velocity_fact, velocity_signal
 from pytest_twin.diagnosis.trials import read_trials
 
@@ -132,3 +132,21 @@ def test_efforts_that_no_law_explains_tell_nothing() -> None:
     fact = effort_fact(1.0, [Law(0.5, 0.0, 0.5)], [Law(0.6, 0.0, 0.6)], PERIOD)
     assert fact.value is None
     assert "does not explain" in fact.evidence
+
+
+@pytest.mark.parametrize(
+    ("gain", "offset", "lag", "repeats"),
+    [
+        (1.0, 0.0, 0.0, True),
+        (0.86, 0.0, 0.0, False),
+        (1.0, 0.2, 0.0, False),
+        (1.0, 0.0, 0.02, False),
+    ],
+)
+def test_efforts_equal_to_an_effort_drives_commands_are_no_sensors_evidence(
+    gain: float, offset: float, lag: float, repeats: bool
+) -> None:
+    grid = np.arange(TIME[0], TIME[-1], PERIOD / 20)
+    sent = np.interp(grid, TIME, position())
+    effort = noisy(gain * np.interp(TIME - lag, grid, sent) + offset, 5e-3)
+    assert is_the_command(Signals(TIME, effort, grid, sent, None)) is repeats

@@ -32,6 +32,9 @@ _LATE, _LESS = 0.15, 0.8
 # Ratio of deviations up to which two laws explain the efforts alike.
 _ALIKE = 1.2
 _KEPT = 0.9
+# Error of gain and offset up to which an effort is the command: half a percent, less than drives
+# are calibrated to.
+_EQUAL = 0.005
 _SMOOTH = 7
 """Samples over which positions and velocities are smoothed."""
 _FINE = 20
@@ -154,6 +157,32 @@ def _lagged(values: FloatArray, lag: float, step: float) -> FloatArray:
     keep = float(np.exp(-step / lag))
     out: FloatArray = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])[0]
     return out
+
+
+def is_the_command(log: Signals) -> bool:
+    """Whether efforts of an effort drive are the commanded ones, to within their noise.
+
+    A drive that computes its effort from the current and the nominal motor constant logs the
+    command, whatever reaches the joint: as evidence of a sensor it would deny any error of the
+    motor constant. A sensor behind a perfect drive reads the same and adds nothing to the command.
+    """
+    inner = slice(2, -2)
+    command = np.interp(log.time, log.grid, log.error)[inner]
+    effort = log.effort[inner]
+    near = np.abs(effort - command) <= 3.0 * max(_deviation(effort - command), 1e-12)
+    table = np.stack([command[near], np.ones(int(near.sum()))], axis=1)
+    (gain, offset), *_ = np.linalg.lstsq(table, effort[near], rcond=None)
+    off = effort[near] - table @ np.array([gain, offset])
+    left, spread = _deviation(off), float(np.std(command[near]))
+    # What differs from sample to sample is noise; a lag or a dead zone differs for longer.
+    noise = _deviation(np.diff(off)) / np.sqrt(2.0)
+    if spread == 0.0 or left > _EXPLAINS * spread or left > _TIMES * noise:
+        return False
+    deviation = left / spread / np.sqrt(len(command))
+    return bool(
+        abs(gain - 1.0) <= max(3.0 * deviation, _EQUAL)
+        and abs(offset) <= max(3.0 * deviation, _EQUAL) * spread
+    )
 
 
 def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], period: float) -> Fact:

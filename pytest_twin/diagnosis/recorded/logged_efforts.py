@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.diagnosis.recorded.between_fit import BetweenFit
-from pytest_twin.diagnosis.recorded.effort import Law, Signals, effort_fact, law, pooled, signals
+from pytest_twin.diagnosis.recorded.effort import (
+    Law,
+    Signals,
+    effort_fact,
+    is_the_command,
+    law,
+    pooled,
+    signals,
+)
 from pytest_twin.diagnosis.recorded.fact import Fact
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
@@ -17,6 +25,14 @@ _MOST = 3
 """Recordings that are asked, those with the liveliest efforts."""
 _EXPLAINED = 4.0
 """Noises of the encoder that a fit may leave for its drive to say anything of the efforts."""
+
+_COMMAND_ITSELF = Fact(
+    "demanded",
+    0.9,
+    "data",
+    "the logged efforts equal the commanded ones to within their noise, so they say nothing of "
+    "what reaches the joint",
+)
 
 
 def logged_efforts(trials: Sequence[Trial], fitted: BetweenFit) -> dict[str, Fact]:
@@ -36,6 +52,9 @@ def logged_efforts(trials: Sequence[Trial], fitted: BetweenFit) -> dict[str, Fac
         liveliest = sorted(
             (t for t in trials if _has_efforts(t, joint)), key=lambda t: -_spread(t, joint)
         )
+        if liveliest and all(_repeats_command(t, joint) for t in liveliest[:_MOST]):
+            found[joint] = _COMMAND_ITSELF
+            continue
         for trial in liveliest[:_MOST]:
             for between in _ways(trial):
                 log = _log(trial, joint, between)
@@ -57,6 +76,14 @@ def logged_efforts(trials: Sequence[Trial], fitted: BetweenFit) -> dict[str, Fac
 
 def _has_efforts(trial: Trial, joint: str) -> bool:
     return trial.effort is not None and joint in trial.joints and joint in trial.command_joints
+
+
+def _repeats_command(trial: Trial, joint: str) -> bool:
+    """Whether an effort drive's logged efforts are its commands."""
+    if trial.mode_of(joint) != "effort":
+        return False
+    logs = (_log(trial, joint, between) for between in _ways(trial))
+    return any(log is not None and is_the_command(log) for log in logs)
 
 
 def _log(trial: Trial, joint: str, between: CommandBetween) -> Signals | None:
