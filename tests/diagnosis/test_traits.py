@@ -29,6 +29,8 @@ OTHER_WORDS = {
     ("roles.py", "payload"),
     ("native.py", "payload"),
     ("native.py", "armature"),
+    # What a note calls the total of a joint's rotor inertia.
+    ("totals.py", "armature"),
 }
 
 

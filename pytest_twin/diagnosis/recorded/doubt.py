@@ -10,11 +10,13 @@ from dataclasses import replace
 
 from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
 from pytest_twin.diagnosis.recorded.command_between import Between
+from pytest_twin.effects.actuation import ActuatorLag
+from pytest_twin.effects.timing import CommandDelay, SensorDelay
 
 _TIMES = {
-    "command_delay": "delay",
-    "sensor_delay": "delay",
-    "actuator_lag": "time_constant",
+    CommandDelay.id: "delay",
+    SensorDelay.id: "delay",
+    ActuatorLag.id: "time_constant",
 }
 """Effects with a time that a setpoint between stamps changes, and that time."""
 _DOUBTED = 0.5

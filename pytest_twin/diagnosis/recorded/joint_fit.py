@@ -19,23 +19,29 @@ from scipy.optimize import lsq_linear
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem, corrected
+from pytest_twin.effects.actuation import ActuatorLag, ControllerGain, DeadZone
+from pytest_twin.effects.friction import CoulombFriction, ViscousFriction
+from pytest_twin.effects.rigid_body import Armature
+from pytest_twin.effects.sensing import EncoderBias
+from pytest_twin.effects.timing import CommandDelay
+from pytest_twin.effects.transmission import JointSpring
 
 PRIORS: dict[tuple[str, str], float] = {
-    ("command_delay", "delay"): 0.02,
-    ("actuator_lag", "time_constant"): 0.02,
-    ("controller_gain", "stiffness_error"): 0.3,
-    ("controller_gain", "damping_error"): 0.3,
-    ("viscous_friction", "coefficient"): 0.5,
-    ("coulomb_friction", "coulomb"): 0.5,
-    ("dead_zone", "width"): 0.1,
-    ("armature", "inertia"): 0.3,
-    ("joint_spring", "stiffness"): 0.3,
-    ("encoder_bias", "bias"): 0.03,
+    (CommandDelay.id, "delay"): 0.02,
+    (ActuatorLag.id, "time_constant"): 0.02,
+    (ControllerGain.id, "stiffness_error"): 0.3,
+    (ControllerGain.id, "damping_error"): 0.3,
+    (ViscousFriction.id, "coefficient"): 0.5,
+    (CoulombFriction.id, "coulomb"): 0.5,
+    (DeadZone.id, "width"): 0.1,
+    (Armature.id, "inertia"): 0.3,
+    (JointSpring.id, "stiffness"): 0.3,
+    (EncoderBias.id, "bias"): 0.03,
 }
 """Effect and parameter -> standard deviation of its prior around the model's value, in the scale of
 the parameter (s, 1, or the joint's typical damping, effort, inertia and stiffness, or rad). Wide:
 they hold back only what the recordings do not show."""
-DELAY = list(PRIORS).index(("command_delay", "delay"))
+DELAY = list(PRIORS).index((CommandDelay.id, "delay"))
 _ITERATIONS = 6
 # Dampings of Levenberg and Marquardt that are tried, shares of each parameter's own curvature.
 _DAMPINGS = (1e-4, 1e-1)
@@ -160,8 +166,8 @@ class Parameters:
         start = np.cumsum([0, *(len(t.parameters) for t in self.terms)])
         model, dofs = problem.simulator.segments[0].model, problem.simulator.layout.dof_index
         own = {
-            "viscous_friction": np.reshape(model.dof_damping[dofs], (joints, -1))[:, 0],
-            "coulomb_friction": np.reshape(model.dof_frictionloss[dofs], (joints, -1))[:, 0],
+            ViscousFriction.id: np.reshape(model.dof_damping[dofs], (joints, -1))[:, 0],
+            CoulombFriction.id: np.reshape(model.dof_frictionloss[dofs], (joints, -1))[:, 0],
         }
         for k, (effect, name) in enumerate(PRIORS):
             for j in range(joints):

@@ -18,6 +18,7 @@ from pytest_twin.diagnosis.recorded.effort import (
     signals,
 )
 from pytest_twin.diagnosis.recorded.fact import Fact
+from pytest_twin.effects.actuation import ActuatorLag, DeadZone
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
@@ -112,7 +113,7 @@ def _drive(fitted: BetweenFit, column: int) -> tuple[float, float]:
     left = float(np.sqrt(np.mean(fit.residual[:, column] ** 2)))
     if left > _EXPLAINED * space.noise[column]:
         return 0.0, 0.0
-    lag, dead_zone = (space.value(fit.theta, e, column) for e in ("actuator_lag", "dead_zone"))
+    lag, dead_zone = (space.value(fit.theta, e, column) for e in (ActuatorLag.id, DeadZone.id))
     return lag, dead_zone
 
 
