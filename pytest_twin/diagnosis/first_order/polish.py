@@ -42,11 +42,27 @@ class Polished:
 
 
 def polish(
-    linear: Linear, view: View, starts: Sequence[Hypothesis], iterations: int
+    linear: Linear,
+    view: View,
+    starts: Sequence[Hypothesis],
+    iterations: int,
+    targets: Sequence[FloatArray] | None = None,
 ) -> list[Polished]:
-    """Fit every start, side by side; each under the weights of what it leaves."""
-    residuals = [view.residual - d for d in _differences(linear, starts)]
+    """Fit every start, side by side; each under the weights of its residual.
+
+    Args:
+        linear: laws along the measured motion.
+        view: residual and noise floor.
+        starts: hypotheses with starting values.
+        iterations: at most.
+        targets: (bins, signals) what the differences of each are to explain; the residual of
+            ``view`` by default.
+    """
+    if targets is None:
+        targets = [view.residual] * len(starts)
+    residuals = [t - d for t, d in zip(targets, _differences(linear, starts), strict=True)]
     fits = [Polished(h, r) for h, r in zip(starts, residuals, strict=True)]
+    target = {id(f): t for f, t in zip(fits, targets, strict=True)}
     active = [f for f in fits if f.hypothesis.theta.size]
     for _ in range(iterations):
         if not active:
@@ -58,7 +74,7 @@ def polish(
         ends = [0]
         for f, (_, steps) in zip(active, nudges, strict=True):
             weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
-            here = view.residual - f.residual
+            here = target[id(f)] - f.residual
             slope = np.zeros((*here.shape, f.hypothesis.theta.size))
             for column, s in zip(np.flatnonzero(f.hypothesis.movable), steps, strict=True):
                 slope[..., column] = (next(moved) - here) / s
@@ -66,7 +82,9 @@ def polish(
             weights.append(weight)
             tried += proposals(f.hypothesis, f.residual, slope, weight, _DAMPINGS)
             ends.append(len(tried))
-        left = [view.residual - d for d in _differences(linear, tried)]
+        owner = [f for f, n in zip(active, np.diff(ends), strict=True) for _ in range(n)]
+        found = _differences(linear, tried)
+        left = [target[id(f)] - d for f, d in zip(owner, found, strict=True)]
         still = []
         for k, (f, weight) in enumerate(zip(active, weights, strict=True)):
             mine = range(ends[k], ends[k + 1])

@@ -31,7 +31,6 @@ from pytest_twin.diagnosis.search.foremost import evidence_along
 from pytest_twin.diagnosis.search.look import Look
 from pytest_twin.diagnosis.structure_search.score import Scorer
 from pytest_twin.diagnosis.structure_search.settings import Settings
-from pytest_twin.diagnosis.verdict import worth_a_name
 
 _ITERATIONS = 3
 """Of a fit along the motion."""
@@ -81,12 +80,11 @@ def _exchanged(scorer: Scorer, look: Look, settings: Settings) -> Iterable[Hypot
     removed = removals(own)
     rests = [own.without(*gone) for gone in removed]
     lefts = _residuals(scorer, look, removed, rests)
-    whole = scorer.nominal.mean_square
 
     def search(most: int, width: int) -> Search:
         return Search(
             width, most, settings.earns,
-            lambda before, after: worth_a_name(view.floor, before, after, whole),
+            lambda before, after: bool((after < before).any()),
         )  # fmt: skip
 
     for gone, rest, left in zip(removed, rests, lefts, strict=True):

@@ -18,7 +18,6 @@ from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.screen import name_price, price
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.verdict import worth_a_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +49,14 @@ class Scorer:
     Attributes:
         problem: recordings and simulator.
         name_price: log-likelihood that one more effect has to earn.
+        earns, share: as :class:`Settings` has them.
         nominal: the model without any effect.
     """
 
-    def __init__(self, problem: Problem, candidates: int, earns: float) -> None:
+    def __init__(self, problem: Problem, candidates: int, earns: float, share: float) -> None:
         self.problem = problem
         self.name_price = name_price(candidates)
-        self.earns = earns
+        self.earns, self.share = earns, share
         self.nominal = self.simulate([Hypothesis((), np.empty(0))])[0]
 
     def simulate(self, hypotheses: Sequence[Hypothesis]) -> list[Model]:
@@ -108,9 +108,10 @@ class Scorer:
     def is_better(self, model: Model, than: Model) -> bool:
         """Whether a model replaces another: the acceptance test.
 
-        More parameters or more names must earn them, by the log-likelihood ratio and by a share of
-        the error that is beyond the accuracy of a simulation. The simpler of two models stays
-        unless the other earns its size, whichever of them came first.
+        More parameters or more names must earn them by the log-likelihood ratio. More names must
+        also earn a share of what the larger model gains over the nominal one: an effect that is
+        not quite the real one leaves a residual, and another name follows it a little. The simpler
+        of two models stays unless the other earns its size, whichever of them came first.
         """
         size = _size(model)
         other = _size(than)
@@ -124,16 +125,7 @@ class Scorer:
         gain = self.gain(larger, smaller)
         if len(larger.hypothesis.terms) == len(smaller.hypothesis.terms):
             return gain >= self.earns
-        return gain >= self.earns and self.is_worth(smaller, larger)
-
-    def is_worth(self, before: Model, after: Model) -> bool:
-        """Whether the error of some signal falls by more than the accuracy of a simulation."""
-        return worth_a_name(
-            self.problem.signal_floor,
-            before.mean_square,
-            np.minimum(after.mean_square, before.mean_square),
-            self.nominal.mean_square,
-        )
+        return gain >= max(self.earns, self.share * self.gain(larger, self.nominal))
 
     def stands_out(self, model: Model, floors: float) -> np.ndarray:
         """(signals,) whether the residual is above so many noise floors."""

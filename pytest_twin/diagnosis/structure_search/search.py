@@ -68,7 +68,7 @@ class StructureSearch:
         self.leave = leave
         self.candidates = candidates(problem)
         with self.diagnosis_run.budget.reserved():
-            self.scorer = Scorer(problem, len(self.candidates), settings.earns)
+            self.scorer = Scorer(problem, len(self.candidates), settings.earns, settings.share)
 
     def run(self, start: Hypothesis = EMPTY) -> Result:
         """Search from a start until no proposal is accepted; the best so far where time ends."""

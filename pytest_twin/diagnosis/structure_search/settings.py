@@ -20,8 +20,8 @@ class Settings:
         earns: log-likelihood ratio, after the prices of parameters and names, that a larger model
             must gain: the odds of 150 to 1 that are called very strong evidence (Kass, Raftery
             1995) are 5.
-        scanned: grid points of effects that are not of first order, simulated in one step.
-        reported: log-likelihood ratio beyond which an alternative has no share of the confidence.
+        share: of the log-likelihood ratio of a model over the nominal one, that each more effect
+            must gain.
     """
 
     rounds: int = 12
@@ -32,8 +32,7 @@ class Settings:
     corrections: int = 3
     refinements: int = 3
     earns: float = 5.0
-    scanned: int = 40
-    reported: float = 30.0
+    share: float = 0.1
 
 
 SETTINGS = Settings()
