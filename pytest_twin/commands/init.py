@@ -199,10 +199,14 @@ def _some(goldens: list[str]) -> str:
 
 
 def _condensed(notes: Iterable[str], folder: Path) -> list[str]:
-    """Notes for the terminal: of several that differ in names and lines only, the first."""
+    """Notes for the terminal: of several that differ in names and lines only, the first.
+
+    A repair changes the physics of a link: each stays in sight.
+    """
     kinds: dict[str, list[str]] = {}
     for note in notes:
-        kinds.setdefault(_NAMES_AND_LINES.sub("", note), []).append(note)
+        repair = note.endswith("(accepted repair)")
+        kinds.setdefault(note if repair else _NAMES_AND_LINES.sub("", note), []).append(note)
     return [
         first.replace(f"{folder}/", "", 1)
         + (
