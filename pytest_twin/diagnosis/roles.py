@@ -87,8 +87,9 @@ def _of_few(count: int) -> str:
 
 def _of_different(count: int) -> str:
     return (
-        f"{count} recordings to fit, each under its own controller, payload or temperature: none "
-        "is set aside for validation; effects are accepted by an information criterion"
+        f"{count} recordings to fit, too few to validate under every controller, payload and "
+        "temperature: none is set aside for validation; effects are accepted by an information "
+        "criterion"
     )
 
 
@@ -106,7 +107,10 @@ def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
         alike = [q for q in paths if kind[q] == kind[p]]
         return sum(seconds[q] for q in alike if q in chosen) / sum(seconds[q] for q in alike)
 
-    while sum(seconds[p] for p in chosen) < _LEAST_SHARE * whole:
+    def covers_all() -> bool:
+        return {kind[p] for p in chosen} == set(kind.values())
+
+    while sum(seconds[p] for p in chosen) < _LEAST_SHARE * whole or not covers_all():
         left = [p for p in paths if p not in chosen]
         spare = [
             p for p in left
@@ -116,7 +120,8 @@ def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
         if not spare:
             break
         chosen.add(min(spare, key=lambda p: (taken(p), _uncovered(p, left, ranges), str(p))))
-    return chosen
+    # What shows under one condition alone (cold, one payload) has to be validated there.
+    return chosen if covers_all() else set()
 
 
 def _ranges(trials: Sequence[Trial]) -> dict[str, FloatArray]:

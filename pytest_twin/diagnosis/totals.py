@@ -20,6 +20,9 @@ from pytest_twin.effects.base import Parameter
 # correction that removes all of it is known (1.7 % where damping of 0.1 N m s/rad was removed from
 # simulated recordings).
 _TOLERANCE = 0.05
+# The same of what is typical of the joint, such as the drive's RMS effort: where the model has none
+# of a quantity, a fit ends within this of zero.
+_OF_TYPICAL = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +34,14 @@ class Total:
         joint: column.
         own: the model's value.
         parts: (term, index in theta, value) of each correction.
+        typical: scale of the corrections, SI units.
     """
 
     name: str
     joint: int
     own: float
     parts: tuple[tuple[Term, int, float], ...]
+    typical: float = 0.0
 
     @property
     def value(self) -> float:
@@ -46,7 +51,7 @@ class Total:
     @property
     def impossible(self) -> bool:
         """Whether it is below zero by more than corrections are accurate."""
-        return self.value < -_TOLERANCE * max(self.own, 0.0)
+        return self.value < -max(_TOLERANCE * self.own, _OF_TYPICAL * self.typical, 0.0)
 
 
 _ADDED = {"damping": "viscous friction", "inertia": "armature", "stiffness": "spring stiffness"}
@@ -64,6 +69,7 @@ def totals(problem: Problem, hypothesis: Hypothesis) -> list[Total]:
         "dry friction": model.dof_frictionloss[layout.dof_index],
     }
     parts: dict[tuple[str, int], list[tuple[Term, int, float]]] = {}
+    typical: dict[tuple[str, int], float] = {}
     for term in hypothesis.terms:
         at = hypothesis.slice_of(term).start
         for k, p in enumerate(term.parameters):
@@ -71,8 +77,15 @@ def totals(problem: Problem, hypothesis: Hypothesis) -> list[Total]:
             if quantity is not None and term.joint >= 0:
                 value = float(hypothesis.theta[at + k]) * problem.scales.value(p, term.joint)
                 parts.setdefault((quantity, term.joint), []).append((term, at + k, value))
+                typical[quantity, term.joint] = problem.scales.value(p, term.joint)
     return [
-        Total(_ADDED.get(quantity, quantity), joint, float(own[quantity][joint]), tuple(found))
+        Total(
+            _ADDED.get(quantity, quantity),
+            joint,
+            float(own[quantity][joint]),
+            tuple(found),
+            typical[quantity, joint],
+        )
         for (quantity, joint), found in parts.items()
     ]
 
