@@ -412,16 +412,7 @@ def diagnose(case: Path, out: Path) -> dict[str, Any]:
     program = str(Path(sys.executable).with_name("pytest-twin"))
     recordings = sorted(map(str, (case / "recordings").glob("*.mcap")))
     subprocess.run(
-        [
-            program,
-            "diagnose",
-            "--seconds",
-            "0",
-            str(case / "model.xml"),
-            *recordings,
-            "--out",
-            str(out),
-        ],
+        [program, "diagnose", str(case / "model.xml"), *recordings, "--out", str(out)],
         check=False,
         stdout=subprocess.DEVNULL,
     )

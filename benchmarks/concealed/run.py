@@ -16,7 +16,6 @@ import argparse
 import json
 import os
 import random
-import resource
 import shutil
 import statistics
 import subprocess
@@ -34,16 +33,8 @@ from confine import confinable
 CONFINE = Path(__file__).with_name("confine.py")
 
 
-def diagnose(
-    case: Path, out: Path, seconds: float, cores: Sequence[int] = (), cpu_seconds: int = 0,
-    ends_after: float | None = None,
-) -> dict[str, object]:  # fmt: skip
-    """Run the command on one case, on some cores or all; its status, wall time and last words.
-
-    ``cpu_seconds`` limits the time that a processor works on it, which other programs on the
-    machine do not change; 0: no limit. A process that reaches it is killed. ``ends_after``: s after
-    which the diagnosis itself ends with the best that it has; None: its own default.
-    """
+def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -> dict[str, object]:
+    """Run the command on one case, on some cores or all; its status, wall time and last words."""
     case, out = case.resolve(), out.resolve()
     box = out.with_name(f"{out.name}.box")
     shutil.rmtree(box, ignore_errors=True)
@@ -51,18 +42,15 @@ def diagnose(
     confined = confinable()
     command = [
         *(("taskset", "--cpu-list", ",".join(map(str, cores))) if cores else ()),
-        *(("prlimit", f"--cpu={cpu_seconds}") if cpu_seconds else ()),
         *((sys.executable, str(CONFINE), "--read", str(case), "--write", str(box), "--")
           if confined else ()),
-        str(Path(sys.executable).with_name("pytest-twin")), "diagnose", "--seconds", "0",
-        str(model_of(case)),
+        str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(case / "model.xml"),
         *sorted(str(path) for path in (case / "recordings").glob("*.mcap")),
         "--out", str(box / "said"),
-        *(() if ends_after is None else ("--seconds", str(ends_after))),
     ]  # fmt: skip
     told: dict[str, object] = {"case": case.name, "confined": confined}
     environment = {**os.environ, "TMPDIR": str(box), "HOME": str(box)}
-    start, worked = time.perf_counter(), processor_seconds()
+    start = time.perf_counter()
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=seconds, cwd=case, env=environment
@@ -70,7 +58,6 @@ def diagnose(
     except subprocess.TimeoutExpired:
         return {**told, "status": "timeout", "seconds": seconds}
     else:
-        told["cpu_seconds"] = processor_seconds() - worked
         taken = time.perf_counter() - start
         if (box / "said").exists():
             shutil.rmtree(out, ignore_errors=True)
@@ -80,26 +67,11 @@ def diagnose(
     return {**told, "status": done.returncode, "seconds": taken, "stderr": done.stderr[-2000:]}
 
 
-def model_of(case: Path) -> Path:
-    """``twin.yaml`` of a case, where its recordings differ in the controller, else its model."""
-    twin = case / "twin.yaml"
-    return twin if twin.exists() else case / "model.xml"
-
-
-def processor_seconds() -> float:
-    """s that processors worked for commands that have ended; of several at a time, for all."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
-def answer(
-    case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]], cpu_seconds: int = 0,
-    ends_after: float | None = None,
-) -> float:  # fmt: skip
+def answer(case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]]) -> float:
     """Diagnose a case on the next cores that are free, and say so; s that it took."""
     cores = free.get()
     try:
-        told = diagnose(case, out / case.name, seconds, cores, cpu_seconds, ends_after)
+        told = diagnose(case, out / case.name, seconds, cores)
     finally:
         free.put(cores)
     (out / f"{case.name}.run.json").write_text(json.dumps(told, indent=1) + "\n")
@@ -118,8 +90,6 @@ def main() -> None:
     parser.add_argument("--cases", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=600.0)
-    parser.add_argument("--cpu-seconds", type=int, default=0, help="of each process; 0: no limit")
-    parser.add_argument("--ends-after", type=float, help="--seconds of the diagnosis itself")
     parser.add_argument("--jobs", type=int, default=2, help="cases at the same time")
     parser.add_argument("--cores", type=int, default=1, help="of each case")
     parser.add_argument("--joints", type=int, help="cases of so many alone")
@@ -136,8 +106,7 @@ def main() -> None:
     for first in range(0, min(args.jobs * args.cores, len(every)), args.cores):
         free.put(every[first : first + args.cores])
     with ThreadPoolExecutor(free.qsize()) as pool:
-        one = partial(answer, out=args.out, seconds=args.seconds, free=free,
-                      cpu_seconds=args.cpu_seconds, ends_after=args.ends_after)  # fmt: skip
+        one = partial(answer, out=args.out, seconds=args.seconds, free=free)
         # Where one ends in an error or is interrupted, those that have not begun do not begin.
         seconds = list(pool.map(one, open_cases))
     if seconds:

@@ -7,6 +7,7 @@ noise is. The recordings are asked, where dry friction is in the model or was fo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,6 @@ from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.search.select import Selection
@@ -64,7 +64,8 @@ def searched_so(
     given: Given,
     prepared: Prepared,
     trials: TrialSet,
-    run: Run,
+    problems: list[Problem],
+    say: Callable[[str], None],
     start: Hypothesis,
 ) -> tuple[Given, Searched]:
     """What a search finds, gone on with dry friction the other way once that leaves far less.
@@ -76,7 +77,8 @@ def searched_so(
     Args:
         given: the model.
         prepared, trials: its problem.
-        run: the diagnosis.
+        problems: gets the one of the other way, if it was asked.
+        say: told what is considered.
         start: what is known already.
     """
     problem = prepared.problem
@@ -90,26 +92,28 @@ def searched_so(
             return False
         if other is None:
             other = pose(stepped, trials, [])
-            run.budget.add(other[0].problem)
+            problems.append(other[0].problem)
         return _leaves_less(problem, left_everywhere(other[0].problem, best.hypothesis), left)
 
-    selection = Selection(problem, run, leave=better_so)
+    selection = Selection(problem, say, leave=better_so)
     selected = from_start(selection, start)
     if other is None or not selection.left_off:
         return given, concluded(prepared, trials, selection, selected)
     # Trials on which the model diverges that way are left out of it.
     there, kept = other
-    run.begin("whole recordings, dry friction that creeps otherwise", there.problem)
-    return stepped, search(there, kept, Selection(there.problem, run), selected.best.hypothesis)
+    return stepped, search(there, kept, Selection(there.problem, say), selected.best.hypothesis)
 
 
-def found_so(found: Searched, given: Given, run: Run) -> tuple[Given, Searched]:
+def found_so(
+    found: Searched, given: Given, problems: list[Problem], say: Callable[[str], None]
+) -> tuple[Given, Searched]:
     """What was found, fitted with dry friction the other way, where that leaves far less.
 
     Args:
         found: with dry friction as ``given``.
         given: the model.
-        run: the diagnosis.
+        problems: gets the one that was tried, if one was.
+        say: told what is considered.
     """
     before, start = found.prepared.problem, found.explained.hypothesis
     if not has_dry_friction(before, start) or _greatest(before, found.after) <= STANDS_OUT:
@@ -118,8 +122,8 @@ def found_so(found: Searched, given: Given, run: Run) -> tuple[Given, Searched]:
         return given, found
     stepped = replace(given, creeps=not given.creeps)
     prepared, trials = pose(stepped, found.trials, [])
-    run.begin("whole recordings, dry friction that creeps otherwise", prepared.problem)
-    selection = Selection(prepared.problem, run)
+    problems.append(prepared.problem)
+    selection = Selection(prepared.problem, say)
     contest = selection.contest
     rival = contest.settled(contest.as_it_is(start)) if start.terms else contest.nominal
     if not _leaves_less(before, left_everywhere(prepared.problem, rival.hypothesis), found.after):

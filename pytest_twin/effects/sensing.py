@@ -15,9 +15,8 @@ class EncoderBias(Effect):
 
     id = "encoder_bias"
     family = "sensing"
-    nearly_linear = True
-    hook_order = 2
-    common_to_geared_motors = True
+    reads_after = 2
+    of_every_drive = True
     law = "measured = q + bias; the servo regulates q + in_loop bias"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
@@ -54,7 +53,7 @@ class EncoderScale(Effect):
 
     id = "encoder_scale"
     family = "sensing"
-    hook_order = 1
+    reads_after = 1
     law = "measured = (1 + scale_error) q"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
@@ -87,7 +86,6 @@ class EncoderEccentricity(Effect):
 
     id = "encoder_eccentricity"
     family = "sensing"
-    periodic = True
     law = "measured = q + sine sin(q) + cosine (cos(q) - zeroed)"
     source = "Hagiwara et al., IEEE Trans. Instrum. Meas. 41 (1992): eccentricity of encoders"
     parameters = (
@@ -138,8 +136,7 @@ class EffortBias(Effect):
 
     id = "effort_bias"
     family = "sensing"
-    needs_effort_sensor = True
-    hook_order = 2
+    reads_after = 2
     law = "measured effort = effort + bias"
     source = "ISO 376; zero offset of force-proving instruments"
     parameters = (
@@ -160,8 +157,7 @@ class EffortScale(Effect):
 
     id = "effort_scale"
     family = "sensing"
-    needs_effort_sensor = True
-    hook_order = 1
+    reads_after = 1
     law = "measured effort = (1 + scale_error) effort"
     source = "ISO 376; sensitivity of force-proving instruments"
     parameters = (

@@ -43,9 +43,7 @@ def configurations(
     for joint in held:
         if joint not in free.independent:
             raise SpecError(
-                "no independent joint",
-                where="joints",
-                value=joint,
+                f"{joint!r} is no independent joint",
                 expected=", ".join(sorted(free.independent)) or "none: nothing moves",
             )
     drawn = st.fixed_dictionaries(

@@ -133,10 +133,13 @@ def _series(recording: Recording, role: str) -> JointSeries:
             value=str(recording.damage[0]),
             expected="a whole recording",
         )
-    advice = what_to_do(recording, role)
-    if "--topics" not in advice:
-        advice += "; topics are mapped in twin.yaml or by --topics state=/x,command=/y"
-    raise RecordingError(f"no {role} messages", path=recording.path, where=role, expected=advice)
+    raise RecordingError(
+        f"no {role} messages",
+        path=recording.path,
+        where=role,
+        expected=f"{what_to_do(recording, role)}; topics are mapped in twin.yaml or by "
+        "--topics state=/x,command=/y",
+    )
 
 
 def _between(recording: Recording, options: RecordingOptions) -> tuple[CommandBetween, str]:

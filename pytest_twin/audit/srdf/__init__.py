@@ -1,1 +1,0 @@
-"""The audit of an SRDF: planning groups, poses and disabled pairs against the URDF they name."""

@@ -1,1 +1,0 @@
-"""A free law where no effect with a name explains the residual: which variable, what curve."""
