@@ -139,7 +139,7 @@ class _Target:
             too_long = any(len(os.fsencode(part)) > self.limits.name_bytes for part in parts)
         except UnicodeEncodeError:
             raise self.refuse(
-                "a name that no file can have", name, "text that UTF-8 can hold"
+                "a file name that cannot be encoded", name, "a name in valid UTF-8"
             ) from None
         if too_long:
             raise self.limit("a name is too long", name, f"at most {self.limits.name_bytes} bytes")

@@ -124,8 +124,8 @@ class Settling(Check):
             raise spec_error(
                 golden,
                 "target.joints",
-                "no joint with a name that could settle",
-                expected="at least one named hinge or slide joint in the model",
+                "the model has no named hinge or slide joint to watch",
+                expected="at least one; give joints a name in the model",
             )
         duration = _positive(golden, "stimulus.duration", stimulus["duration"])
         pose = resolve_pose(golden, realization, stimulus.get("pose", REFERENCE), "stimulus.pose")

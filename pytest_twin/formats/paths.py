@@ -129,7 +129,7 @@ class Roots:
             encoded = os.fsencode(reference)
         except UnicodeEncodeError:
             raise refuse(
-                "path holds a character that no file name can have", "text that UTF-8 can hold"
+                "path holds a character that no file name can have", "a path in valid UTF-8"
             ) from None
         if any(len(part) > limits.PATHS.component_bytes for part in encoded.split(b"/")):
             raise refuse(

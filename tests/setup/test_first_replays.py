@@ -28,7 +28,7 @@ ROBOT = """\
 
 
 def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    # A machine that builds sets CI, where --twin-update refuses to run; a person's terminal is meant.
+    # Build machines set CI, and --twin-update refuses to run there: these tests are a person's.
     hidden = ("CI", "TWIN_SIGNING_KEY", "PYTEST_ADDOPTS")
     env = {name: value for name, value in os.environ.items() if name not in hidden}
     state = {"XDG_CONFIG_HOME": str(cwd.parent / "config"), "XDG_STATE_HOME": str(cwd.parent / "s")}
