@@ -365,7 +365,16 @@ def diagnosed(folder: Path, form: type[Form]) -> tuple[bool, str]:
     files = [folder / f"{i}.mcap" for i in range(3)]
     for i, file in enumerate(files):
         record(file, form(i))
-    words = ["pytest_twin.cli", "diagnose", folder / "model.xml", *files, "--out", folder / "why"]
+    words = [
+        "pytest_twin.cli",
+        "diagnose",
+        "--seconds",
+        "0",
+        folder / "model.xml",
+        *files,
+        "--out",
+        folder / "why",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", *map(str, words)], capture_output=True, text=True, check=False
     )

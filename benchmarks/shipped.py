@@ -6,8 +6,9 @@
 FOLDER holds unpacked packages, one a folder: `pip install --no-deps --target FOLDER NAME...`.
 Every URDF and every MJCF in it is loaded by MuJoCo and Pinocchio, and by pytest-twin with no
 option: a robot comes through where pytest-twin loads whatever one of them loads. Up to N robots of
-each package also go through `audit`, `realize` (URDF), `init` and `pytest --twin-release`. The
-state file holds a line for each robot: a run that was cut short goes on where it stopped.
+each package that have a joint also go through `audit`, `realize` (URDF), `init` and
+`pytest --twin-release`. The state file holds a line for each robot: a run that was cut short goes
+on where it stopped.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from pytest_twin.realization.sandbox import Sandbox
 STAGES = ("audit", "realize", "init", "release")
 HEADING = "## Robots of other packages, in their shipped place"
 _ROOT = re.compile(r"<(robot|mujoco)\b")
+_JOINT = re.compile(r"<(joint|freejoint)\b")
 _WITHOUT_DISPLAY = {"MUJOCO_GL": "disable"}
 
 
@@ -133,26 +135,35 @@ def _stage(command: list[str], cwd: Path, seconds: float) -> str:
 def run(folder: Path, state: Path, full: int, seconds: float) -> None:
     """Add a line to the state file for each robot that is not in it."""
     known = {line["path"]: line for line in _read(state)}
-    with Sandbox(seconds=seconds) as child:
-        for path in models(folder):
-            name = path.relative_to(folder).as_posix()
-            if name in known:
-                continue
-            start = time.perf_counter()
-            said = loads(child, path)
-            line = {"path": name, "package": name.partition("/")[0], "loads": said}
-            known[name] = {**line, "seconds": round(time.perf_counter() - start, 2)}
-            _add(state, known[name])
-    for package in sorted({line["package"] for line in known.values()}):
-        loaded = [
-            line
-            for line in known.values()
-            if line["package"] == package and line["loads"]["here"] == "loads"
-        ]
-        left = [line for line in loaded if "stages" not in line]
-        for line in spread(left, full - (len(loaded) - len(left))):
-            _add(state, {**line, "stages": through_commands(folder / line["path"], seconds)})
+    packages: dict[str, list[Path]] = {}
+    for path in models(folder):
+        packages.setdefault(path.relative_to(folder).parts[0], []).append(path)
+    for package, paths in packages.items():
+        with Sandbox(seconds=seconds) as child:
+            for path in paths:
+                name = path.relative_to(folder).as_posix()
+                if name in known:
+                    continue
+                start = time.perf_counter()
+                line = {"path": name, "package": package, "loads": loads(child, path)}
+                known[name] = {**line, "seconds": round(time.perf_counter() - start, 2)}
+                _add(state, known[name])
+        names = [path.relative_to(folder).as_posix() for path in paths]
+        loaded = [known[name] for name in names if known[name]["loads"]["here"] == "loads"]
+        left = [line for line in loaded if "stages" not in line and _moves(folder / line["path"])]
+        done = sum("stages" in line for line in loaded)
+        for line in spread(left, full - done):
+            known[line["path"]] = {
+                **line,
+                "stages": through_commands(folder / line["path"], seconds),
+            }
+            _add(state, known[line["path"]])
             print(line["path"], file=sys.stderr, flush=True)
+
+
+def _moves(path: Path) -> bool:
+    """Whether a file states a joint: one without is scenery, or a part for others to include."""
+    return _JOINT.search(path.read_text(errors="replace")) is not None
 
 
 def spread(lines: list[dict[str, Any]], count: int) -> list[dict[str, Any]]:

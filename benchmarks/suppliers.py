@@ -203,7 +203,13 @@ def main() -> int:
         files.append(out / f"{i}_{role}.mcap")
         record(robot, model, files[-1], role, i, steps=args.steps and i in (1, 4))
     print(f"hidden: {robot.truth}", flush=True)
-    command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(nominal)]
+    command = [
+        str(Path(sys.executable).with_name("pytest-twin")),
+        "diagnose",
+        "--seconds",
+        "0",
+        str(nominal),
+    ]
     since = time.monotonic()
     done = subprocess.run([*command, *map(str, files), "--out", str(out / "why")], check=False)
     print(f"{(time.monotonic() - since) / 60.0:.1f} minutes")

@@ -412,7 +412,16 @@ def diagnose(case: Path, out: Path) -> dict[str, Any]:
     program = str(Path(sys.executable).with_name("pytest-twin"))
     recordings = sorted(map(str, (case / "recordings").glob("*.mcap")))
     subprocess.run(
-        [program, "diagnose", str(case / "model.xml"), *recordings, "--out", str(out)],
+        [
+            program,
+            "diagnose",
+            "--seconds",
+            "0",
+            str(case / "model.xml"),
+            *recordings,
+            "--out",
+            str(out),
+        ],
         check=False,
         stdout=subprocess.DEVNULL,
     )

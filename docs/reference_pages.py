@@ -27,6 +27,7 @@ SCHEMAS = {
 }
 RESULTS = {
     "diagnosis": "`diagnosis.json` and `diagnose --json -`",
+    "fleet": "`fleet.json` and `diagnose --fleet --json -`",
     "replay": "the JSON file beside a prediction, and `replay --json -`",
     "audit": "`NAME.audit.json` and `audit --json -`",
     "init": "`.twin/init.json` and `init --json -`",

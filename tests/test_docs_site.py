@@ -47,7 +47,7 @@ def test_the_reference_has_every_command_kind_file_and_error_of_the_code(site: P
     assert "findings[].confidence" in files
     results = list((ROOT / "pytest_twin" / "schemas" / "results").iterdir())
     # Each title is a heading and an entry of the page's own contents.
-    assert files.count("--json -") == 2 * len(results)
+    assert files.count("--json -") == 2 * len(results), [p.name for p in results]
     named = (folder / "errors.html").read_text()
     assert all(
         name in named

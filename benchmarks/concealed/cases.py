@@ -325,12 +325,12 @@ def outside(
     return force
 
 
-def stretches(acted: np.ndarray, size: float) -> list[list[float]]:
+def stretches(acted: np.ndarray, size: float, record: float = RECORD) -> list[list[float]]:
     """Times (start, end) in s in which a (samples,) force was above a tenth of its size."""
     on = np.concatenate([[False], np.abs(acted) > 0.1 * size, [False]])
     starts, ends = (np.flatnonzero(d) for d in (on[1:] & ~on[:-1], on[:-1] & ~on[1:]))
     found: list[list[float]] = []
-    for start, end in zip(starts * RECORD, ends * RECORD, strict=True):
+    for start, end in zip(starts * record, ends * record, strict=True):
         if found and start - found[-1][1] < 0.05:
             found[-1][1] = round(float(end), 4)
         else:

@@ -48,7 +48,8 @@ def confine(read: Path, write: Path) -> None:
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError("pytest_twin is not installed beside this Python")
     package = Path(spec.origin).parent
-    programs = {*_SYSTEM, sys.prefix, sys.base_prefix, str(package)}
+    libraries = {path for path in sys.path if Path(path).name == "site-packages"}
+    programs = {*_SYSTEM, sys.prefix, sys.base_prefix, str(package), *libraries}
     rights = landlock.FSAccess
     readable = rights.READ_FILE | rights.READ_DIR
     rules = landlock.Ruleset()

@@ -59,7 +59,7 @@ def _clip(x: float, low: float, high: float) -> float:
 
 
 @njit(cache=True)
-def _outside(force: Any, t: float, q: float, v: float) -> float:
+def outside_force(force: Any, t: float, q: float, v: float) -> float:
     """Forces that are in nobody's catalogue."""
     x = (q - force.at) / force.width
     if force.kind == 1:  # a magnet that pulls towards one angle
@@ -254,7 +254,7 @@ def advance(
                     link[i] += motor[i] - friction[i]
             if force.kind:
                 s = state[force.joint]
-                pull = _outside(force, t, s.q, s.v)
+                pull = outside_force(force, t, s.q, s.v)
                 link[force.joint] += pull
                 if first:
                     acted[at, r] = pull

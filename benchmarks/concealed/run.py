@@ -16,6 +16,7 @@ import argparse
 import json
 import os
 import random
+import resource
 import shutil
 import statistics
 import subprocess
@@ -33,8 +34,16 @@ from confine import confinable
 CONFINE = Path(__file__).with_name("confine.py")
 
 
-def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -> dict[str, object]:
-    """Run the command on one case, on some cores or all; its status, wall time and last words."""
+def diagnose(
+    case: Path, out: Path, seconds: float, cores: Sequence[int] = (), cpu_seconds: int = 0,
+    ends_after: float | None = None,
+) -> dict[str, object]:  # fmt: skip
+    """Run the command on one case, on some cores or all; its status, wall time and last words.
+
+    ``cpu_seconds`` limits the time that a processor works on it, which other programs on the
+    machine do not change; 0: no limit. A process that reaches it is killed. ``ends_after``: s after
+    which the diagnosis itself ends with the best that it has; None: its own default.
+    """
     case, out = case.resolve(), out.resolve()
     box = out.with_name(f"{out.name}.box")
     shutil.rmtree(box, ignore_errors=True)
@@ -42,15 +51,18 @@ def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -
     confined = confinable()
     command = [
         *(("taskset", "--cpu-list", ",".join(map(str, cores))) if cores else ()),
+        *(("prlimit", f"--cpu={cpu_seconds}") if cpu_seconds else ()),
         *((sys.executable, str(CONFINE), "--read", str(case), "--write", str(box), "--")
           if confined else ()),
-        str(Path(sys.executable).with_name("pytest-twin")), "diagnose", str(case / "model.xml"),
+        str(Path(sys.executable).with_name("pytest-twin")), "diagnose", "--seconds", "0",
+        str(model_of(case)),
         *sorted(str(path) for path in (case / "recordings").glob("*.mcap")),
         "--out", str(box / "said"),
+        *(() if ends_after is None else ("--seconds", str(ends_after))),
     ]  # fmt: skip
     told: dict[str, object] = {"case": case.name, "confined": confined}
     environment = {**os.environ, "TMPDIR": str(box), "HOME": str(box)}
-    start = time.perf_counter()
+    start, worked = time.perf_counter(), processor_seconds()
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=seconds, cwd=case, env=environment
@@ -58,6 +70,7 @@ def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -
     except subprocess.TimeoutExpired:
         return {**told, "status": "timeout", "seconds": seconds}
     else:
+        told["cpu_seconds"] = processor_seconds() - worked
         taken = time.perf_counter() - start
         if (box / "said").exists():
             shutil.rmtree(out, ignore_errors=True)
@@ -67,11 +80,26 @@ def diagnose(case: Path, out: Path, seconds: float, cores: Sequence[int] = ()) -
     return {**told, "status": done.returncode, "seconds": taken, "stderr": done.stderr[-2000:]}
 
 
-def answer(case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]]) -> float:
+def model_of(case: Path) -> Path:
+    """``twin.yaml`` of a case, where its recordings differ in the controller, else its model."""
+    twin = case / "twin.yaml"
+    return twin if twin.exists() else case / "model.xml"
+
+
+def processor_seconds() -> float:
+    """s that processors worked for commands that have ended; of several at a time, for all."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def answer(
+    case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]], cpu_seconds: int = 0,
+    ends_after: float | None = None,
+) -> float:  # fmt: skip
     """Diagnose a case on the next cores that are free, and say so; s that it took."""
     cores = free.get()
     try:
-        told = diagnose(case, out / case.name, seconds, cores)
+        told = diagnose(case, out / case.name, seconds, cores, cpu_seconds, ends_after)
     finally:
         free.put(cores)
     (out / f"{case.name}.run.json").write_text(json.dumps(told, indent=1) + "\n")
@@ -90,6 +118,8 @@ def main() -> None:
     parser.add_argument("--cases", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--cpu-seconds", type=int, default=0, help="of each process; 0: no limit")
+    parser.add_argument("--ends-after", type=float, help="--seconds of the diagnosis itself")
     parser.add_argument("--jobs", type=int, default=2, help="cases at the same time")
     parser.add_argument("--cores", type=int, default=1, help="of each case")
     parser.add_argument("--joints", type=int, help="cases of so many alone")
@@ -106,7 +136,8 @@ def main() -> None:
     for first in range(0, min(args.jobs * args.cores, len(every)), args.cores):
         free.put(every[first : first + args.cores])
     with ThreadPoolExecutor(free.qsize()) as pool:
-        one = partial(answer, out=args.out, seconds=args.seconds, free=free)
+        one = partial(answer, out=args.out, seconds=args.seconds, free=free,
+                      cpu_seconds=args.cpu_seconds, ends_after=args.ends_after)  # fmt: skip
         # Where one ends in an error or is interrupted, those that have not begun do not begin.
         seconds = list(pool.map(one, open_cases))
     if seconds:

@@ -32,6 +32,8 @@ import numpy as np
 from cases import EFFECTS
 
 Named = tuple[str, str | None]
+UNNAMED = "unnamed_law"
+"""Effect of a finding that no known effect explains: a fitted curve, not a name."""
 WINDOW_SLACK = 0.2
 """Tolerance of a reported time interval at each end, s."""
 MARKS = "<!-- blind figures -->\n", "<!-- end of blind figures -->\n"
@@ -64,8 +66,9 @@ class Case:
 
     @property
     def found(self) -> list[Named]:
-        """(effect, joint) of the findings, the largest first."""
-        return [(f["effect"], f["joint"]) for f in self.said["findings"]] if self.said else []
+        """(effect, joint) of the findings with a name, the largest first."""
+        found = self.said["findings"] if self.said else []
+        return [(f["effect"], f["joint"]) for f in found if f["effect"] != UNNAMED]
 
     @property
     def largest(self) -> Named | None:
@@ -152,10 +155,20 @@ def outside_right(case: Case) -> dict[str, bool]:
     claimed = sum(end - start for w in windows.values() for start, end in w)
     inside = sum(overlap(w, outside["windows"].get(file, [])) for file, w in windows.items())
     return {
-        "verdict": said["verdict"] == "unexplained" and not said["findings"],
+        "verdict": said["verdict"] == "unexplained" and not case.found,
         "joint": left is not None,
         "window": claimed > 0.0 and inside >= 0.5 * claimed,
     }
+
+
+def modelled(case: Case) -> bool:
+    """Whether a fitted law removes at least half of the squared held-out error at the joint."""
+    outside, said = case.truth["outside"], case.said
+    if said is None:
+        return False
+    error = said["held_out"].get(outside["joint"])
+    law = any(f["effect"] == UNNAMED and f["joint"] == outside["joint"] for f in said["findings"])
+    return law and error is not None and error["rms_after"] ** 2 <= 0.5 * error["rms_before"] ** 2
 
 
 def share(values: Iterable[bool]) -> str:
@@ -289,12 +302,16 @@ def outsiders(cases: list[Case]) -> list[str]:
     groups: dict[str, list[dict[str, bool]]] = defaultdict(list)
     for c in cases:
         if c.truth["outside"]:
-            groups[c.truth["outside"]["kind"]].append(outside_right(c))
+            right = {**outside_right(c), "modelled": modelled(c)}
+            groups[c.truth["outside"]["kind"]].append(right)
     rows = [
-        (kind, len(g), *(sum(r[k] for r in g) for k in ("verdict", "joint", "window")))
+        (kind, len(g), *(sum(r[k] for r in g) for k in ("verdict", "joint", "window", "modelled")))
         for kind, g in sorted(groups.items())
     ]
-    head = ["force", "cases", "`unexplained`, no finding", "right joint", "right time interval"]
+    head = [
+        "force", "cases", "`unexplained`, no name", "right joint", "right time interval",
+        "half of the held-out error removed by a fitted law",
+    ]  # fmt: skip
     return table(head, rows)
 
 

@@ -1,6 +1,7 @@
 """Make blind cases, diagnose them and write the tables of the results.
 
     python benchmarks/concealed/table.py --out DIR [--seeds 20000:20200] [--jobs 2] [--page FILE]
+        [--family held|cell|engine|real]
 
 Continues where it stopped. Writes DIR/cases, DIR/truth and DIR/digests.json before any diagnosis
 runs, then DIR/results and DIR/table.md. ``--page docs/blind_cases.md`` writes the tables there too.
@@ -16,6 +17,10 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
+FAMILIES = {"held": "cases.py", "cell": "cell_cases.py", "engine": "engine_cases.py",
+            "real": "real_cases.py"}  # fmt: skip
+"""Script that draws the cases of each family: held commands, sampled cells, other engines, real
+recordings in which something is concealed."""
 
 
 def step(script: str, *words: str) -> None:
@@ -30,6 +35,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", default="20000:20200", help="first and last + 1, as in cases.py")
+    parser.add_argument("--family", choices=FAMILIES, default="held")
     parser.add_argument("--jobs", default="2", help="cases at the same time, one core each")
     parser.add_argument("--seconds", default="600", help="time limit of a diagnosis")
     parser.add_argument("--page", type=Path, help="page that gets the tables between its marks")
@@ -37,13 +43,16 @@ def main() -> None:
     out: Path = args.out
     truth, cases, results = out / "truth", out / "cases", out / "results"
     if not (out / "digests.json").exists():
-        step("cases.py", "--out", str(cases), "--truth", str(truth), "--seeds", args.seeds,
-             "--jobs", args.jobs)  # fmt: skip
+        step(
+            FAMILIES[args.family], "--out", str(cases), "--truth", str(truth),
+            "--seeds", args.seeds, "--jobs", args.jobs,
+        )  # fmt: skip
         step("score.py", "--truth", str(truth), "--digests", str(out / "digests.json"))
     step("run.py", "--cases", str(cases), "--out", str(results), "--seconds", args.seconds,
          "--jobs", args.jobs)  # fmt: skip
     page = [] if args.page is None else ["--page", str(args.page)]
-    step("score.py", "--truth", str(truth), "--results", str(results), "--out",
+    score = "score.py" if args.family == "held" else "family_score.py"
+    step(score, "--truth", str(truth), "--results", str(results), "--out",
          str(out / "table.md"), *page)  # fmt: skip
     print(out / "table.md")
 

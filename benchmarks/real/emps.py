@@ -60,6 +60,8 @@ FINDINGS = {
     ("asymmetric_friction", "coulomb"): "coulomb",
     ("asymmetric_friction", "offset"): "offset",
     ("quadratic_drag", "coefficient"): "drag",
+    ("directional_viscous_friction", "coefficient"): "viscous",
+    ("directional_viscous_friction", "difference"): "viscous_difference",
 }
 
 
@@ -183,6 +185,7 @@ def main() -> None:
     if not (why / "diagnosis.json").is_file():
         args.out.mkdir(parents=True, exist_ok=True)
         command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose"]
+        command += ["--seconds", "0"]
         subprocess.run(
             [*command, str(folder / "model.xml"), *map(str, paths), "--out", str(why)], check=False
         )

@@ -95,6 +95,7 @@ def main() -> None:
     why = args.out / "why"
     if not (why / "diagnosis.json").is_file():
         command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose"]
+        command += ["--seconds", "0"]
         subprocess.run(
             [*command, str(folder / "model.xml"), *map(str, chosen), "--out", str(why)],
             check=False,

@@ -210,6 +210,7 @@ def diagnosed(out: Path, gain: int) -> tuple[str, FloatArray, FloatArray]:
     paths = {g: [folder / "recordings" / f"kp{g}_{log}.mcap" for log in LOGS] for g in GAINS}
     if not (why / "diagnosis.json").is_file():
         command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose"]
+        command += ["--seconds", "0"]
         fit = [str(p) for g in GAINS if g != gain for p in paths[g]]
         held_out = [str(p) for p in paths[gain]]
         subprocess.run(

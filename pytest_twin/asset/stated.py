@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pytest_twin.asset.urdf_elements import TEXT, Entry, by_path, known_paths
 from pytest_twin.realization.node import Node
 
+_PARTS = ("param", "command_interface", "state_interface")
+"""Named elements that people look for by what they belong to: a parameter of joint 'elbow'."""
+
 
 @dataclass(frozen=True, slots=True)
 class Stated:
@@ -49,6 +52,8 @@ def stated(robot: Node) -> Iterator[Stated]:
         for child in node.children:
             at = f"{path}/{child.tag}" if path else child.tag
             named = child.attributes.get("name") or child.attributes.get("reference")
+            if child.tag in _PARTS:
+                named = None
             whose = f"{child.tag} '{named}'" if named else owner
             whole = table.get((f"{at}/**", None)) or table.get((at, None))
             if whole is None and at not in known_paths():

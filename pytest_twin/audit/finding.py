@@ -23,6 +23,8 @@ LAYERS: tuple[str, ...] = (
     "commands",
     "controllers",
 )
+PLANNING = "planning"
+"""The layer of an SRDF, which is audited alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +125,7 @@ def to_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
         findings,
         key=lambda f: (
             SEVERITIES.index(f.severity),
-            LAYERS.index(f.layer),
+            (*LAYERS, PLANNING).index(f.layer),
             f.code,
             -1 if f.place is None or f.place.line is None else f.place.line,
             f.element,

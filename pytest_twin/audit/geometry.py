@@ -171,7 +171,7 @@ class Geometry:
 
 
 def _key(shape: Shape) -> tuple[object, ...]:
-    """Equal for shapes that differ in their place alone."""
+    """The same key for shapes of the same form and size, wherever they are placed."""
     if shape.file is not None:
         return (shape.file, *shape.scale.tolist())
     return (shape.kind, shape.size)

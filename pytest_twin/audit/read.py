@@ -52,8 +52,9 @@ def _irregular(asset: Asset) -> Asset:
                 f"robot '{asset.name}'",
                 f"not well-formed by the XML standard: {found.words}",
                 why="MuJoCo and Pinocchio read it, and strict parsers refuse the whole file",
-                settle="declare the prefix on the root element (xmlns:PREFIX=...), or write the "
-                "comment without --",
+                settle="declare the prefix on the root element (xmlns:PREFIX=...)"
+                if "prefix" in found.words
+                else "write the comment without --",
             )
         )
     return asset

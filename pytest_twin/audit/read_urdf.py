@@ -61,7 +61,10 @@ def read(
     if not root.all("link"):
         srdf = next((node for node in root.children if node.tag in _OF_SRDF), None)
         if srdf is not None:
-            raise srdf.error("an SRDF, not a URDF", expected="the URDF that it belongs to")
+            raise srdf.error(
+                "an SRDF, not a URDF",
+                expected="a URDF; to audit the SRDF, add --urdf FILE or name it *.srdf",
+            )
         raise root.error("a robot without links", expected="at least one <link>")
     return _Reader(root, path, located, limits).asset()
 

@@ -32,6 +32,7 @@ from pytest_twin.audit.finding import LAYERS, SEVERITIES, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
 from pytest_twin.audit.self_collision import PoseResult
+from pytest_twin.audit.srdf.files import srdfs_of
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.quiet import quiet
 
@@ -192,6 +193,9 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             "mass": {"value": sum(body.mass or 0.0 for body in asset.bodies), "unit": "kg"},
             "reach": {"value": asset.span, "unit": "m"},
             "files": [str(file) for file in asset.files],
+            "srdf": [str(p) for p in srdfs_of(asset.path, asset.name)]
+            if asset.kind == "urdf"
+            else [],
             **({} if asset.located is None else asset.located.to_json()),
         },
         "findings": rows,

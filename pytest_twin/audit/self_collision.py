@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import coal
 import mujoco
@@ -17,6 +18,7 @@ from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Faces, Geometry
 from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import load
+from pytest_twin.realization.coal_hull import convex
 from pytest_twin.realization.collision import Shapes
 from pytest_twin.realization.model import Realization
 
@@ -71,13 +73,28 @@ class PoseResult:
     @property
     def overlapping(self) -> frozenset[str]:
         """Bodies that overlap with another."""
-        return frozenset(
-            name for n in self.near if n.distance < -_TOUCH for name in (n.first, n.second)
-        )
+        return frozenset(name for near in self.overlaps for name in (near.first, near.second))
+
+    @property
+    def overlaps(self) -> tuple[Near, ...]:
+        """Pairs that overlap by more than rounding explains."""
+        return tuple(near for near in self.near if near.distance < -_TOUCH)
 
 
 def poses(asset: Asset, declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
     """Name -> joint -> rad or m: zeros moved into the ranges, keyframes, and what is declared."""
+    base = base_pose(asset)
+    found = {BASE_POSE: base}
+    for source in (asset.poses, declared):
+        for name, values in source.items():
+            if len(found) <= _MOST_POSES:
+                known = {joint: v for joint, v in values.items() if joint in base}
+                found[name] = base | known
+    return found
+
+
+def base_pose(asset: Asset) -> dict[str, float]:
+    """Joint -> rad or m: zeros moved into the ranges, followers where their leaders put them."""
     base = {}
     for joint in asset.joints:
         if joint.scalar:
@@ -85,15 +102,15 @@ def poses(asset: Asset, declared: Mapping[str, Mapping[str, float]]) -> dict[str
             if joint.limited and joint.lower is not None and joint.upper is not None:
                 value = min(max(value, joint.lower), joint.upper)
             base[joint.name] = value
+    return with_followers(asset, base)
+
+
+def with_followers(asset: Asset, values: Mapping[str, float]) -> dict[str, float]:
+    """The values with those of joints that follow another, rad or m."""
+    found = dict(values)
     for mimic in asset.mimics:
-        if mimic.follower in base and mimic.leader in base:
-            base[mimic.follower] = mimic.multiplier * base[mimic.leader] + mimic.offset
-    found = {BASE_POSE: base}
-    for source in (asset.poses, declared):
-        for name, values in source.items():
-            if len(found) <= _MOST_POSES:
-                known = {joint: v for joint, v in values.items() if joint in base}
-                found[name] = base | known
+        if mimic.follower in found and mimic.leader in found:
+            found[mimic.follower] = mimic.multiplier * found[mimic.leader] + mimic.offset
     return found
 
 
@@ -123,10 +140,12 @@ def measure(
             )
         ]
     shapes = None if realization is None else Shapes(realization)
+    hulls: Hulls | None = None
     results = []
     for name, values in poses(asset, declared).items():
         if realization is None or shapes is None:
-            results.append(by_hulls(asset, geometry, name, values))
+            hulls = hulls or Hulls(asset, geometry)
+            results.append(hulls.near(name, values))
         else:
             results.append(_at(realization, shapes, name, values))
     return results, [finding for result in results for finding in _findings(asset, result)]
@@ -177,74 +196,93 @@ def _at(
     )
 
 
-def by_hulls(
-    asset: Asset, geometry: Geometry, name: str, values: Mapping[str, float]
-) -> PoseResult:
-    """Distances between convex hulls by coal."""
-    places = asset.at(values)
-    solids = []
-    for shape in asset.shapes:
-        hull = geometry.hull(shape) if shape.role == "collision" else None
-        if hull is None or shape.body not in places:
-            continue
-        position, rotation = places[shape.body]
-        corners = (hull[0] @ shape.rotation.T + shape.position) @ rotation.T + position
-        solids.append((shape.body, corners.min(axis=0), corners.max(axis=0), corners, hull[1]))
-    low = np.array([solid[1] for solid in solids]).reshape(-1, 3)
-    high = np.array([solid[2] for solid in solids]).reshape(-1, 3)
-    pairs = near_pairs((low + high) / 2, np.linalg.norm(high - low, axis=1) / 2, _NEAR)
-    if pairs is None:
-        return PoseResult(name, dict(values), (), 0, None, "coal")
-    at, other = pairs.T
-    gaps = np.maximum(low[at] - high[other], low[other] - high[at]).max(axis=1, initial=-np.inf)
-    adjacent = _adjacent(asset)
-    near = [
-        int(i)
-        for i in np.argsort(gaps, kind="stable")
-        if gaps[i] < _NEAR
-        and frozenset((asset.group[solids[at[i]][0]], asset.group[solids[other[i]][0]]))
-        not in adjacent
-    ]
-    made: dict[int, coal.Convex] = {}
-    found: dict[tuple[str, str], Near] = {}
-    still, request = coal.Transform3s(), coal.DistanceRequest()
-    request.enable_signed_distance = True
-    for index in near[:_MOST_PAIRS]:
-        pair = int(at[index]), int(other[index])
-        for one in pair:
-            if one not in made:
-                made[one] = _convex(solids[one][3], solids[one][4])
-        distance = coal.distance(
-            made[pair[0]], still, made[pair[1]], still, request, coal.DistanceResult()
+class Hulls:
+    """Convex hulls of an asset's collision shapes, each made once for all poses."""
+
+    def __init__(self, asset: Asset, geometry: Geometry) -> None:
+        self.asset = asset
+        self._bodies: list[str] = []
+        self._corners: list[Vector] = []
+        self._faces: list[Faces] = []
+        self._made: dict[int, coal.Convex] = {}
+        for shape in asset.shapes:
+            hull = geometry.hull(shape) if shape.role == "collision" else None
+            if hull is not None and shape.body in asset.drawn:
+                self._bodies.append(shape.body)
+                self._corners.append(hull[0] @ shape.rotation.T + shape.position)
+                self._faces.append(hull[1])
+
+    def near(self, name: str, values: Mapping[str, float], *, joined: bool = False) -> PoseResult:
+        """Distances between convex hulls by coal, at one pose.
+
+        Args:
+            values: joint -> rad or m.
+            joined: include links that are fixed to each other or meet at a joint.
+        """
+        places = self.asset.at(values)
+        boxes = []
+        for body, corners in zip(self._bodies, self._corners, strict=True):
+            position, rotation = places[body]
+            placed = corners @ rotation.T + position
+            boxes.append((placed.min(axis=0), placed.max(axis=0)))
+        low = np.array([box[0] for box in boxes]).reshape(-1, 3)
+        high = np.array([box[1] for box in boxes]).reshape(-1, 3)
+        pairs = near_pairs((low + high) / 2, np.linalg.norm(high - low, axis=1) / 2, _NEAR)
+        if pairs is None:
+            return PoseResult(name, dict(values), (), 0, None, "coal")
+        at, other = pairs.T
+        gaps = np.maximum(low[at] - high[other], low[other] - high[at]).max(axis=1, initial=-np.inf)
+        near = [
+            int(i)
+            for i in np.argsort(gaps, kind="stable")
+            if gaps[i] < _NEAR and self._counts(int(at[i]), int(other[i]), joined)
+        ]
+        found: dict[tuple[str, str], Near] = {}
+        for index in near[:_MOST_PAIRS]:
+            pair = int(at[index]), int(other[index])
+            distance = self._distance(pair, places)
+            first, second = sorted(self._bodies[one] for one in pair)
+            known = found.get((first, second))
+            if distance < _NEAR and (known is None or distance < known.distance):
+                found[first, second] = Near(first, second, distance, None)
+        return PoseResult(
+            name,
+            dict(values),
+            tuple(sorted(found.values(), key=lambda n: n.distance)),
+            min(len(near), _MOST_PAIRS),
+            len(near),
+            "coal",
         )
-        first, second = sorted((solids[pair[0]][0], solids[pair[1]][0]))
-        known = found.get((first, second))
-        if distance < _NEAR and (known is None or distance < known.distance):
-            found[first, second] = Near(first, second, float(distance), None)
-    return PoseResult(
-        name,
-        dict(values),
-        tuple(sorted(found.values(), key=lambda n: n.distance)),
-        min(len(near), _MOST_PAIRS),
-        len(near),
-        "coal",
-    )
 
+    def _counts(self, first: int, second: int, joined: bool) -> bool:
+        """Whether the distance of two shapes is asked for."""
+        bodies = self._bodies[first], self._bodies[second]
+        if joined:
+            return bodies[0] != bodies[1]
+        return frozenset(self.asset.group[body] for body in bodies) not in self._adjacent
 
-def _adjacent(asset: Asset) -> set[frozenset[str]]:
-    """Pairs of groups of fixed bodies that are one, or meet at a joint."""
-    found = {frozenset((top,)) for top in asset.group.values()}
-    for edge in asset.in_order():
-        found.add(frozenset((asset.group[edge.parent], asset.group[edge.child])))
-    return found
+    @cached_property
+    def _adjacent(self) -> set[frozenset[str]]:
+        """Pairs of groups of fixed bodies that are one, or meet at a joint."""
+        group = self.asset.group
+        found = {frozenset((top,)) for top in group.values()}
+        for edge in self.asset.in_order():
+            found.add(frozenset((group[edge.parent], group[edge.child])))
+        return found
 
-
-def _convex(corners: Vector, faces: Faces) -> coal.Convex:
-    vertices = coal.StdVec_Vec3s()
-    vertices.extend(list(corners))
-    triangles = coal.StdVec_Triangle()
-    triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
-    return coal.Convex(vertices, triangles)
+    def _distance(
+        self, pair: tuple[int, int], places: Mapping[str, tuple[Vector, Vector]]
+    ) -> float:
+        """Of two shapes, m; negative where they overlap."""
+        request = coal.DistanceRequest()
+        request.enable_signed_distance = True
+        placed: list[object] = []
+        for one in pair:
+            if one not in self._made:
+                self._made[one] = convex(self._corners[one], self._faces[one])
+            position, rotation = places[self._bodies[one]]
+            placed += [self._made[one], coal.Transform3s(rotation, position)]
+        return float(coal.distance(*placed, request, coal.DistanceResult()))
 
 
 def _near(
@@ -290,9 +328,7 @@ def _allowed(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> NDArray[np.int6
 
 
 def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
-    for near in result.near:
-        if near.distance >= -_TOUCH:
-            continue
+    for near in result.overlaps:
         body = asset.body.get(near.second)
         shapes = asset.shapes_of(near.second)
         place = shapes[0].place if shapes else (body.place if body else asset.place)

@@ -76,7 +76,7 @@ SOURCES: tuple[Source, ...] = (
     ),
     Source(
         "installation",
-        "the installation: where the base is fixed, and a level on it",
+        "the installation: how the base is mounted, and how level it is",
         "measure the tilt of the base with a level, or fit it to gravity torques at three poses",
         ("frames.mount_unknown",),
     ),

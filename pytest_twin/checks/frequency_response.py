@@ -33,6 +33,7 @@ from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.golden import Golden
 from pytest_twin.metrics import frequency
+from pytest_twin.words import counted
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
@@ -262,8 +263,8 @@ class FrequencyResponse(Check):
         notes = []
         if left_out:
             notes.append(
-                f"Left out: {left_out} joints between these, because one takes seconds; add them "
-                "where a gain or a resonance matters."
+                f"Left out: {counted(left_out, 'more joint')}, because each takes seconds. Add "
+                "those whose gain or resonance matters."
             )
         if swallowed:
             notes.append(

@@ -74,17 +74,19 @@ class Actuation:
         """What to say where no servo holds any joint; None where one does."""
         if self.commands - {"effort"} or not self.loose:
             return None
-        what = "its motors take torques" if self.commands else "it has no actuators"
         if realization.path.suffix.lower() != ".urdf":
-            return f"No controller: the model has no position servo, {what}."
+            servo = "actuators with a name" if realization.model.nu else "actuators"
+            if self.commands:
+                servo = "position servos; its motors take torques"
+            return f"No controller: the model has no {servo}."
         if not self.commands:
             return (
                 "No controller and no motors: a URDF joint gets a motor where its <limit> states "
                 "an effort above zero. State efforts there, then servo gains in twin.yaml."
             )
         return (
-            f"No controller: a URDF states none, {what}. To test with one, add servo gains to "
-            "twin.yaml; the lines are there as comments."
+            "No controller: a URDF states none, and its motors take torques. To test with one, add "
+            "servo gains to twin.yaml; the lines are there as comments."
         )
 
 

@@ -54,7 +54,7 @@ def first_specs(check: Check, realization: Realization) -> list[Mapping[str, Any
 def _without_contact(spec: Mapping[str, Any]) -> list[str]:
     if spec["stimulus"].get("contact", True):
         return []
-    return ["Without contact, because bodies overlap at the pose."]
+    return ["Contacts are switched off, because bodies overlap at the pose."]
 
 
 def _under_gravity(

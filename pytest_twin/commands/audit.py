@@ -14,9 +14,13 @@ from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.audit import render, table
 
-HELP = "check a robot's URDF, MJCF or USD file and list what is wrong, doubtful or unknown in it"
+HELP = (
+    "check a robot's URDF, MJCF or USD file, or an SRDF against its URDF, and list what is wrong, "
+    "doubtful or unknown in it"
+)
 EXAMPLES = (
     "pytest-twin audit arm.urdf",
+    "pytest-twin audit arm.srdf --urdf arm.urdf",
     "pytest-twin audit arm.urdf --package arm_description=../arm_description --json - | jq .counts",
 )
 EXIT_STATUS = {0: "no critical finding", 1: "at least one critical finding"}
@@ -25,7 +29,14 @@ CLEAN, CRITICAL = 0, 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("asset", metavar="ASSET", type=Path, help="URDF, MJCF or USD file")
+    parser.add_argument("asset", metavar="ASSET", type=Path, help="URDF, MJCF, USD or SRDF file")
+    parser.add_argument(
+        "--urdf",
+        metavar="FILE",
+        type=Path,
+        help="the URDF of an SRDF (default: the one of the same robot beside it, in ../urdf, "
+        "../robots, or in the description package beside *_moveit_config)",
+    )
     parser.add_argument(
         "--out",
         metavar="DIR",
@@ -52,20 +63,9 @@ def run(args: argparse.Namespace) -> int:
     """
     asset: Path = args.asset
     out: Path = args.out
-    if not asset.exists():
-        raise TwinError("no such file", path=asset, expected="a URDF, MJCF or USD file")
-    if not asset.is_file():
-        raise TwinError("no file", path=asset, expected="a URDF, MJCF or USD file")
+    function, arguments = _call(args)
     with Sandbox() as sandbox, Progress("auditing") as progress:
-        found = sandbox.call(
-            "pytest_twin.audit.run:audit_file",
-            {
-                "path": str(asset.resolve()),
-                **model_files.search_folders(args),
-                "evidence_path": None if args.evidence is None else str(args.evidence.resolve()),
-            },
-            progress=progress,
-        )
+        found = sandbox.call(function, arguments, progress=progress)
     renders = found.pop("renders", [])
     located = found.pop("located", [])
     folders.make(out)
@@ -76,5 +76,32 @@ def run(args: argparse.Namespace) -> int:
     for line in located:
         show(line)
     show(table(found, every=args.all))
+    for srdf in found["facts"].get("srdf", ()):
+        show(f"SRDF beside it, not audited here: pytest-twin audit {srdf}")
     show(f"report: {out / name}.html, {out / name}.json")
     return CRITICAL if found["counts"]["critical"] else CLEAN
+
+
+def _call(args: argparse.Namespace) -> tuple[str, dict[str, object]]:
+    """The function of the child process, and its arguments."""
+    asset: Path = args.asset
+    for path in (asset, args.urdf, args.evidence):
+        if path is not None and not path.is_file():
+            raise TwinError(
+                "not a file" if path.exists() else "no such file",
+                path=path,
+                expected="a URDF, MJCF, USD or SRDF file" if path is asset else "a file",
+            )
+    arguments: dict[str, object] = {
+        "path": str(asset.resolve()),
+        **model_files.search_folders(args),
+    }
+    if asset.suffix.lower() == ".srdf" or args.urdf is not None:
+        if args.evidence is not None:
+            raise TwinError(
+                "an SRDF takes no evidence", path=asset, where="--evidence", expected="a URDF"
+            )
+        arguments["urdf_path"] = None if args.urdf is None else str(args.urdf.resolve())
+        return "pytest_twin.audit.srdf.run:audit_srdf", arguments
+    arguments["evidence_path"] = None if args.evidence is None else str(args.evidence.resolve())
+    return "pytest_twin.audit.run:audit_file", arguments

@@ -23,7 +23,7 @@ from pytest_twin.formats import atomic
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS, JointSeries, Recording
 from pytest_twin.formats.recordings import read_recordings
-from pytest_twin.formats.recordings.candidates import what_to_do
+from pytest_twin.formats.recordings.candidates import pairs, topics_option, what_to_do
 from pytest_twin.formats.serialized import QUANTITIES
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import COMMAND_MODES
@@ -147,13 +147,16 @@ def converted(
             "neither states nor commands", path=recording.path,
             expected=what_to_do(recording, "state"),
         )  # fmt: skip
-    notes = [f"no {role}s" for role in TOPICS if role not in recording.series]
+    notes = [_without(recording, role) for role in TOPICS if role not in recording.series]
     series = dict(recording.series)
     command = series.get("command")
     if command is not None and _of_any_quantity(command):
         mode = command_mode or _followed(command, series.get("state"))
         if mode is None:
-            notes.append("all command fields hold the command; --command-mode says what it is")
+            notes.append(
+                "the positions do not follow the commands: each command is written as position, "
+                "velocity and effort; --command-mode says which of them it is"
+            )
         else:
             series["command"] = replace(
                 command,
@@ -173,6 +176,12 @@ def converted(
         )
         for role, one in series.items()
     }, notes
+
+
+def _without(recording: Recording, role: str) -> str:
+    """That a role is missing, and what else in the file could be it."""
+    found = pairs(recording)
+    return f"no {role}s" + (f"; to read them: {topics_option(*found[0])}" if found else "")
 
 
 def _of_any_quantity(series: JointSeries) -> bool:

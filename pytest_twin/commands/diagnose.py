@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import signal
+import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
-from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands import fleet, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -30,12 +35,16 @@ HELP = "name the physics that a model lacks, fit it, and measure the gain on hel
 EXAMPLES = (
     "pytest-twin diagnose twin.yaml moves.mcap sines.mcap --held-out check.mcap --out diagnosis",
     "pytest-twin replay diagnosis check.mcap --out predicted.mcap",
+    "pytest-twin diagnose --fleet fleet.yaml --out diagnoses",
 )
 EXIT_STATUS = {
     0: "nothing is left unexplained",
     1: "a mismatch is left that no known effect explains",
 }
 EXPLAINED, LEFT_OVER = 0, 1
+SECONDS = 120.0
+"""Time of a diagnosis where none is given, s."""
+# Bound on a diagnosis that takes as long as it takes, s.
 _SECONDS = 4 * 3600.0
 # As diagnosis.diagnose and gate.diagnosis_folder report the fraction done.
 _STAGES = (
@@ -53,10 +62,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "model",
         metavar="MODEL",
         type=Path,
+        nargs="?",
         help="MJCF or URDF file, twin.yaml, or the folder of an earlier diagnosis",
     )
     parser.add_argument(
-        "recordings", metavar="RECORDING", type=Path, nargs="+", help=RECORDING_HELP
+        "recordings", metavar="RECORDING", type=Path, nargs="*", help=RECORDING_HELP
     )
     parser.add_argument(
         "--held-out",
@@ -65,8 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help="recordings that no fit may see (default: those whose metadata says role held_out, "
-        "else whole recordings are split and the report says which)",
+        help="test recordings, opened once effects and parameters are final (default: those whose "
+        "metadata says role held_out, else whole recordings are split and the report says which)",
     )
     parser.add_argument(
         "--out",
@@ -75,6 +85,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help=f"gets {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
         "replaced whole where it is an earlier diagnosis",
+    )
+    parser.add_argument(
+        "--seconds",
+        metavar="N",
+        type=_seconds,
+        help="time for the diagnosis: then the best result so far is written, with what was not "
+        f"tried (default: {SECONDS:g}, not counting time in which other programs hold the "
+        "processors; 0: as long as it takes); Ctrl-C ends it early in the same way",
+    )
+    parser.add_argument(
+        "--fleet",
+        metavar="FILE.yaml",
+        type=Path,
+        help="diagnose many robots, instead of MODEL and RECORDING: "
+        "`robots: {NAME: {model: FILE, recordings: [FILE, ...], held_out: [FILE, ...]}}`; "
+        "--out gets a folder for each, and fleet.json",
+    )
+    parser.add_argument(
+        "--jobs",
+        metavar="N",
+        type=int,
+        help="robots of the fleet at the same time (default: the cores)",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run the fleet on the workers of this Dask scheduler, tcp://HOST:PORT (extra `dask`); "
+        "they must see the same files",
     )
     add_recording_arguments(parser)
     model_files.add_arguments(parser)
@@ -86,35 +124,90 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: input that cannot be used.
     """
+    seconds = SECONDS if args.seconds is None else args.seconds
+    arguments = {
+        "topics": args.topics,
+        "options": recording_options(args),
+        "seconds": seconds,
+        "own_time": args.seconds is None,
+        "answer_first": args.fleet is None and (seconds > 0.0 or sys.stderr.isatty()),
+        **model_files.search_folders(args),
+    }
+    if args.fleet is not None:
+        if args.model is not None:
+            raise TwinError(
+                "MODEL and --fleet exclude each other",
+                where="--fleet",
+                value=args.model,
+                expected="one of them",
+            )
+        return fleet.run(args, arguments)
+    if args.model is None or not args.recordings:
+        raise TwinError(
+            "nothing to diagnose",
+            where="MODEL RECORDING",
+            expected="a model and at least one recording, or --fleet FILE.yaml",
+        )
+    if args.scheduler is not None or args.jobs is not None:
+        raise TwinError(
+            "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml too"
+        )
     out: Path = args.out.absolute()
+    with Progress("diagnosing", _STAGES) as progress:
+        summary = diagnose_into(
+            out, args.model, args.recordings, args.held_out, arguments, progress
+        )
+    json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
+    show("\n".join(printable(text) for text in summary["words"]))
+    show(f"report: {args.out / REPORT_FILE}")
+    return EXPLAINED if summary["verdict"] in ("no_mismatch", "explained") else LEFT_OVER
+
+
+def diagnose_into(
+    out: Path,
+    model: Path,
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    arguments: Mapping[str, Any],
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Diagnose in a child process and write the folder as a whole; the summary of the child.
+
+    Args:
+        out: absolute; new, empty, or that of an earlier diagnosis.
+        model, recordings, held_out: as the command has them.
+        arguments: further keyword arguments of :func:`diagnose_files`.
+        progress: shows how far it is; Ctrl-C then ends the search early.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
     _check_out(out)
-    model = find_model(args.model)
+    found = find_model(model)
     with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
         staging = Path(scratch) / "diagnosis"
         staging.mkdir()
         # The simulator writes its log into the working folder, so that is one that goes.
         with (
             Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox,
-            Progress("diagnosing", _STAGES) as progress,
+            contextlib.nullcontext()
+            if progress is None
+            else _stopped_by_interrupt(sandbox, progress),
         ):
-            summary = sandbox.call(
+            summary: dict[str, Any] = sandbox.call(
                 "pytest_twin.commands.diagnose:diagnose_files",
                 {
-                    "model": str(model),
-                    "recordings": [str(r.absolute()) for r in args.recordings],
-                    "held_out": [str(r.absolute()) for r in args.held_out],
+                    "model": str(found),
+                    "recordings": [str(r.absolute()) for r in recordings],
+                    "held_out": [str(r.absolute()) for r in held_out],
                     "out": str(staging),
-                    "topics": args.topics,
-                    "options": recording_options(args),
-                    **model_files.search_folders(args),
+                    **arguments,
                 },
                 progress=progress,
+                tell=None if progress is None else progress.tell,
             )
         atomic.replace_directory(staging, out)
-    json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
-    show("\n".join(printable(text) for text in summary["words"]))
-    show(f"report: {args.out / REPORT_FILE}")
-    return EXPLAINED if summary["verdict"] in ("no_mismatch", "explained") else LEFT_OVER
+    return summary
 
 
 def diagnose_files(
@@ -126,16 +219,30 @@ def diagnose_files(
     options: Mapping[str, Any],
     packages: Mapping[str, str] | None = None,
     roots: Sequence[str] = (),
+    seconds: float = 0.0,
+    own_time: bool = False,
+    answer_first: bool = False,
+    threads: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
+    tell: Callable[[str, str], None] = lambda kind, text: None,
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
+
+    An interruption (SIGINT) ends the search early: the best so far is written.
 
     Returns:
         The verdict and the lines to print.
     """
     from pytest_twin.commands.replay import load_model
+    from pytest_twin.diagnosis.budget import Budget
+    from pytest_twin.diagnosis.first_answer import FIRST_SECONDS, first_answer
+    from pytest_twin.diagnosis.roles import roles_of
+    from pytest_twin.diagnosis.run import Run
+    from pytest_twin.diagnosis.trace import Step, Trace
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
+    from pytest_twin.realization.quiet import quiet
+    from pytest_twin.report.glance import glance_words
 
     loaded = load_model(Path(model), SearchFolders.of(roots, packages))
     trials = read_trials(
@@ -145,17 +252,65 @@ def diagnose_files(
         loaded.realization.structure,
         RecordingOptions.from_json(options).over(loaded.options),
     )
+    budget = Budget(seconds, own_time=own_time)
+    signal.signal(signal.SIGINT, lambda number, frame: budget.stop())
+
+    def say_state(step: Step) -> None:
+        best = ", ".join(step.best) or "no effect yet"
+        left = f"; at most {budget.left:.0f} s left" if seconds else ""
+        tell("state", f"{step.stage}; best so far: {best}{left}")
+
+    if answer_first:
+        bound = min(FIRST_SECONDS, 0.2 * seconds) if seconds else FIRST_SECONDS
+        with quiet():
+            seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
+        words = f"none within {bound:g} s" if seen is None else glance_words(seen)
+        tell("line", f"first answer, from one recording: {words}")
     summary = write_diagnosis(
         Path(out),
         loaded.realization,
         trials,
         inherited=loaded.patched,
         model=Path(model).name,
+        threads=threads,
         progress=progress,
+        run=Run(budget, Trace(say_state)),
     )
     located = loaded.realization.source.located
     chosen = () if located is None or located.root is None else located.words()
     return {**summary, "words": [*chosen, *summary["words"]]}
+
+
+def _seconds(text: str) -> float:
+    """A time in s, 0 or more."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
+    if not 0.0 <= seconds < _SECONDS:
+        raise argparse.ArgumentTypeError(
+            f"got {text!r}, expected a time in s, 0 to {_SECONDS:g} (0: as long as it takes)"
+        )
+    return seconds
+
+
+@contextlib.contextmanager
+def _stopped_by_interrupt(sandbox: Sandbox, progress: Progress) -> Iterator[None]:
+    """The first Ctrl-C inside ends the search early; the second one aborts."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, before)
+        sandbox.interrupt()
+        progress.tell("line", "stopping: the best result so far is written; Ctrl-C again aborts")
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _check_out(out: Path) -> None:

@@ -26,6 +26,7 @@ from pytest_twin.setup import writing
 from pytest_twin.setup.asset_files import RobotFiles, bring_in
 from pytest_twin.setup.recordings import ROOT, TaskTolerance, parse_tolerance, place_recordings
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
+from pytest_twin.words import counted
 
 HELP = "set up a twin for a robot's URDF or MJCF file: twin.yaml and recorded golden specs"
 EXAMPLES = (
@@ -35,6 +36,9 @@ EXAMPLES = (
 )
 EXIT_STATUS = {0: "the twin stands and its goldens are recorded"}
 DONE = 0
+_NAMES_AND_LINES = re.compile(r"'[^']*'|:\d+:")
+_FOR_THE_READER = ("Tolerance", "To write", "Not tested by this step")
+"""Notes that the reader of a golden needs, and nobody before."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -144,8 +148,14 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             found["none"].pop("replay", None)
             found["specs"] += [{"kind": "replay", **spec} for spec in replays["specs"]]
             found["silent"] |= replays["silent"]
+    if not found["specs"]:
+        raise SpecError(
+            "there is nothing to test in this model",
+            path=args.robot,
+            expected="a joint, a body with mass, or collision shapes of two bodies",
+        )
     told = _notes(found["specs"])
-    for note in seen["notes"]:
+    for note in _condensed(seen["notes"], robot.parent):
         show(f"note: {note}")
     specs = writing.write_specs(folder, found["specs"])
     recorded, failing, left_out, unwritten = _record(twin_file, specs)
@@ -174,7 +184,10 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
         show(f"to write: {why}")
     for where, why in failing.items():
         show(f"FAILS as it stands: {where}: {why}")
-    show("next: pytest --twin-release")
+    if failing:
+        show("next: pytest says why; pytest --twin-release signs once no golden fails")
+    else:
+        show("next: pytest --twin-release")
     return DONE
 
 
@@ -183,6 +196,26 @@ def _some(goldens: list[str]) -> str:
     if len(goldens) <= 2:
         return ", ".join(goldens)
     return f"{goldens[0]} and {len(goldens) - 1} more"
+
+
+def _condensed(notes: Iterable[str], folder: Path) -> list[str]:
+    """Notes for the terminal: of several that differ in names and lines only, the first.
+
+    A repair changes the physics of a link: each stays in sight.
+    """
+    kinds: dict[str, list[str]] = {}
+    for note in notes:
+        repair = note.endswith("(accepted repair)")
+        kinds.setdefault(note if repair else _NAMES_AND_LINES.sub("", note), []).append(note)
+    return [
+        first.replace(f"{folder}/", "", 1)
+        + (
+            f" (and {counted(len(more), 'more note')} of this kind in .twin/init.json)"
+            if more
+            else ""
+        )
+        for first, *more in kinds.values()
+    ]
 
 
 def _reading(args: argparse.Namespace) -> dict[str, Any]:
@@ -196,8 +229,7 @@ def _notes(specs: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
     told: dict[str, list[str]] = {}
     for spec in specs:
         for note in spec.get("notes", ()):
-            # What a tolerance is made of, and what is to write, is for the golden's reader alone.
-            if not note.startswith(("Tolerance", "To write")):
+            if not note.startswith(_FOR_THE_READER):
                 told.setdefault(note, []).append(f"{spec['kind']} of {spec['name']}")
     return told
 

@@ -18,6 +18,7 @@ from pytest_twin.errors import FormatError, PathError, SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.words import counted
 
 HELP = "copy a supplier's archive or folder unchanged, with a digest of every file"
 EXAMPLES = ("pytest-twin intake arm_v3.zip --out arm --supplier 'Arms Ltd'",)
@@ -123,7 +124,7 @@ def _date(text: str | None) -> str:
 
 
 def _tell(out: Path, found: dict[str, list[str]], lacking: list[str], state: State) -> None:
-    show(f"{out / SOURCE}: {len(state.files)} files frozen, {state.digest[:16]}")
+    show(f"{out / SOURCE}: {counted(len(state.files), 'file')} frozen, {state.digest[:16]}")
     for kind, files in found.items():
         shown = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
         show(f"  {kind}: {len(files)}: {shown}")

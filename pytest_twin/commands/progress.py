@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from pytest_twin.report.each_minute import EachMinute
+from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -31,6 +32,7 @@ class Progress:
         self._log = EachMinute(work)
         self._live: RichProgress | None = None
         self._done = 0.0
+        self._state = ""
         self._ended = threading.Event()
 
     def __enter__(self) -> Self:
@@ -58,6 +60,7 @@ class Progress:
         """Start the next piece of work, at nothing done."""
         self.work = work
         self._done = 0.0
+        self._state = ""
         self._log = EachMinute(work)
         if self._live is not None:
             self._live.reset(self._live.task_ids[0], description=work, total=1.0)
@@ -70,8 +73,25 @@ class Progress:
             text = f"{self.work}: {stage}" if stage else self.work
             self._live.update(self._live.task_ids[0], completed=fraction, description=text)
 
+    def tell(self, kind: str, text: str) -> None:
+        """Show a message of the work.
+
+        Args:
+            kind: ``line`` for a line of its own, ``state`` for what belongs to the stage until the
+                next one.
+            text: without line breaks.
+        """
+        if kind == "state":
+            self._state = printable(text)
+            self(self._done)
+        elif self._live is not None:
+            self._live.console.print(printable(text), markup=False, highlight=False)
+        else:
+            print(printable(text), file=sys.stderr, flush=True)
+
     def _stage(self) -> str:
-        return next((name for start, name in reversed(self._stages) if self._done >= start), "")
+        stage = next((name for start, name in reversed(self._stages) if self._done >= start), "")
+        return "; ".join(part for part in (stage, self._state) if part)
 
     def _each_minute(self) -> None:
         # A step of the work may take many minutes, in which it reports nothing.

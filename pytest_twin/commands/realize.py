@@ -17,6 +17,7 @@ from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.words import counted
 
 HELP = "convert a URDF to a normalized URDF, MJCF and USD, and list what each conversion loses"
 EXAMPLES = (
@@ -106,10 +107,10 @@ def _tell(out: Path, made: dict[str, Any]) -> None:
     for name in manifest.STATES:
         state = made["manifest"]["states"].get(name)
         if state is not None:
-            show(f"{name}: {len(state['files'])} files, {state['digest'][:16]}")
+            show(f"{name}: {counted(len(state['files']), 'file')}, {state['digest'][:16]}")
     for conversion, counts in made["counts"].items():
         show(f"{conversion}: " + ", ".join(f"{n} {word}" for word, n in counts.items()))
-    show(f"{made['changes']} changes: {out / 'changes.md'}; loss: {out / 'loss.html'}")
+    show(f"{counted(made['changes'], 'change')}: {out / 'changes.md'}; loss: {out / 'loss.html'}")
     for line in made["left_out"]:
         show(f"pytest-twin realize: {line}", error=True)
     for line in made["critical"]:

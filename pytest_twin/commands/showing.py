@@ -168,13 +168,13 @@ def _advice(recording: Recording) -> list[str]:
     rate = _series(state)["rate"]["value"]
     if rate is not None and rate < _SLOW:
         found.append(
-            f"states at {rate:.3g} Hz: delays and lags below {500.0 / rate:.3g} ms cannot be told; "
-            "record at 100 Hz or more"
+            f"states at {rate:.3g} Hz: delays and lags below {500.0 / rate:.3g} ms cannot be "
+            "resolved; record at 100 Hz or more"
         )
     if state.effort is None and command.effort is None:
         found.append(
-            "no measured efforts: torque constant, payload and friction are told apart less "
-            "surely; record effort (or motor current) where the drive has it"
+            "no measured efforts: torque constant, payload and friction are harder to separate; "
+            "record effort (or motor current) where the drive has it"
         )
     if "role" not in recording.metadata:
         found.append(

@@ -10,6 +10,7 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
 from pytest_twin.release.envelope import short
+from pytest_twin.words import counted
 
 HELP = "check a release: its signature, every digest, its age, and that no newer one is known"
 EXAMPLES = (
@@ -86,9 +87,11 @@ def _words(verdict: release.Verdict, folder: Path) -> str:
             f"signed by {short(header.key_id)}"
         )
         if verdict.holds:
+            outside = len(found.external)
+            also = f"; {counted(outside, 'file')} outside it, by digest" if outside else ""
             lines.append(
-                f"  {len(found.goldens)} goldens, {len(found.files)} files, "
-                f"{len(found.external)} files elsewhere by digest"
+                f"  {counted(len(found.goldens), 'golden')}, "
+                f"{counted(len(found.files), 'file')} in the release{also}"
             )
     lines += [f"  {problem.text}" for problem in verdict.problems]
     # What a statement or a file name says may carry terminal escapes.

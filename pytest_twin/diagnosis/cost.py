@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.effects.rows import RowSimulator
 
 _ROWS = 32
@@ -27,12 +26,17 @@ class Cost:
             package between steps.
         steps: of simulations that the search asked for, in millions.
         repeated: of these, what it had asked for before and was not stepped again, in millions.
+        simulations: the steps as simulations of all data.
+        of_rivals: simulations of all recordings that the comparison of the final set of effects
+            with other sets took.
     """
 
     wall_seconds: float
     engine_seconds: float
     steps: float
     repeated: float
+    simulations: float
+    of_rivals: float = 0.0
 
     def to_json(self) -> dict[str, float]:
         """As ``diagnosis.json`` has it."""
@@ -41,14 +45,19 @@ class Cost:
             "wall_seconds": round(self.wall_seconds, 2),
             "engine_seconds": round(self.engine_seconds, 2),
             "wall_per_engine": round(ratio, 2),
+            "simulations": round(self.simulations, 1),
             "million_steps": round(self.steps, 3),
             "million_steps_repeated": round(self.repeated, 3),
+            "simulations_of_rival_sets": round(self.of_rivals, 1),
         }
 
 
-def cost(problems: Sequence[Problem], since: float) -> Cost:
-    """Cost of a diagnosis of ``problems`` that began at ``since`` (``time.perf_counter``)."""
+def cost(budget: Budget, since: float, of_rivals: float = 0.0) -> Cost:
+    """Cost of a diagnosis that began at ``since`` (``time.perf_counter``), of it the simulations
+    of rival sets.
+    """
     wall = time.perf_counter() - since
+    problems = budget.problems
     problem = problems[0]
     known = problem.simulator
     simulator = RowSimulator(known.segments, known.joints, threads=known.threads, sparing=False)
@@ -63,4 +72,4 @@ def cost(problems: Sequence[Problem], since: float) -> Cost:
         seconds.append(time.perf_counter() - start)
     per_step = float(np.median(seconds)) * len(seconds) / max(simulator.stepped - before, 1)
     repeated = sum(p.repeated for p in problems)
-    return Cost(wall, per_step * stepped, stepped * 1e-6, repeated * 1e-6)
+    return Cost(wall, per_step * stepped, stepped * 1e-6, repeated * 1e-6, budget.work, of_rivals)

@@ -7,7 +7,6 @@ noise is. The recordings are asked, where dry friction is in the model or was fo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.search.select import Selection
@@ -64,8 +64,7 @@ def searched_so(
     given: Given,
     prepared: Prepared,
     trials: TrialSet,
-    problems: list[Problem],
-    say: Callable[[str], None],
+    run: Run,
     start: Hypothesis,
 ) -> tuple[Given, Searched]:
     """What a search finds, gone on with dry friction the other way once that leaves far less.
@@ -77,8 +76,7 @@ def searched_so(
     Args:
         given: the model.
         prepared, trials: its problem.
-        problems: gets the one of the other way, if it was asked.
-        say: told what is considered.
+        run: the diagnosis.
         start: what is known already.
     """
     problem = prepared.problem
@@ -92,28 +90,26 @@ def searched_so(
             return False
         if other is None:
             other = pose(stepped, trials, [])
-            problems.append(other[0].problem)
+            run.budget.add(other[0].problem)
         return _leaves_less(problem, left_everywhere(other[0].problem, best.hypothesis), left)
 
-    selection = Selection(problem, say, leave=better_so)
+    selection = Selection(problem, run, leave=better_so)
     selected = from_start(selection, start)
     if other is None or not selection.left_off:
         return given, concluded(prepared, trials, selection, selected)
     # Trials on which the model diverges that way are left out of it.
     there, kept = other
-    return stepped, search(there, kept, Selection(there.problem, say), selected.best.hypothesis)
+    run.begin("whole recordings, dry friction that creeps otherwise", there.problem)
+    return stepped, search(there, kept, Selection(there.problem, run), selected.best.hypothesis)
 
 
-def found_so(
-    found: Searched, given: Given, problems: list[Problem], say: Callable[[str], None]
-) -> tuple[Given, Searched]:
+def found_so(found: Searched, given: Given, run: Run) -> tuple[Given, Searched]:
     """What was found, fitted with dry friction the other way, where that leaves far less.
 
     Args:
         found: with dry friction as ``given``.
         given: the model.
-        problems: gets the one that was tried, if one was.
-        say: told what is considered.
+        run: the diagnosis.
     """
     before, start = found.prepared.problem, found.explained.hypothesis
     if not has_dry_friction(before, start) or _greatest(before, found.after) <= STANDS_OUT:
@@ -122,8 +118,8 @@ def found_so(
         return given, found
     stepped = replace(given, creeps=not given.creeps)
     prepared, trials = pose(stepped, found.trials, [])
-    problems.append(prepared.problem)
-    selection = Selection(prepared.problem, say)
+    run.begin("whole recordings, dry friction that creeps otherwise", prepared.problem)
+    selection = Selection(prepared.problem, run)
     contest = selection.contest
     rival = contest.settled(contest.as_it_is(start)) if start.terms else contest.nominal
     if not _leaves_less(before, left_everywhere(prepared.problem, rival.hypothesis), found.after):

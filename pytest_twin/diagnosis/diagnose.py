@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.coarse_step import coarse_step
+from pytest_twin.diagnosis.conclusion import Structure, assess, with_final_parameters
 from pytest_twin.diagnosis.cost import Cost, cost
 from pytest_twin.diagnosis.creep import CREEPS, found_so, posed, searched_so
-from pytest_twin.diagnosis.findings import Explained, by_whole_motions, finding_json
+from pytest_twin.diagnosis.deadline import OutOfTime
+from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.other_unit import without_other_units
+from pytest_twin.diagnosis.own_step import with_its_own_step
 from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt
+from pytest_twin.diagnosis.rival_sets import with_rival_sets
+from pytest_twin.diagnosis.roles import Roles, roles_of
+from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import (
@@ -39,10 +46,13 @@ from pytest_twin.diagnosis.simulated import (
     simulated_so,
     stepped_otherwise,
 )
+from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import Left, unexplained
+from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
+from pytest_twin.diagnosis.unnamed_law.tested import TestedLaws, laws_left, on_test
 from pytest_twin.diagnosis.verdict import JointError, Verdict
-from pytest_twin.diagnosis.windows import WINDOW
+from pytest_twin.diagnosis.windows import WINDOW, segments_of
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
@@ -79,9 +89,13 @@ class Diagnosis:
         errors: joint -> prediction error on held-out recordings, or on all if none is held out.
         left: joint -> unexplained residual, only for joints that cause it.
         notes: one line each, for the reader.
-        prepared, selected, trials: problem, model selection and recordings behind the result.
-        before, after: (samples, signals) residuals over all segments.
+        prepared, selected: problem of the final parameters, and model selection.
+        tested: problem, recordings and residuals behind the errors.
+        free: laws without a name for a part of the residual.
+        roles: which recordings were fitted, validated, and held out.
+        trace: every step of the search.
         cost: computing time.
+        settled: what the recordings are.
     """
 
     verdict: Verdict
@@ -91,22 +105,29 @@ class Diagnosis:
     notes: tuple[str, ...]
     prepared: Prepared
     selected: Selected
-    trials: TrialSet
-    before: FloatArray
-    after: FloatArray
+    tested: Searched
+    free: TestedLaws
+    roles: Roles
+    trace: Trace
     cost: Cost
+    settled: Settled
 
     @property
     def has_held_out(self) -> bool:
         """Whether any recording was held out."""
-        return bool(len(self.prepared.problem.held_out))
+        return bool(len(self.tested.prepared.problem.held_out))
 
     def to_json(self, *, realization: str) -> dict[str, Any]:
         """``diagnosis.json``, schema 1."""
+        tested = self.tested.prepared
         return {
             "schema": 1,
             "verdict": self.verdict,
-            "findings": [finding_json(f) for f in self.explained.findings],
+            "findings": [
+                *(finding_json(f) for f in self.explained.findings if not f.small),
+                *self.free.findings_json,
+            ],
+            "small_corrections": [finding_json(f) for f in self.explained.findings if f.small],
             "held_out": {
                 joint: {
                     "rms_before": e.before,
@@ -117,25 +138,45 @@ class Diagnosis:
                 for joint, e in self.errors.items()
             },
             "floor": {
-                source: dict(zip(self.prepared.problem.joints, map(float, rms), strict=True))
-                for source, rms in self.prepared.floor_parts.items()
+                source: dict(zip(tested.problem.joints, map(float, rms), strict=True))
+                for source, rms in tested.floor_parts.items()
             },
             "unexplained": {
                 joint: {
                     "fraction": round(item.fraction, 5),
                     "where": item.where.summary,
                     "windows": dict(item.where.windows),
+                    **self._modelled(joint),
                 }
                 for joint, item in self.left.items()
             },
             "realization": realization,
-            "trials": {
-                "fit": list(dict.fromkeys(t.path.name for t in self.trials.fit)),
-                "held_out": list(dict.fromkeys(t.path.name for t in self.trials.held_out)),
-            },
+            "trials": self._trials(),
+            "recordings": self.settled.to_json(
+                [*self.tested.trials.fit, *self.tested.trials.held_out]
+            ),
             "notes": list(self.notes),
+            "search_trace": self.trace.to_json(),
             "cost": self.cost.to_json(),
         }
+
+    def _modelled(self, joint: str) -> dict[str, float]:
+        """What laws without a name remove of the unexplained error of a joint."""
+        removed = self.free.removed(joint)
+        return {} if removed is None else {"unnamed_law_removes": round(removed, 5)}
+
+    def _trials(self) -> dict[str, list[str]]:
+        """Names of the recordings that were used, by role."""
+        used, validates = self.tested.trials, {t.path for t in self.roles.validation}
+        return {
+            "fit": _names([t for t in used.fit if t.path not in validates]),
+            "validation": _names([t for t in used.fit if t.path in validates]),
+            "held_out": _names(used.held_out),
+        }
+
+
+def _names(trials: Sequence[Trial]) -> list[str]:
+    return list(dict.fromkeys(t.path.name for t in trials))
 
 
 def diagnose(
@@ -144,15 +185,21 @@ def diagnose(
     *,
     inherited: Patched | None = None,
     threads: int = 0,
+    run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Diagnosis:
     """Diagnose a model: locate errors, identify effects, fit them, and test them.
+
+    Effects are chosen and fitted without the held-out recordings, which are opened once, at the
+    end.
 
     Args:
         realization: the nominal model.
         trials: the recordings.
         inherited: effects of an earlier diagnosis that the MJCF of ``realization`` cannot hold.
         threads: threads of batch simulations, 0 for all cores.
+        run: the time that it may take, and who is told of its steps; by default as long as it
+            takes.
         progress: called with the fraction done.
 
     Raises:
@@ -160,7 +207,70 @@ def diagnose(
         SpecError: a controller, payload or actuator is missing in the model.
     """
     since = time.perf_counter()
-    notes = list(trials.notes)
+    run = Run() if run is None else run
+    settled = settle(Given.of(realization, inherited, threads), roles_of(trials).of_search)
+    trials = settled.applied(trials)
+    roles = roles_of(trials)
+    for i, trial in enumerate(roles.test):
+        # What a recording asks of the model is missing now, not after a search of minutes.
+        segments_of(realization, trial, i, shared_joints(realization, [trial]), commanded=True)
+    # Diverging candidates overflow; values that are not finite are ranked last.
+    with np.errstate(over="ignore", invalid="ignore"):
+        structure = find_structure(
+            realization, roles.of_search,
+            inherited=inherited, threads=threads, run=run, progress=progress,
+        )  # fmt: skip
+        progress(0.85)
+        laws = _laws_left(structure, run)
+        progress(0.88)
+        assessed = assess(structure, trials, roles.test)
+        tested, left = assessed.tested, dict[str, Left]()
+        if tested.verdict in ("improved", "unexplained"):
+            left = unexplained(tested, *assessed.near)
+        free = on_test(laws, structure.found.prepared.problem, tested, searched_all=not run.untried)
+        progress(0.9)
+        step = coarse_step(tested.prepared.problem, tested.explained.hypothesis, tested.errors)
+    notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *free.notes, *step]
+    notes += not_tried(run)
+    progress(0.94)
+    for problem in (*settled.problems, *assessed.problems):
+        run.budget.add(problem)
+    explained = with_doubt(assessed.explained, settled.doubted(roles.of_search.fit))
+    return Diagnosis(
+        tested.verdict, explained, free.tested.errors, left, tuple(dict.fromkeys(notes)),
+        structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
+        cost(run.budget, since, structure.rival_simulations), settled,
+    )  # fmt: skip
+
+
+def _laws_left(structure: Structure, run: Run) -> FreeLaws:
+    """Laws without a name for what is left, where the time lasts."""
+    try:
+        with run.budget.fitting():
+            return laws_left(structure.given, structure.found, structure.near)
+    except OutOfTime:
+        run.skip("a law without a name for what is left unexplained")
+        return FreeLaws((), structure.found.explained.hypothesis, ())
+
+
+def find_structure(
+    realization: Realization,
+    trials: TrialSet,
+    *,
+    inherited: Patched | None = None,
+    threads: int = 0,
+    run: Run | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Structure:
+    """Choose effects and fit them; no test recording is known here.
+
+    Args:
+        realization: the nominal model.
+        trials: the fit recordings, and as held out the validation recordings.
+        inherited, threads, run, progress, errors: as :func:`diagnose`.
+    """
+    run = Run() if run is None else run
+    notes: list[str] = []
     given = Given.of(realization, inherited, threads)
     progress(0.02)
     trials = without_other_units(realization, trials, notes)
@@ -168,106 +278,126 @@ def diagnose(
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
-    steps = 0
-
-    def say(text: str) -> None:
-        nonlocal steps
-        del text
-        steps += 1
-        # The number of rounds is unknown: each one advances by a fixed part of the remainder.
-        progress(0.06 + 0.74 * (1.0 - 0.95**steps))
-
-    # Diverging candidates overflow; values that are not finite are ranked last.
-    problems: list[Problem] = []
-    with np.errstate(over="ignore", invalid="ignore"):
-        given, prepared, trials = simulated_so(given, prepared, trials, problems)
-        sought = _sought(given, prepared, trials, problems, say)
-        given, found = sought.given, sought.found
-        notes += sought.notes
-        left = {}
-        if found.verdict in ("improved", "unexplained"):
-            left = unexplained(found, *sought.near)
-    progress(0.9)
+    run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
+    given, prepared, trials = simulated_so(given, prepared, trials, run)
+    with run.budget.searching():
+        sought = _sought(given, prepared, trials, run)
+    given, notes = sought.given, [*notes, *sought.notes]
+    progress(0.82)
+    with run.budget.searching():
+        found, simulations = run.attempt(
+            "other sets of effects in the place of the final one",
+            lambda: with_rival_sets(sought.found, run),
+            (sought.found, 0.0),
+        )
+    found = with_final_parameters(found, run.budget)
     if given.creeps:
         notes.append(CREEPS)
     if given.substeps:
         notes.append(simulated_in_words(found.prepared))
     notes += found.explained.notes
-    notes += coarse_step(found.prepared.problem, found.explained.hypothesis, found.errors)
-    if not len(prepared.problem.held_out):
-        notes.append(
-            "no recording was held out: errors and gains are those of the fitted recordings"
-        )
-    progress(0.94)
-    return Diagnosis(
-        found.verdict, found.explained, found.errors, left, tuple(notes), found.prepared,
-        found.selected, found.trials, found.before, found.after, cost(problems, since),
-    )  # fmt: skip
+    return Structure(given, found, sought.near, tuple(notes), simulations)
 
 
 @dataclass(frozen=True, slots=True)
 class _Sought:
-    """What was found, how the model was stepped for it, the problem that says where the rest is,
-    and what a reader has to know.
+    """What was found, how the model was stepped for it, the windows in which the rest is located,
+    None for none, and what a reader has to know.
     """
 
     given: Given
     found: Searched
-    near: tuple[Prepared, TrialSet]
+    near: float | None
     notes: tuple[str, ...]
 
 
-def _sought(
-    given: Given,
-    prepared: Prepared,
-    trials: TrialSet,
-    problems: list[Problem],
-    say: Callable[[str], None],
-) -> _Sought:
+def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _Sought:
     """Search whole motions, and windows of them where these tell more.
+
+    Every step after the first search has its result to fall back on, where time runs out.
 
     Args:
         given: the model, and how it is stepped.
         prepared, trials: its problem over whole motions.
-        problems: gets every problem that was searched.
-        say: told what is considered.
+        run: the diagnosis.
     """
     notes: list[str] = []
-    problems.append(prepared.problem)
-    contact = prepared.problem.simulator.models.contact
+    problem = prepared.problem
+    run.budget.add(problem)
+    contact = problem.simulator.models.contact
     clear, start = EMPTY, EMPTY
     if contact.world.size:
-        away = _posed_away(given, trials, contact)
+        away = run.attempt(
+            "the search for effects far from contact",
+            lambda: _found_away(given, trials, contact, run), None,
+        )  # fmt: skip
         if away is not None:
-            problems.append(away[0].problem)
-            clear = _found_away(*away, say)
-            start = _with_contact(prepared.problem, clear, say)
-    given, found = searched_so(given, prepared, trials, problems, say, start)
+            clear = start = away
+            start = run.attempt(
+                "contact effects in addition", lambda: _with_contact(problem, clear, run), clear
+            )
+    run.begin(_stage(problem), problem)
+    given, found = searched_so(given, prepared, trials, run, start)
     if found.astray and contact.world.size:
-        found = _once_more(found, say)
+        found = run.attempt("contact effects once more", partial(_once_more, found, run), found)
     elif found.far_from and not contact.world.size:
-        found = _by_shorter(found, given, problems, say)
-    given, found = found_so(found, given, problems, say)
-    stepped = stepped_otherwise(found, given)
-    if stepped is not None:
-        other = _sought(stepped, *pose(stepped, found.trials, []), problems, say)
-        if explains_more(other.found, found):
-            return other
-    near = found.prepared, found.trials
+        found = run.attempt(
+            "a search from shorter windows", partial(_by_shorter, found, given, run), found
+        )
+    given, found = run.attempt(
+        "dry friction that creeps otherwise", partial(found_so, found, given, run), (given, found)
+    )
+    other = run.attempt(
+        "recordings of a simulation", partial(_stepped_otherwise, found, given, run), None
+    )
+    if other is not None:
+        return other
+    simulated = run.attempt(
+        "the integration error of a simulation", partial(with_its_own_step, found, given, run), None
+    )
+    if simulated is not None:
+        given, found = simulated
+    near: float | None = None
     if found.astray and (clear.terms or not contact.world.size):
-        near = pose(given, trials, [], window=WINDOW)
-        problems.append(near[0].problem)
-        if contact.world.size:
-            # What acts in the air is known from there.
-            near[0].problem.family = _CONTACT
-
-        def longer() -> Prepared:
-            cut, _ = pose(given, trials, [], window=_half_of(trials))
-            problems.append(cut.problem)
-            return cut
-
-        found = _windowed(found, *near, clear, say, notes, longer)
+        near = WINDOW
+        found, said = run.attempt(
+            f"windows of {WINDOW:g} s",
+            partial(_by_windows, found, given, trials, clear, run),
+            (found, list[str]()),
+        )
+        notes += said
     return _Sought(given, found, near, tuple(notes))
+
+
+def _stepped_otherwise(found: Searched, given: Given, run: Run) -> _Sought | None:
+    """What is found with the integration error of a simulation's step left in, if that explains
+    more; None if not, or if no such error is seen.
+    """
+    stepped = stepped_otherwise(found, given)
+    if stepped is None:
+        return None
+    prepared, trials = pose(stepped, found.trials, [])
+    other = _sought(stepped, prepared, trials, run)
+    return other if explains_more(other.found, found) else None
+
+
+def _by_windows(
+    found: Searched, given: Given, trials: TrialSet, clear: Hypothesis, run: Run
+) -> tuple[Searched, list[str]]:
+    """What explains most, of whole motions and windows of them, and what a reader has to know."""
+    cut, kept = pose(given, trials, [], window=WINDOW)
+    run.begin(f"windows of {WINDOW:g} s", cut.problem)
+    if cut.problem.simulator.models.contact.world.size:
+        # What acts in the air is known from there.
+        cut.problem.family = _CONTACT
+
+    def longer() -> Prepared:
+        halves, _ = pose(given, trials, [], window=_half_of(trials))
+        run.begin("windows of half a recording", halves.problem)
+        return halves
+
+    notes: list[str] = []
+    return _windowed(found, cut, kept, clear, run, notes, longer), notes
 
 
 def _posed_away(
@@ -280,45 +410,61 @@ def _posed_away(
         return None
 
 
-def _found_away(prepared: Prepared, trials: TrialSet, say: Callable[[str], None]) -> Hypothesis:
-    """What explains the motion far from what the robot meets.
+def _stage(problem: Problem) -> str:
+    """What a search of a problem works on."""
+    if all(s.amid for s in problem.simulator.segments):
+        return f"windows of {usual_length(problem):.2g} s"
+    return "whole recordings"
+
+
+def _found_away(
+    given: Given, trials: TrialSet, contact: ContactGeoms, run: Run
+) -> Hypothesis | None:
+    """What explains the motion far from what the robot meets; None where it never is.
 
     There deviations are small, and every law can be seen along the measured motion; in contact each
     has to be simulated.
     """
-    return search(prepared, trials, Selection(prepared.problem, say)).explained.hypothesis
+    away = _posed_away(given, trials, contact)
+    if away is None:
+        return None
+    prepared, kept = away
+    run.begin("windows far from contact", prepared.problem)
+    return search(prepared, kept, Selection(prepared.problem, run)).explained.hypothesis
 
 
-def _with_contact(problem: Problem, clear: Hypothesis, say: Callable[[str], None]) -> Hypothesis:
+def _with_contact(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
     """What was found in the air, and what contact alone adds to that."""
+    run.begin("contact effects over whole recordings", problem)
     problem.family = _CONTACT
-    selected = from_start(Selection(problem, say), clear)
-    problem.family = None
+    try:
+        selected = from_start(Selection(problem, run), clear)
+    finally:
+        problem.family = None
     return selected.best.hypothesis
 
 
-def _once_more(found: Searched, say: Callable[[str], None]) -> Searched:
+def _once_more(found: Searched, run: Run) -> Searched:
     """What contact adds to all that was found, and what is found from there: a surface that was
     hidden behind what acts in contact as well (a late clock, a drive at its limit) stands out now.
     """
     problem, known = found.prepared.problem, found.explained.hypothesis
-    more = _with_contact(problem, known, say)
+    more = _with_contact(problem, known, run)
     if set(more.terms) <= set(known.terms):
         return found
-    return _from_there(found, more, say)
+    return _from_there(found, more, run)
 
 
-def _from_there(found: Searched, start: Hypothesis, say: Callable[[str], None]) -> Searched:
+def _from_there(found: Searched, start: Hypothesis, run: Run) -> Searched:
     """What is found from a hypothesis, where that leaves less than what was found."""
-    selection = Selection(found.prepared.problem, say)
+    run.begin(f"{_stage(found.prepared.problem)} once more", found.prepared.problem)
+    selection = Selection(found.prepared.problem, run)
     other = search(found.prepared, found.trials, selection, start)
     found = found.judged_again()
     return other if other.leaves_less(found) else found
 
 
-def _by_shorter(
-    found: Searched, given: Given, problems: list[Problem], say: Callable[[str], None]
-) -> Searched:
+def _by_shorter(found: Searched, given: Given, run: Run) -> Searched:
     """What is found from where windows lead in which the model as it came stays near what was
     recorded, or nearer.
     """
@@ -329,9 +475,9 @@ def _by_shorter(
         near = stays_near(cut.problem, left_everywhere(cut.problem, EMPTY))
         if near or window <= 2.0 * SHORTEST:
             break
-    problems.append(cut.problem)
-    start = search(cut, kept, Selection(cut.problem, say, _CLEAR)).explained.hypothesis
-    return _from_there(found, start, say) if start.terms else found
+    run.begin(f"windows of {window:g} s", cut.problem)
+    start = search(cut, kept, Selection(cut.problem, run, _CLEAR)).explained.hypothesis
+    return _from_there(found, start, run) if start.terms else found
 
 
 def _windowed(
@@ -339,7 +485,7 @@ def _windowed(
     cut: Prepared,
     kept: TrialSet,
     clear: Hypothesis,
-    say: Callable[[str], None],
+    run: Run,
     notes: list[str],
     longer: Callable[[], Prepared],
 ) -> Searched:
@@ -349,25 +495,27 @@ def _windowed(
         found: by whole motions.
         cut, kept: the problem in windows, and its trials.
         clear: what was found far from what the robot meets.
-        say: told what is considered.
+        run: the diagnosis.
         notes: gets how it was named.
         longer: poses the problem in windows that are longer.
     """
-    other = confirmed(cut, kept, found, say)
+    other = confirmed(cut, kept, found, run)
     if other is None:
         # Where nothing is met, no search begins that along the motion leaves too much.
         share_left = 1.0 if clear.terms else _CLEAR
-        other = search(cut, kept, Selection(cut.problem, say, share_left), clear)
+        other = search(cut, kept, Selection(cut.problem, run, share_left), clear)
     if other.supersedes(found):
         notes.append(_IN_WINDOWS)
-        return replace(other, explained=by_whole_motions(other.explained, found.prepared.problem))
+        return replace(other, whole=found.prepared.problem)
     if other.beside(found):
         if found.slips:
-            whole = with_drive_of(found, other, longer())
+            with run.budget.apart():
+                whole = with_drive_of(found, other, longer())
             if whole.follows_better(found):
                 notes.append(_AS_A_DRIVE)
                 return whole
-        whole = carried(found, other)
+        with run.budget.apart():
+            whole = carried(found, other)
         if whole.follows_better(found):
             notes.append(_NAMED_IN_WINDOWS)
             return whole

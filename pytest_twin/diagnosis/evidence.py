@@ -11,6 +11,9 @@ from pytest_twin.arrays import FloatArray
 
 Likelihood = Callable[[FloatArray, FloatArray, FloatArray], float]
 """Of a residual (samples, signals), its floor and effective samples (signals,)."""
+NOISE_FLOORS = 1.5
+"""Residuals of up to this many floors are taken for noise alone: the floor is an estimate, and a
+signal below this level contains no identifiable effect (``verdict.STANDS_OUT``)."""
 _OF_NOISE = math.sqrt(2.0 / math.pi)
 """Mean absolute deviation of Gaussian noise, in standard deviations."""
 
@@ -40,6 +43,28 @@ def effective_samples(residual: FloatArray, lengths: Sequence[int]) -> FloatArra
         # A segment is never worth less than one sample, a constant one no more than that.
         total += np.maximum(n / time, 1.0).sum(axis=0)
     return total
+
+
+def tempered(
+    effective: FloatArray, mean_square: FloatArray, floor: FloatArray, recordings: int
+) -> FloatArray:
+    """(signals,) effective samples where a part of the residual is error of the model.
+
+    Noise averages out within a recording; what the model does wrong does not. A recording of m
+    effective samples, of whose variance the share rho is model error, is worth
+    m / (1 + (m - 1) rho) of them: the design effect of a cluster (Kish, Survey Sampling, 1965).
+    Model error is what the best set of effects leaves above ``NOISE_FLOORS`` floors.
+
+    Args:
+        effective: (signals,) of all recordings, as :func:`effective_samples` has them.
+        mean_square: (signals,) that the best set of effects leaves.
+        floor: (signals,) noise floor.
+        recordings: how many there are.
+    """
+    share = np.clip(1.0 - (NOISE_FLOORS * floor) ** 2 / np.maximum(mean_square, 1e-300), 0.0, 1.0)
+    each = np.maximum(effective / max(recordings, 1), 1.0)
+    out: FloatArray = effective / (1.0 + (each - 1.0) * share)
+    return out
 
 
 def borne_out(

@@ -10,23 +10,30 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, spread
 from pytest_twin.diagnosis.locate import Where, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.restraint import Pruned, in_floors, joint_name, label
+from pytest_twin.diagnosis.search.rivals import Alternative as Rivalling
 from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.diagnosis.verdict import UNSEEN
 from pytest_twin.effects.base import Parameter
 from pytest_twin.trial import Trial
 
 # Largest confidence without held-out recordings.
 _UNTESTED = 0.8
+# Alternatives that are listed: least confidence; floors up to which a prediction is the same and
+# listed with any confidence; how many.
+_LEAST_LISTED, _SAME, _MOST_LISTED = 1e-4, 1.5, 4
 # Correlation of two parameters from which only a combination of them is reported as known.
 _CORRELATED = 0.9
 # Largest confidence with a parameter at its physical bound, or a joint whose encoder is stuck.
 _DOUBTED = 0.5
+# Share of the squared held-out error by which it may grow by chance.
+_CHANCE = 0.01
 # s after the start of a window under effort commands in which a finding's effect is measured: later
 # the open-loop error of any change dominates.
 _SOON = 0.25
@@ -50,11 +57,22 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """An effect that may explain the data instead of a finding."""
+    """An effect, or a set of effects, that may explain the data instead of findings.
+
+    Attributes:
+        effect, joint: of the effect, the first one of a set.
+        confidence: posterior share of the set.
+        together_with: (effect, joint) of the other effects of the set.
+        instead_of: (effect, joint) of the findings that it replaces, where it is more than one.
+        apart: largest RMS difference between the two predictions, in floors; None if unknown.
+    """
 
     effect: str
     joint: str | None
     confidence: float
+    together_with: tuple[tuple[str, str | None], ...] = ()
+    instead_of: tuple[tuple[str, str | None], ...] = ()
+    apart: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +92,8 @@ class Finding:
         next_test: the experiment that separates it from the most likely alternative.
         correlated: parameters of which only a combination is identifiable, one line each.
         term: effect and joint in the problem's numbering.
+        small: why it is a small correction of the model and no missing physics; empty for a
+            finding.
     """
 
     effect: str
@@ -87,6 +107,7 @@ class Finding:
     next_test: str
     correlated: tuple[str, ...]
     term: Term
+    small: str = ""
 
 
 @dataclass(slots=True)
@@ -98,12 +119,14 @@ class Explained:
         hypothesis: all of them together.
         spread: intervals and correlations of its parameters.
         notes: one line each, for the reader.
+        rests: term -> the others refitted without it.
     """
 
     findings: tuple[Finding, ...]
     hypothesis: Hypothesis
     spread: Spread | None = None
     notes: list[str] = field(default_factory=list)
+    rests: Mapping[Term, Hypothesis] = field(default_factory=dict)
 
 
 def explain(
@@ -124,31 +147,29 @@ def explain(
     hypothesis = pruned.fitted.hypothesis
     if not hypothesis.terms:
         return Explained((), hypothesis, notes=pruned.notes)
-    width = spread(problem, pruned.fitted)
+    width = spread(problem, pruned.fitted, selected.near)
     problem.refine_at(hypothesis)
     gone = [hypothesis.without(t) for t in hypothesis.terms]
     residuals = problem.residuals([hypothesis, *pruned.rests], problem.everywhere)
-    stands = _heights(problem, [hypothesis, *gone])
-    in_test = problem.in_test
-
-    def error(residual: FloatArray) -> float:
-        return float((in_floors(residual[in_test], problem.signal_floor) ** 2).sum())
-
-    with_all = error(residuals[0])
+    changes = _changes(problem, [hypothesis, *gone])
+    stands = [c.height for c in changes]
+    small = small_corrections(
+        problem, hypothesis, np.array([c.positions for c in changes]), _nominal_error(problem)
+    )
+    gains = _gains(problem, residuals)
     paths = motions(prepared, trials)
     found = []
-    for term, without, height in zip(hypothesis.terms, residuals[1:], stands, strict=True):
-        gain = _gain(error(without), with_all)
+    for term, without, gain, height in zip(
+        hypothesis.terms, residuals[1:], gains, stands, strict=True
+    ):
         blame = _blame(problem, term, residuals[0], without)
         at = max(term.joint, 0)
         where = place_of(paths, blame, at, joint_unit(problem, at))
-        others = selected.alternatives.get(term, [])
+        others = selected.alternatives_to(term)
         confidence = selected.confidence.get(term, 1.0)
         if not np.isfinite(confidence):
             # The selected model itself could not be compared: no support.
             confidence = 0.0
-        if not len(problem.held_out):
-            confidence = min(confidence, _UNTESTED)
         if term.joint >= 0 and problem.floor[term.joint] >= UNSEEN:
             confidence = min(confidence, _DOUBTED)
             pruned.notes.append(
@@ -170,16 +191,98 @@ def explain(
                 where=where,
                 held_out_gain=gain,
                 stands=height,
-                alternatives=tuple(
-                    Alternative(t.effect, joint_name(problem, t), c) for t, c in others if c > 1e-4
-                )[:4],
-                next_test=_next_test(term, [t for t, _ in others]),
+                alternatives=tuple(_alternative(problem, a) for a in others if _worth_listing(a))[
+                    :_MOST_LISTED
+                ],
+                next_test=_next_test(term, [t for a in others for t in a.new]),
                 correlated=trade_offs(problem, hypothesis, term, width),
                 term=term,
+                small=small.get(term, ""),
             )
         )
     found.sort(key=lambda f: -f.stands)
-    return Explained(tuple(found), hypothesis, width, pruned.notes)
+    rests = dict(zip(hypothesis.terms, pruned.rests, strict=True))
+    return Explained(tuple(found), hypothesis, width, pruned.notes, rests)
+
+
+def _worth_listing(rival: Rivalling) -> bool:
+    """Whether a reader needs to know of an alternative: it is likely enough, or predicts the same
+    to within the noise, however unlikely so many effects are.
+    """
+    same = rival.apart is not None and rival.apart <= _SAME
+    return rival.confidence > _LEAST_LISTED or same
+
+
+def _alternative(problem: Problem, rival: Rivalling) -> Alternative:
+    places = [(t.effect, joint_name(problem, t)) for t in rival.new]
+    gone = tuple((t.effect, joint_name(problem, t)) for t in rival.gone)
+    (effect, joint), *more = places
+    return Alternative(
+        effect, joint, rival.confidence, tuple(more), gone if len(gone) > 1 else (), rival.apart
+    )
+
+
+def with_gains(explained: Explained, gains: Mapping[Term, float]) -> Explained:
+    """The same findings with gains that were measured elsewhere."""
+    findings = tuple(replace(f, held_out_gain=gains[f.term]) for f in explained.findings)
+    return replace(explained, findings=findings)
+
+
+def doubted_by_the_test(explained: Explained, notes: list[str]) -> Explained:
+    """The same findings; one that makes the held-out error larger has at most 50 % confidence.
+
+    Args:
+        explained: findings with their gains on held-out recordings.
+        notes: gets a line for each of them.
+    """
+    findings = []
+    for f in explained.findings:
+        if f.held_out_gain < -_CHANCE:
+            name = f.effect if f.joint is None else f"{f.effect} at {f.joint}"
+            notes.append(
+                f"{name}: it improves the fitted recordings and makes the held-out error larger; "
+                "confidence is at most 50 %"
+            )
+            f = replace(f, confidence=min(f.confidence, _DOUBTED))
+        findings.append(f)
+    return replace(explained, findings=tuple(findings))
+
+
+def untested(explained: Explained) -> Explained:
+    """The same findings where no recording was held out: confidence is at most 80 %."""
+    findings = tuple(
+        replace(f, confidence=min(f.confidence, _UNTESTED)) for f in explained.findings
+    )
+    return replace(explained, findings=findings)
+
+
+def held_out_gains(problem: Problem, explained: Explained) -> dict[Term, float]:
+    """Term -> share of the squared error on the held-out recordings that it removes.
+
+    Args:
+        problem: any problem of the same joints and scales.
+        explained: findings, and the others refitted without each.
+    """
+    terms = explained.hypothesis.terms
+    each = [explained.hypothesis, *(explained.rests[t] for t in terms)]
+    problem.refine_at(explained.hypothesis)
+    return dict(
+        zip(terms, _gains(problem, problem.residuals(each, problem.everywhere)), strict=True)
+    )
+
+
+def _gains(problem: Problem, residuals: Sequence[FloatArray]) -> list[float]:
+    """Share of the squared held-out error that each term removes.
+
+    Args:
+        problem: the problem.
+        residuals: (samples, signals) over all segments, with all terms, then without each.
+    """
+    inside = problem.in_test
+    with_all, *without = (
+        float((in_floors(r[inside], problem.signal_floor) ** 2).sum()) for r in residuals
+    )
+    return [_gain(error, with_all) for error in without]
 
 
 def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
@@ -202,11 +305,25 @@ def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     return replace(explained, findings=tuple(order))
 
 
-def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
-    """Largest RMS difference of each prediction to the first over all joints, in floors.
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """How far predictions differ.
 
-    Positions are compared, or efforts where no position differs. In windows under effort commands
-    only the beginning counts: later the open-loop motion diverges after any change.
+    Attributes:
+        positions: (joints,) RMS of positions, rad or m.
+        height: of the joint that differs most, in floors; of measured efforts where no position
+            differs.
+    """
+
+    positions: FloatArray
+    height: float
+
+
+def _changes(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[_Change]:
+    """Difference of each prediction to the first.
+
+    In windows under effort commands only the beginning counts: later the open-loop motion diverges
+    after any change.
     """
     first, *others = problem.predict(hypotheses, problem.tested)
     segments = [problem.simulator.segments[s] for s in problem.tested]
@@ -222,12 +339,25 @@ def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
         position = np.concatenate(
             [a.position[n] - b.position[n] for (a, b), n in zip(pairs, soon, strict=True)]
         )
-        height = float(in_floors(position, problem.floor).max())
+        levels = in_floors(position, problem.floor)
+        height = float(levels.max())
         if height == 0.0 and problem.effort_floor is not None:
             effort = np.concatenate([a.effort - b.effort for a, b in pairs])
             height = float(in_floors(effort, problem.effort_floor).max())
-        out.append(height)
+        out.append(_Change(levels * problem.floor, height))
     return out
+
+
+def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
+    """Largest difference of each prediction to the first, in floors."""
+    return [change.height for change in _changes(problem, hypotheses)]
+
+
+def _nominal_error(problem: Problem) -> FloatArray:
+    """(joints,) RMS error of the nominal model, rad or m."""
+    (errors,) = problem.errors([EMPTY], problem.tested)
+    levels = in_floors(errors[:, : len(problem.joints)], problem.floor)
+    return np.asarray(levels * problem.floor)
 
 
 def _gain(without: float, with_it: float) -> float:
@@ -364,14 +494,28 @@ def finding_json(finding: Finding) -> dict[str, Any]:
         },
         "where": {"summary": finding.where.summary, "windows": dict(finding.where.windows)},
         "held_out_gain": round(finding.held_out_gain, 5),
-        "alternatives": [
-            {"effect": a.effect, "joint": a.joint, "confidence": round(a.confidence, 4)}
-            for a in finding.alternatives
-        ],
+        "alternatives": [_alternative_json(a) for a in finding.alternatives],
         "next_test": finding.next_test,
     }
     if finding.correlated:
         out["correlated"] = list(finding.correlated)
+    if finding.small:
+        out["why_small"] = finding.small
+    return out
+
+
+def _alternative_json(alternative: Alternative) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "effect": alternative.effect,
+        "joint": alternative.joint,
+        "confidence": round(alternative.confidence, 4),
+    }
+    for key in ("together_with", "instead_of"):
+        places = getattr(alternative, key)
+        if places:
+            out[key] = [{"effect": effect, "joint": joint} for effect, joint in places]
+    if alternative.apart is not None:
+        out["difference_in_floors"] = round(alternative.apart, 3)
     return out
 
 

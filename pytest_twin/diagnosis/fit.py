@@ -54,6 +54,7 @@ def fit(
     *,
     iterations: int,
     slopes: bool = True,
+    jacobians: Sequence[FloatArray] | None = None,
 ) -> list[Fitted]:
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
@@ -64,25 +65,26 @@ def fit(
         segments: fit on these.
         iterations: steps at most; a rival that no longer gains stops earlier.
         slopes: whether the Jacobian at the optimum is wanted.
+        jacobians: of each start, where they are known well enough for a first step.
     """
     current = list(starts)
     residual = problem.residuals(current, segments)
     cost = [weighted_cost(r, weights) for r in residual]
-    jacobians: list[FloatArray | None] = [None] * len(current)
+    known: list[FloatArray | None] = [None] * len(current) if jacobians is None else [*jacobians]
     fresh = [False] * len(current)
     active = [i for i, h in enumerate(current) if h.theta.size]
     for _ in range(iterations):
         if not active:
             break
-        missing = [i for i in active if jacobians[i] is None]
+        missing = [i for i in active if known[i] is None]
         if missing:
-            _fill_jacobians(problem, current, residual, segments, missing, jacobians)
+            _fill_jacobians(problem, current, residual, segments, missing, known)
             for i in missing:
                 fresh[i] = True
         trials: list[Hypothesis] = []
         ends = [0]
         for i in active:
-            jac = jacobians[i]
+            jac = known[i]
             assert jac is not None
             trials += proposals(current[i], residual[i], jac, weights, _DAMPINGS)
             ends.append(len(trials))
@@ -102,15 +104,15 @@ def fit(
                 still.append(i)
             fresh[i] = False
             if not fast:
-                jacobians[i] = None
+                known[i] = None
         active = still
     if slopes:
         stale = [i for i, h in enumerate(current) if not fresh[i] and h.theta.size]
         if stale:
-            _fill_jacobians(problem, current, residual, segments, stale, jacobians)
+            _fill_jacobians(problem, current, residual, segments, stale, known)
     out = []
     for i, h in enumerate(current):
-        jac = jacobians[i]
+        jac = known[i]
         shape = (*residual[i].shape, 0)
         out.append(
             Fitted(h, residual[i], np.empty(shape) if jac is None or not slopes else jac, cost[i])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from pytest_twin.diagnosis.hypothesis import Scales
 from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.patched.replay import fixed_values
@@ -54,6 +55,7 @@ class Given:
         held_out: Sequence[Trial],
         window: float | None = None,
         contact: ContactGeoms | None = None,
+        scales: Scales | None = None,
     ) -> Prepared:
         """The problem of explaining ``fit`` and predicting ``held_out``; arguments and errors as
         :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
@@ -63,5 +65,5 @@ class Given:
             self.realization, fit, held_out,
             threads=self.threads, window=window, coldness=self.coldness,
             fixed=fixed_values(self.beside, joints, 1), contact=contact, creeps=self.creeps,
-            substeps=self.substeps,
+            substeps=self.substeps, scales=scales,
         )  # fmt: skip

@@ -355,7 +355,7 @@ def _tried(
         t
         for t in candidates(problem)
         # A stretch's clock begins anew, and what warms up does so over minutes.
-        if (t.joint < 0 or t.joint in causes) and not t.law.asks_temperature
+        if (t.joint < 0 or t.joint in causes) and not t.law.needs_temperature
     ]
     # Positions come first, and are what is held; what efforts are off may be another law's.
     answers, mean = responses(problem, terms, problem.fit, residual=nominal)

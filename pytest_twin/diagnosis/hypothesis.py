@@ -13,8 +13,6 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.base import SMOOTH_STEP, Effect, Parameter
 
-_DRY = "coulomb_friction"
-
 
 @dataclass(frozen=True, slots=True, order=True)
 class Term:
@@ -46,8 +44,7 @@ class Term:
     @property
     def dry_level(self) -> int | None:
         """Number of the parameter that is a level of dry friction, None without one."""
-        own = self.effect == _DRY
-        name = "coulomb" if own else self.law.holds(_DRY).get("coulomb")
+        name = self.law.dry_friction_level
         return next((k for k, p in enumerate(self.parameters) if p.name == name), None)
 
     def switches(self, theta: FloatArray) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales
 from pytest_twin.diagnosis.moving import set_in_motion
 from pytest_twin.diagnosis.noise import effort_noise, greatest_noise, quiet_noise, timing_noise
 from pytest_twin.diagnosis.problem import (
@@ -64,6 +64,7 @@ class Prepared:
         floor_parts: name of a source -> (joints,) deviations, SI units.
         coldness: temperatures of the trials, where they tell something.
         substeps: of the simulation that made the recordings, as :func:`prepare` takes them.
+        window: s, that motions are cut into; None for the usual.
     """
 
     problem: Problem
@@ -71,6 +72,7 @@ class Prepared:
     floor_parts: dict[str, FloatArray]
     coldness: Coldness
     substeps: int = 0
+    window: float | None = None
 
     def lowers_floor(self, hypothesis: Hypothesis) -> bool:
         """Measure the error of the simulator's step where a hypothesis is, and lower the floor
@@ -109,6 +111,7 @@ def prepare(
     contact: ContactGeoms | None = None,
     creeps: bool = False,
     substeps: int = 0,
+    scales: Scales | None = None,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
@@ -124,6 +127,7 @@ def prepare(
         creeps: whether dry friction does, as MuJoCo's default constraint has it.
         substeps: steps for each of the model's that a simulation took which made the recordings:
             they have its error in them; 0 where a robot did.
+        scales: of the joints' parameters; by default those of these recordings.
 
     Raises:
         RecordingError: no joint that the model and every recording share; or nothing to fit that is
@@ -168,7 +172,7 @@ def prepare(
     effort_floor: FloatArray | None = None
     if _signed_efforts(segments, nominal):
         effort_floor = effort_noise(segments, nominal, owner)
-    scales = joint_scales(simulator, nominal)
+    scales = joint_scales(simulator, nominal) if scales is None else scales
     defect = step_errors(nominal, nominal_replay(refined))
     allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
     changed = _rms([add.position for add in defect.values()], len(joints))
@@ -176,7 +180,7 @@ def prepare(
         return prepare(
             realization, fit, held_out,
             threads=threads, window=0.5 * WINDOW, coldness=coldness, fixed=fixed,
-            contact=contact, creeps=creeps, substeps=substeps,
+            contact=contact, creeps=creeps, substeps=substeps, scales=scales,
         )  # fmt: skip
     problem = Problem(
         simulator,
@@ -227,7 +231,7 @@ def prepare(
         "of it, sample timing": np.minimum(timing_noise(segments, owner), noise),
         STEP: steps,
     }
-    return Prepared(problem, tuple(owner), parts, coldness, substeps)
+    return Prepared(problem, tuple(owner), parts, coldness, substeps, window)
 
 
 def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.start import FreeStart, Starts
 from pytest_twin.effects import catalogue
@@ -56,7 +57,8 @@ class Problem:
 
     Attributes:
         simulator: over all segments, fit and held-out.
-        fit, held_out: indices of segments.
+        fit, held_out: indices of segments. While effects are chosen, the validation recordings are
+            held out; once they are, the test recordings.
         floor: (joints,) standard deviation of what no model can explain, rad or m.
         scales: of the joints' parameters.
         effort_floor: the same of measured efforts, where these take part.
@@ -107,6 +109,11 @@ class Problem:
         return sum(simulator.stepped for simulator in self._simulators)
 
     @property
+    def once(self) -> int:
+        """Steps of one simulation of all segments."""
+        return int(self.simulator.steps.sum())
+
+    @property
     def repeated(self) -> int:
         """Of these, what had been simulated before."""
         return sum(simulator.repeated for simulator in self._simulators)
@@ -126,7 +133,7 @@ class Problem:
 
         Where trials differ in temperature, what depends on it need not warm up within one of them.
         """
-        lasts = catalogue()[term.effect].asks_temperature and self.differ_in_temperature
+        lasts = catalogue()[term.effect].needs_temperature and self.differ_in_temperature
         values = hypothesis.theta[hypothesis.slice_of(term)]
         shapes = [v for p, v in zip(term.parameters, values, strict=True) if p.neutral is None]
         longest = [p.upper for p in term.parameters if p.neutral is None]
@@ -138,7 +145,7 @@ class Problem:
 
         No gear is like that; cut off at zero such a law is a brake in one place.
         """
-        if not term.law.over_the_turn:
+        if not term.law.friction_varies_with_position:
             return False
         level = 0.0
         for t in hypothesis.terms:
@@ -162,7 +169,11 @@ class Problem:
 
         Where the motion follows parameters in leaps, the error of the step does so too: these are
         simulated with the finer step, which has a share of it left to correct.
+
+        Raises:
+            OutOfTime: the time of the search is over.
         """
+        check()
         out: list[list[Predicted]] = [[] for _ in hypotheses]
         for simulator, rough, share in (
             (self.simulator, False, 1.0),
@@ -213,6 +224,7 @@ class Problem:
         """
         key = _key(hypothesis)
         if key not in self._refined_at:
+            check()
             if len(self._refined_at) >= _REMEMBERED:
                 self._refined_at.pop(next(iter(self._refined_at)))
             starts = self._freed(hypothesis)

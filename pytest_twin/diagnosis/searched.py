@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,10 +12,11 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import Likelihood, laplace_log_likelihood, log_likelihood
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.given import Given
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.drive import together, unweighed, with_drive
 from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
@@ -40,6 +42,8 @@ from pytest_twin.trial import Trial
 _MOSTLY = 0.1
 # Share that has to be left for names from windows to be sought over whole motions.
 _SOME = 0.01
+# Confidence of an effect whose alternatives were not compared.
+_UNCOMPARED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +52,25 @@ class Searched:
 
     Attributes:
         prepared, trials: the problem and the recordings that it is of.
-        selected, explained: what was chosen, and what of it stands.
+        selected, pruned, explained: what was chosen, what of it stands, and as findings.
         before, after: (samples, signals) residuals over all segments.
         errors: joint -> prediction errors on held-out recordings, or on all without any.
         verdict: in one word.
+        likelihood: by which its parameters were fitted.
+        whole: problem over whole motions, by whose changes findings of windows are ordered.
     """
 
     prepared: Prepared
     trials: TrialSet
     selected: Selected
+    pruned: Pruned
     explained: Explained
     before: FloatArray
     after: FloatArray
     errors: Mapping[str, JointError]
     verdict: Verdict
+    likelihood: Likelihood = log_likelihood
+    whole: Problem | None = None
 
     @property
     def worst(self) -> float:
@@ -103,7 +112,7 @@ class Searched:
 
     def judged_again(self) -> Searched:
         """The same, held against the floor as another search of its problem may have lowered it."""
-        errors = _errors(self.prepared, self.before, self.after)
+        errors = joint_errors(self.prepared, self.before, self.after)
         return replace(self, errors=errors, verdict=verdict(errors, self.explained.findings))
 
     def supersedes(self, other: Searched) -> bool:
@@ -150,9 +159,31 @@ def search(
 def concluded(
     prepared: Prepared, trials: TrialSet, selection: Selection, selected: Selected
 ) -> Searched:
-    """What a search chose, gone on with where the floor falls, judged."""
-    selected = _to_the_floor(prepared, selection, selected)
-    return _searched(prepared, trials, selected, prune(prepared.problem, selected))
+    """What a search chose, gone on with where the floor falls, judged.
+
+    The judgement uses the reserved time where the time of the search is over.
+    """
+    run, problem = selection.diagnosis_run, prepared.problem
+    goes_on = partial(_to_the_floor, prepared, selection, selected)
+    if not run.over:
+        selected = run.attempt("the search with a lower noise floor", goes_on, selected)
+    with run.budget.reserved():
+        _weigh_untested(run, selected)
+        best = selected.best
+        if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
+            selected.best = selection.contest.as_it_is(best.hypothesis, slopes=True)
+        pruned = prune(problem, selected, hurried=run.budget.out_of_time)
+        for note in pruned.notes:
+            run.step(problem, "pruning", "rejected", note, best=pruned.fitted.hypothesis)
+        return _searched(prepared, trials, selected, pruned)
+
+
+def _weigh_untested(run: Run, selected: Selected) -> None:
+    """Halve the confidence of effects whose alternatives were not compared for want of time."""
+    for term in selected.best.hypothesis.terms if run.over else ():
+        if term not in selected.confidence:
+            selected.confidence[term] = _UNCOMPARED
+            run.skip(f"the comparison of {term.effect} with its alternatives")
 
 
 def _to_the_floor(prepared: Prepared, selection: Selection, selected: Selected) -> Selected:
@@ -167,22 +198,21 @@ def _to_the_floor(prepared: Prepared, selection: Selection, selected: Selected) 
 def from_start(selection: Selection, start: Hypothesis) -> Selected:
     """What a search chooses that begins with a hypothesis, fitted; or with the model as it came."""
     contest = selection.contest
-    rival = contest.settled(contest.as_it_is(start)) if start.terms else None
-    return selection.run(rival)
+    with selection.diagnosis_run.budget.reserved():
+        rival = contest.as_it_is(start) if start.terms else None
+    return selection.run(None if rival is None else contest.settled(rival))
 
 
-def confirmed(
-    prepared: Prepared, trials: TrialSet, other: Searched, say: Callable[[str], None]
-) -> Searched | None:
+def confirmed(prepared: Prepared, trials: TrialSet, other: Searched, run: Run) -> Searched | None:
     """What another search found, fitted here and held against its rivals, if it explains this."""
     start = other.explained.hypothesis
     if not start.terms:
         return None
-    selection = Selection(prepared.problem, say)
+    selection = Selection(prepared.problem, run)
     contest = selection.contest
     rival = contest.settled(contest.as_it_is(start))
     before, after = (left_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
-    if not all(e.explained for e in _errors(prepared, before, after).values()):
+    if not all(e.explained for e in joint_errors(prepared, before, after).values()):
         return None
     found = concluded(prepared, trials, selection, selection.run(rival))
     return found if found.verdict == "explained" else None
@@ -205,7 +235,9 @@ def carried(found: Searched, other: Searched) -> Searched:
     selected = Selected(
         best, contest.nominal, named.confidence, named.alternatives, tried=contest.tried
     )
-    return _searched(found.prepared, found.trials, selected, as_named(contest, best))
+    return _searched(
+        found.prepared, found.trials, selected, as_named(contest, best), laplace_log_likelihood
+    )
 
 
 def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searched:
@@ -239,7 +271,7 @@ def with_drive_of(found: Searched, other: Searched, longer: Prepared) -> Searche
         if term in other.selected.confidence:
             named.confidence[term] = other.selected.confidence[term]
             named.alternatives[term] = other.selected.alternatives[term]
-    return _searched(found.prepared, found.trials, named, pruned)
+    return _searched(found.prepared, found.trials, named, pruned, laplace_log_likelihood)
 
 
 def _deepest(contest: Contest, starts: Sequence[Hypothesis], steps: FloatArray) -> Hypothesis:
@@ -249,13 +281,21 @@ def _deepest(contest: Contest, starts: Sequence[Hypothesis], steps: FloatArray) 
     return sought(problem, starts, contest.weights(contest.nominal), steps)
 
 
-def _searched(prepared: Prepared, trials: TrialSet, selected: Selected, pruned: Pruned) -> Searched:
+def _searched(
+    prepared: Prepared,
+    trials: TrialSet,
+    selected: Selected,
+    pruned: Pruned,
+    likelihood: Likelihood = log_likelihood,
+) -> Searched:
     problem = prepared.problem
     explained = explain(prepared, selected, pruned, (*trials.fit, *trials.held_out))
     before, after = (left_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
-    errors = _errors(prepared, before, after)
+    errors = joint_errors(prepared, before, after)
     word = verdict(errors, explained.findings)
-    return Searched(prepared, trials, selected, explained, before, after, errors, word)
+    return Searched(
+        prepared, trials, selected, pruned, explained, before, after, errors, word, likelihood
+    )
 
 
 def pose(
@@ -264,6 +304,7 @@ def pose(
     notes: list[str],
     window: float | None = None,
     contact: ContactGeoms | None = None,
+    scales: Scales | None = None,
 ) -> tuple[Prepared, TrialSet]:
     """The problem, without recordings on which the model itself diverges.
 
@@ -271,14 +312,14 @@ def pose(
         given: the model, and how it is stepped.
         trials: what was recorded.
         notes: gets what was left out.
-        window, contact: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
+        window, contact, scales: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
 
     Raises:
         SimulationError: it diverges on all of them.
     """
     while True:
         everything = (*trials.fit, *trials.held_out)
-        prepared = given.prepared(trials.fit, trials.held_out, window, contact)
+        prepared = given.prepared(trials.fit, trials.held_out, window, contact, scales)
         problem = prepared.problem
         predicted = problem.predict([EMPTY], problem.everywhere)[0]
         lost = {
@@ -374,14 +415,25 @@ def left_everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     return problem.residuals([hypothesis], problem.everywhere)[0]
 
 
-def _errors(prepared: Prepared, before: FloatArray, after: FloatArray) -> dict[str, JointError]:
+def joint_errors(
+    prepared: Prepared, before: FloatArray, after: FloatArray
+) -> dict[str, JointError]:
+    """Joint -> RMS errors on what is held out, or on all that is fitted without any.
+
+    Args:
+        prepared: the problem.
+        before, after: (samples, signals) residuals over all segments, without and with effects.
+    """
     problem = prepared.problem
     inside = problem.in_test
+    travel = np.ptp(
+        np.concatenate([problem.simulator.segments[s].position for s in problem.tested]), axis=0
+    )
     found = {}
     for j, joint in enumerate(problem.joints):
         if problem.floor[j] >= UNSEEN:
             continue
         rms = [float(np.sqrt(np.mean(r[inside, j] ** 2))) for r in (before, after)]
         floor, unit = float(problem.floor[j]), joint_unit(problem, j)
-        found[joint] = JointError(rms[0], rms[1], floor, unit)
+        found[joint] = JointError(rms[0], rms[1], floor, unit, float(travel[j]))
     return found

@@ -28,6 +28,7 @@ from pytest_twin.diagnosis.prepare import (
     discretization,
 )
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.restraint import in_floors
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.searched import Searched, pose
@@ -43,27 +44,22 @@ leave of the error is in the floor."""
 _LEFT, _FAR_LESS = 0.5, 0.25
 # rad or m, of what neither moves nor has noise.
 _LEAST = 1e-9
-_SMOOTH = frozenset({
-    "armature", "base_tilt", "command_delay", "controller_gain", "coulomb_friction", "encoder_bias",
-    "inertial_parameters", "joint_spring", "payload", "torque_constant", "viscous_friction",
-})  # fmt: skip
-"""Laws whose size alone says what they do, nearly in proportion."""
 
 
 def simulated_so(
-    given: Given, prepared: Prepared, trials: TrialSet, problems: list[Problem]
+    given: Given, prepared: Prepared, trials: TrialSet, run: Run
 ) -> tuple[Given, Prepared, TrialSet]:
     """The problem, stepped as the recordings were simulated, where they are the model's as it came.
 
     Args:
         given: the model.
         prepared, trials: the problem as a robot would have it.
-        problems: gets the one that is left behind, if one is.
+        run: the diagnosis.
     """
     substeps = _substeps_of(prepared)
     if not substeps:
         return given, prepared, trials
-    problems.append(prepared.problem)
+    run.budget.add(prepared.problem)
     given = replace(given, substeps=substeps)
     return given, *pose(given, trials, [])
 
@@ -83,7 +79,7 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
     """
     problem, best = found.prepared.problem, found.selected.best
     noise = _noise(found.prepared)
-    if any(t.law.overrides("separates") for t in best.hypothesis.terms):
+    if any(t.law.is_elastic_transmission for t in best.hypothesis.terms):
         return None
     if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
         return None
@@ -109,10 +105,14 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
 
 
 def explains_more(stepped: Searched, found: Searched) -> bool:
-    """Whether a search with the error of a simulation's step left in explains the recordings, and
-    leaves far less than one without.
+    """Whether a search with the error of a simulation's step left in explains the recordings with
+    no more effects than one without, and leaves far less.
     """
     if stepped.verdict not in ("explained", "no_mismatch"):
+        return False
+    mine, others = (s.explained.hypothesis for s in (stepped, found))
+    if mine.more_terms(others) > 0:
+        # An integration error that needs new physics is that physics.
         return False
     less = [e.after / max(found.errors[j].after, 1e-12) for j, e in stepped.errors.items()]
     return max(less) <= 1.0 and min(less) <= _LEFT
@@ -198,7 +198,7 @@ class _Span:
         if linear is not None:
             by_effect: dict[str, list[Term]] = {}
             for term in candidates(problem):
-                if term.effect in _SMOOTH and term not in best.hypothesis.terms:
+                if term.law.nearly_linear and term not in best.hypothesis.terms:
                     by_effect.setdefault(term.effect, []).append(term)
             for terms in by_effect.values():
                 found = linear.at_sizes(terms, grid(terms[0])[:1])

@@ -237,7 +237,7 @@ def _stretch(simulator: RowSimulator, hypothesis: Hypothesis, scales: Scales) ->
     out = np.zeros((len(segments), joints))
     rows = np.flatnonzero([s.mode == "velocity" for s in segments])
     laws = [*(t.law for t in hypothesis.terms), *(catalogue()[e] for e in simulator.fixed)]
-    if len(rows) and any(law.overrides("separates") for law in laws):
+    if len(rows) and any(law.is_elastic_transmission for law in laws):
         values = effect_values([hypothesis] * len(rows), joints, scales)
         out[rows] = simulator.gear_stretch(rows, values, scales.of["effort"])
     return out

@@ -46,15 +46,17 @@ class TrialSet:
 
     Attributes:
         fit: parameters are fitted on these.
-        held_out: no fit sees them; may be empty.
+        held_out: not fitted, predicted only; may be empty.
         notes: how roles were decided, what was left out and what is doubtful, one line each.
-        unseen: joints whose encoder is stuck; what they read is held against nothing.
+        unseen: joints whose encoder is stuck in ``fit``; their error is not evaluated.
+        untested: joints whose encoder is stuck in ``held_out``; their error there is not evaluated.
     """
 
     fit: tuple[Trial, ...]
     held_out: tuple[Trial, ...]
     notes: tuple[str, ...]
     unseen: frozenset[str] = frozenset()
+    untested: frozenset[str] = frozenset()
 
 
 def read_trials(
@@ -69,7 +71,8 @@ def read_trials(
 
     ``held_out`` decides where it is given, else the recordings' own metadata ``role``, else whole
     recordings are set aside, the last of every four. A recording that cannot be used is left out
-    with a note, unless it is the only one of its role.
+    with a note, unless it is the only one of its role. Where roles are given, what is held out has
+    no influence on how the others are read.
 
     Args:
         recordings: files and folders.
@@ -117,29 +120,28 @@ def read_trials(
             path=held_out[0],
             expected="at least one RECORDING that is not under --held-out",
         )
-    modes = [_modes(t) for t in trials]
-    if len({*modes, *(_modes(t) for t in aside)}) > 1:
-        kept = max(modes, key=modes.count)
-        for t in [*trials, *aside]:
-            if _modes(t) != kept:
-                notes.append(
-                    f"left out: {t.path}: it has {_modes(t)} commands, most others have "
-                    f"{kept} commands; diagnose it separately"
-                )
-        trials = [t for t in trials if _modes(t) == kept]
-        aside = [t for t in aside if _modes(t) == kept]
-    _leave_out_lacking(trials, aside, notes)
-    unseen = _unseen(trials, aside, notes)
-    unseen |= _motionless([*trials, *aside], unseen, notes)
-    if not held_out:
-        trials, aside, said = _by_role(trials)
+    split = None if held_out else _by_metadata(trials)
+    if split is not None:
+        trials, aside, said = split
+        notes.append(said)
+    trials = _of_one_mode(trials, None, notes)
+    aside = _of_one_mode(aside, _modes(trials[0]), notes)
+    usual = _usual_joints(trials)
+    trials = _with_joints(trials, usual, notes)
+    aside = _with_joints(aside, usual, notes)
+    trials, unseen = _unseen(trials, notes)
+    unseen |= _motionless(trials, unseen, notes)
+    aside, untested = _testable(aside, notes)
+    if not held_out and split is None:
+        trials, aside, said = _by_count(trials)
         notes.append(said)
     elif not aside:
         notes.append("no held-out recording could be used; confidence is at most 80 %")
     notes += _rules([*trials, *aside])
     notes += _doubts([*trials, *aside])
     notes += _far([*trials, *aside], structure)
-    return TrialSet(tuple(trials), tuple(aside), tuple(notes), unseen)
+    once = tuple(dict.fromkeys(notes))
+    return TrialSet(tuple(trials), tuple(aside), once, unseen, untested)
 
 
 def _each_recording(
@@ -156,13 +158,18 @@ def _each_recording(
     return found if chosen is None else [r for i, r in enumerate(found) if i in chosen]
 
 
-def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
+def _by_metadata(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str] | None:
+    """Roles as the recordings' own metadata have them; None where it holds out none, or all."""
     roles = [t.metadata.get("role") for t in trials]
-    if "held_out" in roles:
-        fit = [t for t, role in zip(trials, roles, strict=True) if role != "held_out"]
-        aside = [t for t, role in zip(trials, roles, strict=True) if role == "held_out"]
-        if fit:
-            return fit, aside, f"held out (role in the metadata): {_names(aside)}"
+    fit = [t for t, role in zip(trials, roles, strict=True) if role != "held_out"]
+    aside = [t for t, role in zip(trials, roles, strict=True) if role == "held_out"]
+    if not fit or not aside:
+        return None
+    return fit, aside, f"held out (role in the metadata): {_names(aside)}"
+
+
+def _by_count(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
+    """The last of every four recordings is held out; of one, nothing."""
     # Parts of one recording share temperature and sensor zeros, so they have the same role.
     paths = list(dict.fromkeys(t.path for t in trials))
     if len(paths) == 1:
@@ -181,6 +188,19 @@ def _by_role(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
         f"held out (chosen automatically): {_names(aside)}; choose with --held-out or with 'role' "
         "in the metadata"
     )  # fmt: skip
+
+
+def _of_one_mode(trials: list[Trial], kept: str | None, notes: list[str]) -> list[Trial]:
+    """Those whose commands are of one kind, by default of the most common one."""
+    modes = [_modes(t) for t in trials]
+    kept = kept or max(modes, key=modes.count)
+    notes += [
+        f"left out: {t.path}: it has {mode} commands, most others have {kept} commands; diagnose "
+        "it separately"
+        for t, mode in zip(trials, modes, strict=True)
+        if mode != kept
+    ]
+    return [t for t, mode in zip(trials, modes, strict=True) if mode == kept]
 
 
 def _modes(trial: Trial) -> str:
@@ -206,30 +226,37 @@ def _rules(trials: Sequence[Trial]) -> list[str]:
     return lines
 
 
-def _leave_out_lacking(trials: list[Trial], aside: list[Trial], notes: list[str]) -> None:
-    """Leave out recordings without a joint that most others have, where enough of these remain.
+def _usual_joints(trials: Sequence[Trial]) -> list[str]:
+    """Joints that more than half of the recordings have."""
+    joints = dict.fromkeys(j for t in trials for j in t.joints)
+    return [j for j in joints if 2 * sum(j in t.joints for t in trials) > len(trials)]
 
-    Where that joint was, nobody can tell, and it moves the rest of the robot. Where too few remain
-    the joint is left out instead.
+
+def _with_joints(trials: list[Trial], usual: Sequence[str], notes: list[str]) -> list[Trial]:
+    """Recordings that have all usual joints; all recordings, where none has them.
+
+    Where the missing joint was, nobody can tell, and it moves the rest of the robot. Where no
+    recording has them all, the joint is left out instead.
     """
-    everything = [*trials, *aside]
-    joints = dict.fromkeys(j for t in everything for j in t.joints)
-    usual = [j for j in joints if 2 * sum(j in t.joints for t in everything) > len(everything)]
-    whole_fit = [t for t in trials if set(usual) <= set(t.joints)]
-    whole_aside = [t for t in aside if set(usual) <= set(t.joints)]
-    if not whole_fit or (aside and not whole_aside):
-        return
-    for t in everything:
+    whole = [t for t in trials if set(usual) <= set(t.joints)]
+    if not whole:
+        return trials
+    for t in trials:
         lacking = [j for j in usual if j not in t.joints]
         if lacking:
             notes.append(
                 f"left out: {t.path}: it lacks {', '.join(lacking)}, which most others have"
             )
-    trials[:], aside[:] = whole_fit, whole_aside
+    return whole
 
 
-def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozenset[str]:
-    """Leave out recordings with a stuck encoder where others remain, else the joint itself."""
+def _unseen(trials: list[Trial], notes: list[str]) -> tuple[list[Trial], frozenset[str]]:
+    """Recordings without those whose encoder is stuck, where some remain; else all, and the joints
+    whose encoder is stuck.
+
+    Raises:
+        RecordingError: every encoder is stuck.
+    """
 
     def stuck(trial: Trial) -> set[str]:
         # For a while dry friction holds a joint as well; a dead encoder stays where it is.
@@ -243,20 +270,16 @@ def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozen
             if seconds > _STUCK_SHARE * trial.duration and not _friction_could_hold(trial, j)
         }
 
-    bad = [t for t in [*trials, *aside] if stuck(t)]
-    sound_fit = [t for t in trials if not stuck(t)]
-    sound_aside = [t for t in aside if not stuck(t)]
-    if not bad:
-        return frozenset()
-    if sound_fit and (sound_aside or not aside):
+    bad = [t for t in trials if stuck(t)]
+    sound = [t for t in trials if not stuck(t)]
+    if sound:
         for t in bad:
             notes.append(
                 f"left out: {t.path}: the encoder of {', '.join(sorted(stuck(t)))} is stuck"
             )
-        trials[:], aside[:] = sound_fit, sound_aside
-        return frozenset()
+        return sound, frozenset()
     joints = frozenset(j for t in bad for j in stuck(t))
-    if all(j in joints for t in [*trials, *aside] for j in t.joints):
+    if all(j in joints for t in trials for j in t.joints):
         raise RecordingError(
             "every encoder is stuck while its command moves",
             path=bad[0].path,
@@ -265,7 +288,18 @@ def _unseen(trials: list[Trial], aside: list[Trial], notes: list[str]) -> frozen
         )
     notes += [f"joint {j!r}: its encoder is stuck; its error is not evaluated" for j in
               sorted(joints)]  # fmt: skip
-    return joints
+    return trials, joints
+
+
+def _testable(aside: list[Trial], notes: list[str]) -> tuple[list[Trial], frozenset[str]]:
+    """As :func:`_unseen`; none, where no encoder of the held-out recordings works."""
+    if not aside:
+        return aside, frozenset()
+    try:
+        return _unseen(aside, notes)
+    except RecordingError as error:
+        notes.append(f"left out: {error}")
+        return [], frozenset()
 
 
 def _motionless(

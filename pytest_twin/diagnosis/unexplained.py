@@ -34,7 +34,7 @@ def unexplained(diagnosed: Searched, near: Prepared, trials: TrialSet) -> dict[s
     """The joints at which a force is missing, the largest signal-to-noise ratio first.
 
     Args:
-        diagnosed: result of the search.
+        diagnosed: the findings on the recordings that they are tested on.
         near: problem in which the missing force is computed. Where whole predictions diverge from
             the recordings it consists of short windows, because the force is computed for small
             deviations.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ LEFT = 0.02
 """A residual of up to this share of the squared error counts as explained, ..."""
 LEFT_FLOORS = 10.0
 """... if it is also below this many floors: above, it is a mismatch of its own."""
+OF_TRAVEL = 1e-3
+"""An error of up to this share of a joint's travel is of no consequence where small corrections of
+the model explain it: 1 mrad of 1 rad is at the repeatability of ordinary arms."""
 
 # Least share of the remaining squared error above the floor, and of the nominal model's squared
 # error (counted up to so many floors), that an effect must remove at some joint. Less is within the
@@ -82,12 +85,14 @@ class JointError:
         after: of the model with the findings.
         floor: noise floor (sensor noise, sample timing, discretization).
         unit: rad or m.
+        travel: distance between the joint's ends in the recordings; 0 if unknown.
     """
 
     before: float
     after: float
     floor: float
     unit: str
+    travel: float = 0.0
 
     @property
     def fraction(self) -> float:
@@ -104,16 +109,36 @@ class JointError:
         return self.before > AT_FLOOR * self.floor
 
     @property
+    def inconsequential(self) -> bool:
+        """Whether the nominal model's error is at the floor, or small against the travel."""
+        return not self.mismatched or self.before <= OF_TRAVEL * self.travel
+
+    @property
     def explained(self) -> bool:
         """Whether the residual is at the floor, or small enough in both measures."""
         near = self.after <= LEFT_FLOORS * self.floor and self.fraction <= LEFT
         return self.after <= AT_FLOOR * self.floor or near
 
 
-def verdict(errors: Mapping[str, JointError], findings: Sequence[object]) -> Verdict:
-    """The verdict from held-out errors and findings."""
+class Reported(Protocol):
+    """What a verdict reads of a finding."""
+
+    @property
+    def small(self) -> str:
+        """Why it is a small correction; empty for a finding."""
+
+
+def verdict(errors: Mapping[str, JointError], findings: Sequence[Reported]) -> Verdict:
+    """The verdict from held-out errors and findings.
+
+    With small corrections alone there is no mismatch where the nominal model's errors are at the
+    noise floor or, against the travel of the joints, of no consequence.
+    """
+    mismatched = any(e.mismatched for e in errors.values())
     if not findings:
-        return "unexplained" if any(e.mismatched for e in errors.values()) else "no_mismatch"
+        return "unexplained" if mismatched else "no_mismatch"
+    if all(f.small for f in findings) and all(e.inconsequential for e in errors.values()):
+        return "no_mismatch"
     if all(e.explained for e in errors.values()):
         return "explained"
-    return "improved"
+    return "unexplained" if all(f.small for f in findings) else "improved"

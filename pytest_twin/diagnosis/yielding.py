@@ -16,8 +16,8 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects.friction import CoulombFriction, PreslidingHysteresis
 
-_DRY, _YIELDING = "coulomb_friction", "presliding_hysteresis"
 # Of the least distance at which yielding has a name, and of the level, what is open.
 _DISTANCE, _LEVEL = 0.05, 0.05
 
@@ -61,7 +61,7 @@ def _yielding(problem: Problem, levels: FloatArray) -> Hypothesis:
     """All dry friction by bristles."""
     found = _with_more(problem, -levels)
     for joint in np.flatnonzero(levels):
-        term = Term(_YIELDING, int(joint))
+        term = Term(PreslidingHysteresis.id, int(joint))
         level, distance = term.parameters
         size = levels[joint] / problem.scales.value(level, int(joint))
         found = found.with_term(term, np.array([size, _DISTANCE * distance.lower]))
@@ -72,7 +72,7 @@ def _with_more(problem: Problem, levels: FloatArray) -> Hypothesis:
     """Dry friction of so much more at each of the joints."""
     found = EMPTY
     for joint in np.flatnonzero(levels):
-        term = Term(_DRY, int(joint))
+        term = Term(CoulombFriction.id, int(joint))
         size = levels[joint] / problem.scales.value(term.parameters[0], int(joint))
         found = found.with_term(term, np.array([size]))
     return found

@@ -63,7 +63,7 @@ def acting(values: EffectValues) -> list[tuple[Effect, Values]]:
 def in_turn(values: EffectValues) -> list[tuple[Effect, Values]]:
     """Effects in the order in which they act on a reading."""
     effects = [(catalogue()[e], v) for e, v in values.items()]
-    return sorted(effects, key=lambda each: each[0].reads_after)
+    return sorted(effects, key=lambda each: each[0].hook_order)
 
 
 def there(effect: Effect, values: Values) -> NDArray[np.bool_]:

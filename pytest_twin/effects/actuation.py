@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -114,7 +114,8 @@ class _Lag:
     def of(cls, lag: FloatArray, timestep: float) -> _Lag:
         """The lag with (rows, joints) time constants, s."""
         steps = timestep / np.maximum(lag, 1e-9)
-        return cls(np.exp(-steps), -np.expm1(-steps) / steps, bool(lag.any()))
+        mean_kept = np.where(lag > 0.0, -np.expm1(-steps) / steps, 0.0)
+        return cls(np.exp(-steps), mean_kept, bool(lag.any()))
 
     def mean(self, asked: FloatArray) -> FloatArray:
         """(rows, joints) mean output over the next step for the input ``asked``."""
@@ -139,6 +140,7 @@ class RateLimit(_Follows):
 
     id = "rate_limit"
     family = "actuation"
+    is_limit = True
     law = (
         "of_effort 0: |d(setpoint)/dt| <= rate; "
         "of_effort 1 (servos): |d(delivered)/dt| <= effort_rate"
@@ -193,7 +195,8 @@ class _Slew:
     @classmethod
     def of(cls, inverse_rate: FloatArray, timestep: float) -> _Slew:
         """The limit with (rows, joints) reciprocal rates."""
-        return cls(timestep / np.maximum(inverse_rate, 1e-9), bool(inverse_rate.any()))
+        # Finite without a limit, so that no time at all is no change, and exact there.
+        return cls(timestep / np.maximum(inverse_rate, 1e-200), bool(inverse_rate.any()))
 
     def mean(self, asked: FloatArray) -> FloatArray:
         """(rows, joints) mean output over the next step for the input ``asked``."""
@@ -217,7 +220,8 @@ class TorqueConstant(Effect):
 
     id = "torque_constant"
     family = "actuation"
-    of_every_drive = True
+    nearly_linear = True
+    common_to_geared_motors = True
     law = "delivered = (1 + relative_error) drive"
     source = "Nm per A; Siciliano et al., Robotics (2009), sec. 5.2"
     parameters = (
@@ -248,6 +252,7 @@ class TorqueSaturation(Effect):
 
     id = "torque_saturation"
     family = "actuation"
+    is_limit = True
     law = "|drive| <= limit"
     source = "peak current; Siciliano et al., Robotics (2009), sec. 5.2"
     parameters = (
@@ -283,6 +288,7 @@ class TorqueSpeedLimit(Effect):
 
     id = "torque_speed_limit"
     family = "actuation"
+    is_limit = True
     law = "drive sign(v) <= stall (1 - |v| / no_load_speed)"
     source = "DC motor curve; Hughes, Drury, Electric Motors and Drives (2019), ch. 3"
     parameters = (
@@ -308,7 +314,7 @@ class TorqueSpeedLimit(Effect):
         "viscous_friction": "record a slow move under load: the limit acts at high effort and "
         "speed only",
     }
-    has_in_it = frozenset({"torque_saturation"})
+    generalizes = frozenset({"torque_saturation"})
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_saturation": {"inverse_limit": 1.0 / max(values["stall"], 1e-12)}}
@@ -389,12 +395,13 @@ class Cogging(Effect):
 
     id = "cogging"
     family = "actuation"
+    periodic = True
     law = (
         "effort = sine sin(harmonic q) + cosine cos(harmonic q); "
         "harmonic: periods per turn on a hinge"
     )
     source = "Holtz, Springob, IEEE Trans. Ind. Electron. 43 (1996): torque ripple"
-    of_position = True
+    depends_only_on_position = True
     parameters = (
         Parameter("sine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort", meaning="sine amplitude"),
         Parameter("cosine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort", meaning="cosine amplitude"),
@@ -420,11 +427,19 @@ class Cogging(Effect):
         world.push_motor(values["sine"] * np.sin(angle) + values["cosine"] * np.cos(angle))
 
 
+_SOFT_SHARES = (0.1, 0.05, 0.02, 0.01, 0.005)
+"""Shares of the model's servo stiffness: a vendor's model may be 50 times as stiff as the firmware.
+A first-order fit finds larger shares; a softer servo still has another cause."""
+_DRY_WITH_SOFT = 0.05
+"""Dry friction to try with a soft servo, in multiples of the drive's RMS effort."""
+
+
 class ControllerGain(Effect):
     """The servo's stiffness or damping differs from the model's."""
 
     id = "controller_gain"
     family = "actuation"
+    nearly_linear = True
     law = "effort = (1 + stiffness_error) kp (setpoint - q) - (1 + damping_error) kv v"
     source = "PD law; Siciliano et al., Robotics (2009), sec. 8.5"
     parameters = (
@@ -446,10 +461,25 @@ class ControllerGain(Effect):
         "joint_spring": "move the joint with the drive off: only a spring remains",
     }
     # Servo damping without stiffness acts like viscous friction.
-    has_in_it = frozenset({"torque_constant", "viscous_friction"})
+    generalizes = frozenset({"torque_constant", "viscous_friction"})
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_constant": {"relative_error": values["stiffness_error"]}}
+
+    def distant_starts(self, servo: str) -> Sequence[tuple[float, ...]]:
+        """Position servos up to 200 times as soft as the model's, with the same damping ratio.
+
+        The drive of the stiff model would be at its limit along all of the measured motion, where
+        its effort does not depend on the gain.
+        """
+        if servo != "position":
+            return ()
+        # The damping of a mode is proportional to the root of its stiffness.
+        return [(share - 1.0, float(np.sqrt(share)) - 1.0) for share in _SOFT_SHARES]
+
+    def hidden_until_distant(self) -> Mapping[str, tuple[float, ...]]:
+        """Dry friction: a stiff servo overcomes it at small errors."""
+        return {"coulomb_friction": (_DRY_WITH_SOFT,)}
 
     def with_other(
         self, own: Mapping[str, float], effect: str, other: Mapping[str, float]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,11 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.motor_side import Gear, MotorSide
 from pytest_twin.trial import CommandMode
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from pytest_twin.effects.layout import Layout
 
 Values = Mapping[str, FloatArray]
 """Parameter name -> (rows, joints) values in SI units; the neutral value where it is absent."""
@@ -189,6 +194,8 @@ class World:
         timestep: s.
         position, velocity: joint state, rad and rad/s or m and m/s.
         setpoint: command to the drive, after all earlier hooks.
+        least_setpoint, greatest_setpoint: range of commands that the drive accepts; ``servo`` hooks
+            may leave it.
         gain, stiffness, damping, offset: coefficients of the control law, SI units at the joint.
         lower, upper: limits of the drive's effort, N*m or N.
         servo: (joints,) ``position``, ``velocity``, ``effort``, or ``none`` without a drive.
@@ -225,6 +232,8 @@ class World:
     motor_damping: FloatArray
     motor_constant: FloatArray
     link_inertia: FloatArray
+    least_setpoint: FloatArray = field(default_factory=lambda: np.full((1, 1), -np.inf))
+    greatest_setpoint: FloatArray = field(default_factory=lambda: np.full((1, 1), np.inf))
     coldness: FloatArray = field(default_factory=lambda: np.ones(1))
     motor: MotorSide | None = None
     state: dict[str, Any] = field(default_factory=dict)
@@ -267,7 +276,7 @@ class Effect:
     """One effect. Subclasses state the class attributes and override the hooks that they need.
 
     ``fields`` and ``gains`` run once before the first step, then ``gear``. ``command``, ``servo``,
-    ``drive``, ``friction`` and ``force`` run at every step, in this order. ``command_delay``,
+    ``drive``, ``friction`` and ``force`` run at every step, in this order. ``command_latency``,
     ``sample_time`` and ``sense`` run on whole trajectories. A hook must change nothing where every
     parameter is neutral. A hook that is not overridden costs no time.
 
@@ -280,19 +289,33 @@ class Effect:
         parameters: at least one.
         scope: ``joint``, or ``robot`` for an effect of the whole robot.
         confused_with: effect id -> the experiment that separates the two.
-        has_in_it: effects that are special cases of this one.
+        generalizes: ids of effects that are special cases of this one.
         modes: command modes under which it can act.
         remembers: whether a hook keeps a state between steps.
         remembers_path: whether the state of ``force`` fades with the distance travelled, not with
             time.
         reads_other_joints: whether a hook of a joint reads another joint's drive.
-        asks_temperature: whether a hook reads the temperature of a trial.
-        reads_drive: whether ``friction`` reads the effort that the drive delivers.
-        of_position: whether its effort depends on the joint position alone.
-        over_the_turn: whether it is dry friction whose level depends on the joint position.
-        of_every_drive: whether every geared motor has it to some degree.
-        reads_after: order among sensor effects, smaller first: the encoder's eccentricity, then its
-            scale, then its zero.
+        reads_delivered_effort: whether ``friction`` reads the effort that the drive delivers.
+        reads_load: whether ``servo`` reads the load of the joint.
+        hook_order: order in which effects run in each hook, smaller first. The encoder's
+            eccentricity comes before its scale, and that before its zero.
+
+    Traits, also class attributes. The search of a diagnosis treats an effect as its traits say,
+    whatever its id:
+        is_limit: whether it limits what the drive does. Recordings then determine the size only
+            within a narrow range, so the search also tries many sizes between and beyond the
+            ``starts`` of a parameter, which increase.
+        periodic: whether the law repeats over the turn of a hinge; it does not apply to a slide.
+        needs_effort_sensor: whether only readings of effort can show it.
+        needs_temperature: whether a hook reads the temperature of a trial.
+        nearly_linear: whether the change of the motion is nearly proportional to the parameters.
+        common_to_geared_motors: whether every geared motor has it to some degree.
+        depends_only_on_position: whether its effort depends on the joint position alone.
+        friction_varies_with_position: whether it is dry friction whose level depends on the joint
+            position.
+        dry_friction_level: name of the parameter that is a constant level of dry friction; None
+            without one.
+        candidate: whether the search proposes it.
     """
 
     id: ClassVar[str]
@@ -302,26 +325,38 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]]
     scope: ClassVar[Scope] = "joint"
     confused_with: ClassVar[Mapping[str, str]] = {}
-    has_in_it: ClassVar[frozenset[str]] = frozenset()
+    generalizes: ClassVar[frozenset[str]] = frozenset()
     modes: ClassVar[tuple[str, ...]] = MODES
     remembers: ClassVar[bool] = False
     remembers_path: ClassVar[bool] = False
     reads_other_joints: ClassVar[bool] = False
-    asks_temperature: ClassVar[bool] = False
-    reads_drive: ClassVar[bool] = False
-    of_position: ClassVar[bool] = False
-    over_the_turn: ClassVar[bool] = False
-    of_every_drive: ClassVar[bool] = False
-    reads_after: ClassVar[int] = 0
+    reads_delivered_effort: ClassVar[bool] = False
+    reads_load: ClassVar[bool] = False
+    hook_order: ClassVar[int] = 0
+    is_limit: ClassVar[bool] = False
+    periodic: ClassVar[bool] = False
+    needs_effort_sensor: ClassVar[bool] = False
+    needs_temperature: ClassVar[bool] = False
+    nearly_linear: ClassVar[bool] = False
+    common_to_geared_motors: ClassVar[bool] = False
+    depends_only_on_position: ClassVar[bool] = False
+    friction_varies_with_position: ClassVar[bool] = False
+    dry_friction_level: ClassVar[str | None] = None
+    candidate: ClassVar[bool] = True
 
     @property
     def path(self) -> str:
         """Part of the signal path: ``command``, ``actuator``, ``transmission``, ``rigid body``,
         ``sensor``, ``contact`` or ``surroundings``.
         """
-        if self.overrides("command_delay", "command") and not self.overrides("drive"):
+        if self.overrides("command_latency", "command") and not self.overrides("servo", "drive"):
             return "command"
         return PATHS[self.family]
+
+    @property
+    def is_elastic_transmission(self) -> bool:
+        """Whether it lets the motor move relative to the link."""
+        return self.overrides("separates")
 
     def overrides(self, *hooks: str) -> bool:
         """Whether the effect overrides any of these hooks."""
@@ -342,6 +377,50 @@ class Effect:
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         """Special cases with fewer parameters: effect id -> its parameters, SI."""
         return {}
+
+    def equivalents(
+        self, values: Mapping[str, float], layout: Layout, model: mujoco.MjModel, joint: int
+    ) -> Mapping[str, Mapping[str, float]]:
+        """Other effects with nearly the same motion: effect id -> its parameters, SI.
+
+        Args:
+            values: own parameters, SI.
+            layout: indices of the model's joints.
+            model: the nominal model.
+            joint: column of the joint that it acts on; -1 for the whole robot.
+        """
+        return {}
+
+    def distant_starts(self, servo: str) -> Sequence[tuple[float, ...]]:
+        """Parameters far from the model's, from the nearest to the farthest, in multiples of
+        references; empty by default.
+
+        The search simulates them at every joint whose error is large. A law needs them where no
+        slope at the model's own values leads there.
+
+        Args:
+            servo: command mode of the joint's drive.
+        """
+        return ()
+
+    def hidden_until_distant(self) -> Mapping[str, tuple[float, ...]]:
+        """Effects that show only together with :meth:`distant_starts`: effect id -> parameters to
+        try with them, in multiples of references.
+        """
+        return {}
+
+    def compensated_starts(
+        self, own: Mapping[str, float], servo_compliance: float
+    ) -> Sequence[tuple[Mapping[str, float], str, Mapping[str, float]]]:
+        """Changes of this effect together with another one that cancel to first order, which no
+        small step of a fit finds: pairs of own parameters and the other effect's id and parameters.
+
+        Args:
+            own: its parameters, in multiples of references, as all others here.
+            servo_compliance: reciprocal of the servo's stiffness, in multiples of the reference
+                ``compliance``; 0 without a servo.
+        """
+        return ()
 
     def holds(self, effect: str) -> Mapping[str, str]:
         """Another effect's parameter -> the parameter of this one that can represent it."""
@@ -370,7 +449,7 @@ class Effect:
         """The inverse of ``coordinates``."""
         return coordinates
 
-    def command_delay(self, values: Values) -> FloatArray | None:
+    def command_latency(self, values: Values) -> FloatArray | None:
         """Latency of the command, (rows, joints) s."""
         return None
 

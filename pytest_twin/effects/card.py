@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -63,8 +64,10 @@ def card(effect: Effect) -> str:
         _table(
             ("parameter", "meaning", "unit", "absent at", "range of the fit"),
             (
-                (f"`{p.reported_name}`", _meaning(p), _unit(p), _absent(p), _range(p))
-                for p in effect.parameters
+                (_names(same), *shown)
+                for shown, same in itertools.groupby(
+                    effect.parameters, lambda p: (_meaning(p), _unit(p), _absent(p), _range(p))
+                )
             ),
         ),
     ]
@@ -76,6 +79,12 @@ def card(effect: Effect) -> str:
         lines.append(_table(("confused with", "test that separates them"), tests))
     lines += [f"Source: {effect.source}.", ""]
     return "\n".join(lines)
+
+
+def _names(parameters: Iterable[Parameter]) -> str:
+    """Names of parameters of one meaning, as the knots of a table are: the first and the last."""
+    first, *others = (f"`{p.reported_name}`" for p in parameters)
+    return f"{first} to {others[-1]}" if others else first
 
 
 def _summary(effect: Effect) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Sequence
 from typing import NoReturn, get_args
 
@@ -42,6 +43,14 @@ def _checked(effect: object, name: str) -> Effect:
         _check_parameter(name, parameter, effect.parameters)
     if all(p.neutral is None for p in effect.parameters):
         _refuse(name, "parameters", None, "one with a neutral value (effect absent)")
+    if effect.dry_friction_level is not None:
+        names = [p.name for p in effect.parameters]
+        _one_of(name, "dry_friction_level", effect.dry_friction_level, names)
+    for p in effect.parameters if effect.is_limit else ():
+        # The search extends the starts geometrically.
+        ends = (0.0, *p.starts)
+        if p.neutral is not None and any(a >= b for a, b in itertools.pairwise(ends)):
+            _refuse(name, f"parameters.{p.name}.starts", p.starts, "positive, increasing: a limit")
     return effect
 
 

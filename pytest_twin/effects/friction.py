@@ -21,18 +21,17 @@ _SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
 class _DryFriction(Effect):
     """Dry friction with a variable level; Coulomb friction is its special case.
 
-    Attributes:
-        level: name of the parameter that becomes the Coulomb level.
+    ``dry_friction_level`` names the parameter that becomes the Coulomb level.
     """
 
-    level: ClassVar[str]
-    has_in_it = frozenset({"coulomb_friction"})
+    dry_friction_level: ClassVar[str]
+    generalizes = frozenset({"coulomb_friction"})
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        return {"coulomb_friction": {"coulomb": values[self.level]}}
+        return {"coulomb_friction": {"coulomb": values[self.dry_friction_level]}}
 
     def holds(self, effect: str) -> Mapping[str, str]:
-        return {"coulomb": self.level} if effect == "coulomb_friction" else {}
+        return {"coulomb": self.dry_friction_level} if effect == "coulomb_friction" else {}
 
 
 class ViscousFriction(Effect):
@@ -40,7 +39,8 @@ class ViscousFriction(Effect):
 
     id = "viscous_friction"
     family = "friction"
-    of_every_drive = True
+    nearly_linear = True
+    common_to_geared_motors = True
     law = "effort = -coefficient v"
     source = _SURVEY
     parameters = (
@@ -67,7 +67,9 @@ class CoulombFriction(Effect):
 
     id = "coulomb_friction"
     family = "friction"
-    of_every_drive = True
+    dry_friction_level = "coulomb"
+    nearly_linear = True
+    common_to_geared_motors = True
     law = "|effort| <= level; effort = -level sign(v) in motion"
     source = _SURVEY
     parameters = (
@@ -93,7 +95,7 @@ class AsymmetricFriction(_DryFriction):
 
     id = "asymmetric_friction"
     family = "friction"
-    level = "coulomb"
+    dry_friction_level = "coulomb"
     law = "|effort| <= coulomb + offset for v > 0, coulomb - offset for v < 0"
     source = "Janot, Gautier, Brunot, Mech. Syst. Signal Process. (2019): EMPS benchmark"
     parameters = (
@@ -124,7 +126,7 @@ class StribeckFriction(_DryFriction):
 
     id = "stribeck_friction"
     family = "friction"
-    level = "coulomb"
+    dry_friction_level = "coulomb"
     law = "level = coulomb + (stiction - coulomb) exp(-(v / stribeck_velocity)^2)"
     source = "Bo, Pavelescu, Wear 82 (1982); " + _SURVEY
     parameters = (
@@ -161,7 +163,7 @@ class LoadDependentFriction(Effect):
 
     id = "load_dependent_friction"
     family = "friction"
-    of_every_drive = True
+    common_to_geared_motors = True
     law = (
         "of_drive 0: level = coefficient |load|, load = gravity, Coriolis and centrifugal effort; "
         "of_drive 1: level = coefficient |delivered|"
@@ -179,7 +181,7 @@ class LoadDependentFriction(Effect):
             choices=("caused by the load", "caused by the motor's effort"),
         ),
     )  # fmt: skip
-    reads_drive = True
+    reads_delivered_effort = True
     confused_with: ClassVar = {
         "coulomb_friction": "repeat the same speed with two payloads: Coulomb friction stays the "
         "same",
@@ -196,7 +198,7 @@ class PreslidingHysteresis(_DryFriction):
 
     id = "presliding_hysteresis"
     family = "friction"
-    level = "coulomb"
+    dry_friction_level = "coulomb"
     law = "dz/dt = v - |v| z / (coulomb / stiffness); effort = -stiffness z"
     source = "Dahl (1968); Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995): LuGre"
     parameters = (
@@ -239,7 +241,7 @@ class ThermalFriction(_DryFriction):
 
     id = "thermal_friction"
     family = "friction"
-    level = "excess"
+    dry_friction_level = "excess"
     law = (
         "cold = coldness exp(-t / warm_up_time); level = dry friction + excess cold; "
         "effort = -viscous_excess cold v; "
@@ -261,14 +263,14 @@ class ThermalFriction(_DryFriction):
             meaning="warm-up time constant",
         ),
     )  # fmt: skip
-    asks_temperature = True
+    needs_temperature = True
     confused_with: ClassVar = {
         "coulomb_friction": "record the same motion cold and warm",
         "viscous_friction": "record the same motion cold and warm",
         "external_force": "record the same motion twice with a pause between: an external force "
         "does not repeat",
     }
-    has_in_it = _DryFriction.has_in_it | {"viscous_friction"}
+    generalizes = _DryFriction.generalizes | {"viscous_friction"}
 
     def friction(self, world: World, values: Values) -> None:
         cold = world.state[self.id] = self._cold(world, values)
@@ -299,7 +301,8 @@ class PositionDependentFriction(_DryFriction):
 
     id = "position_dependent_friction"
     family = "friction"
-    level = "mean"
+    periodic = True
+    dry_friction_level = "mean"
     law = (
         "level = max(mean + sine sin(harmonic q) + cosine cos(harmonic q), 0); "
         "harmonic: periods per turn on a hinge"
@@ -321,7 +324,7 @@ class PositionDependentFriction(_DryFriction):
             meaning="wavenumber",
         ),
     )  # fmt: skip
-    over_the_turn = True
+    friction_varies_with_position = True
     confused_with: ClassVar = {
         "coulomb_friction": "record the same speed at poses far apart",
         "cogging": "repeat the motion in both directions: cogging keeps its sign",

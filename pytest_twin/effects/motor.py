@@ -25,7 +25,7 @@ class TorqueRolloff(Effect):
 
     id = "torque_rolloff"
     family = "actuation"
-    of_every_drive = True
+    common_to_geared_motors = True
     law = (
         "ideal = drive - back_emf v; effort of the motor = ideal / (1 + |ideal| / knee); "
         "back_emf v: the part of the model's passive damping that is back-EMF"
@@ -132,7 +132,7 @@ class MotorLoadFriction(Effect):
 
     id = "motor_load_friction"
     family = "friction"
-    of_every_drive = True
+    common_to_geared_motors = True
     law = "level = (coefficient + stiction_excess exp(-|v| / stribeck_velocity)) |delivered|"
     source = (
         "Duclos et al., arXiv:2410.08650 (friction by motor and by external torque); fall with "
@@ -162,8 +162,8 @@ class MotorLoadFriction(Effect):
         "stribeck_friction": "repeat the same speeds with two payloads: Stribeck friction stays "
         "the same",
     }
-    has_in_it = frozenset({"load_dependent_friction"})
-    reads_drive = True
+    generalizes = frozenset({"load_dependent_friction"})
+    reads_delivered_effort = True
 
     def friction(self, world: World, values: Values) -> None:
         reach = np.maximum(values["stribeck_velocity"], 1e-9)

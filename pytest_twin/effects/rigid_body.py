@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar
 
+import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values
+
+if TYPE_CHECKING:
+    from pytest_twin.effects.layout import Layout
+
+_INERTIA_ONLY = 2.0
+"""Form of ``inertial_parameters`` in which only the inertia differs."""
 
 
 class Payload(Effect):
@@ -15,6 +23,7 @@ class Payload(Effect):
 
     id = "payload"
     family = "rigid_body"
+    nearly_linear = True
     law = (
         "point mass at distance along the last link's direction, from its joint; "
         "form 1: also sideways, in the joint's direction of motion; "
@@ -80,6 +89,7 @@ class InertialParameters(Effect):
 
     id = "inertial_parameters"
     family = "rigid_body"
+    nearly_linear = True
     law = (
         "form 0: mass and inertia times 1 + relative_error; "
         "form 1: mass times 1 + mass_error; "
@@ -124,6 +134,47 @@ class InertialParameters(Effect):
         "armature": "hold the joint against gravity: armature has no weight",
     }
 
+    def equivalents(
+        self, values: Mapping[str, float], layout: Layout, model: mujoco.MjModel, joint: int
+    ) -> Mapping[str, Mapping[str, float]]:
+        """A payload for the last link; armature for an inertia about a hinge."""
+        found = {}
+        if joint == len(layout.joints) - 1:
+            found["payload"] = self._as_payload(values, layout, model)
+        if values["form"] == _INERTIA_ONLY and not layout.slides[joint]:
+            found["armature"] = self._as_armature(values, layout, model, joint)
+        return {effect: own for effect, own in found.items() if own}
+
+    @staticmethod
+    def _as_payload(
+        values: Mapping[str, float], layout: Layout, model: mujoco.MjModel
+    ) -> Mapping[str, float]:
+        """A point mass with the added mass and first moment; empty where no mass is added."""
+        mass = float(model.body_mass[layout.body_index[-1]])
+        added = values["mass_error"] * mass
+        if not added:
+            return {}
+        last = np.array([len(layout.joints) - 1])
+        radial, tangential = np.array([values["radial"]]), np.array([values["tangential"]])
+        (moved,), (axes,) = layout.shift(radial, tangential, last), layout.own_axes(last)
+        center = layout.link_length[-1] * layout.directions[-1]
+        at = axes @ (center + (mass + added) / added * moved)
+        return {"mass": added, **dict(zip(("distance", "sideways", "across"), at, strict=True))}
+
+    @staticmethod
+    def _as_armature(
+        values: Mapping[str, float], layout: Layout, model: mujoco.MjModel, joint: int
+    ) -> Mapping[str, float]:
+        """A rotor with the added inertia about the joint's axis.
+
+        The motion is the same where no joint before it turns the link about that axis.
+        """
+        body = layout.body_index[joint]
+        axis, back = np.zeros(3), np.zeros(4)
+        mujoco.mju_negQuat(back, model.body_iquat[body])
+        mujoco.mju_rotVecQuat(axis, model.jnt_axis[layout.joint_ids[joint]], back)
+        return {"inertia": values["inertia_error"] * float(model.body_inertia[body] @ axis**2)}
+
     def fields(self, fields: ModelFields, values: Values) -> None:
         whole = 1.0 + values["relative_error"]
         fields.mass_scale *= whole * (1.0 + values["mass_error"])
@@ -137,7 +188,8 @@ class Armature(Effect):
 
     id = "armature"
     family = "rigid_body"
-    of_every_drive = True
+    nearly_linear = True
+    common_to_geared_motors = True
     law = "effort = -inertia dv/dt; inertia = rotor inertia times gear ratio squared"
     source = "Siciliano et al., Robotics (2009), sec. 7.2"
     parameters = (
@@ -161,6 +213,7 @@ class BaseTilt(Effect):
 
     id = "base_tilt"
     family = "rigid_body"
+    nearly_linear = True
     law = "gravity in the base frame = Ry(pitch)^T Rx(roll)^T gravity of a level base"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991)"
     scope = "robot"

@@ -43,6 +43,7 @@ def act(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
         world.motor.meet(world.position, world.velocity)
     for effect, v in hooks["command"]:
         effect.command(world, v)
+    world.setpoint = within(world.setpoint, world.least_setpoint, world.greatest_setpoint)
     for effect, v in hooks["servo"]:
         effect.servo(world, v)
     native = world.delivered

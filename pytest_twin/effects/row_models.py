@@ -27,7 +27,7 @@ from pytest_twin.effects.spared import spare
 OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
-    "motor_constant", "link_inertia", "coldness",
+    "motor_constant", "link_inertia", "coldness", "least_setpoint", "greatest_setpoint",
 )  # fmt: skip
 """What of a world has a row for each simulation."""
 
@@ -151,7 +151,7 @@ class RowModels:
         """Work out and keep what batches of ``rows`` share, before forks each do."""
         for r in np.unique(rows):
             self.bounded(int(r))
-        if any(effect.overrides("separates") for effect, _ in effects):
+        if any(effect.is_elastic_transmission for effect, _ in effects):
             self.link_inertia(np.unique(rows))
 
     def world(self, rows: NDArray[np.int64]) -> World:
@@ -189,7 +189,12 @@ class RowModels:
             motor_constant=np.zeros(count),
             link_inertia=np.full(count, np.inf),
             coldness=np.array([self.segments[r].coldness for r in segments]),
+            least_setpoint=np.full(count, -np.inf),
+            greatest_setpoint=np.full(count, np.inf),
         )
+        limited, ends = self._command_ranges()
+        world.least_setpoint[:, limited] = ends.min(axis=0)
+        world.greatest_setpoint[:, limited] = ends.max(axis=0)
         world.gain[:, layout.bare] = 1.0
         gain = np.array([m.actuator_gainprm[act, 0] for m in models])
         world.gain[:, driven] = (gain * gear * layout.scale[driven])[which]
@@ -213,12 +218,17 @@ class RowModels:
         effort = (layout.servo == "effort") & (world.gain > 0.0)
         gain = np.where(effort, world.gain, 1.0)
         least, greatest = ((b - world.offset) / gain for b in (world.lower, world.upper))
-        model, driven = self.segments[0].model, layout.driven
-        limited = driven[model.actuator_ctrllimited[layout.actuator[driven]] != 0]
-        ends = model.actuator_ctrlrange[layout.actuator[limited]].T / layout.scale[limited]
+        limited, ends = self._command_ranges()
         least[:, limited] = np.maximum(least[:, limited], ends.min(axis=0))
         greatest[:, limited] = np.minimum(greatest[:, limited], ends.max(axis=0))
         return np.where(effort, least, -np.inf), np.where(effort, greatest, np.inf)
+
+    def _command_ranges(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """Joints whose drives limit their commands, and (2, joints) ends of these ranges."""
+        model, layout = self.segments[0].model, self.layout
+        limited = layout.driven[model.actuator_ctrllimited[layout.actuator[layout.driven]] != 0]
+        ends = model.actuator_ctrlrange[layout.actuator[limited]].T / layout.scale[limited]
+        return limited, ends
 
     def written(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], threads: int
@@ -267,6 +277,9 @@ class RowModels:
         if (own or narrowed) and len(self.layout.driven):
             force_range = batched.expand("actuator_forcerange")
             self.write_bounds(force_range, world)
+        if any_hook(effects, "servo"):
+            # The range holds for commands, not for what a servo makes of them.
+            batched.expand("actuator_ctrlrange")[:] = (-_UNBOUNDED, _UNBOUNDED)
         constant, world.motor_constant = fields.split_force(apart)
         if any(effect.family == "contact" for effect, _ in effects):
             least_time = least_time_constant(models[0], self.timestep)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from functools import partial
 
 import numpy as np
 from mujoco.batch import SimulationError as BatchError
@@ -43,7 +42,8 @@ from pytest_twin.effects.row_models import RowModels, Rows
 from pytest_twin.effects.sampling import behind, sampled, taken
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.effects.spared import unclocked
-from pytest_twin.realization.forks import free_cores, in_forks, threads_here, usable_cores
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
 
@@ -140,7 +140,7 @@ class RowSimulator:
             cores = 1
         if cores > 1:
             self.models.warm(rows, acting(values))
-        each = in_forks([partial(work, p) for p in divided], cores)
+        each = Forks(cores).map(work, divided)
         found: dict[int, Predicted] = {}
         for part, predicted in zip(divided, each, strict=True):
             found.update(zip(part.rows.tolist(), predicted, strict=True))
@@ -167,6 +167,23 @@ class RowSimulator:
         self._count(rows)
         segments = [self.segments[r] for r in rows]
         return motion[0], motion[1], sampled(segments, effects, motion, self.timestep)
+
+    def efforts_beside(
+        self, rows: NDArray[np.int64], values: EffectValues
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Efforts that sensors read of each row, (stamps, joints) each: as they are simulated, one
+        step earlier and one later.
+        """
+        effects = acting(with_fixed(values, self.fixed, len(rows)))
+        q, v, effort = self._moved(rows, effects)
+        self._count(rows)
+        segments = [self.segments[r] for r in rows]
+        earlier = np.concatenate([effort[:, :1], effort[:, :-1]], axis=1)
+        later = np.concatenate([effort[:, 1:], effort[:, -1:]], axis=1)
+        read = [
+            sampled(segments, effects, (q, v, e), self.timestep) for e in (effort, earlier, later)
+        ]
+        return [(a.effort, b.effort, c.effort) for a, b, c in zip(*read, strict=True)]
 
     def gear_stretch(
         self, rows: NDArray[np.int64], values: EffectValues, load: FloatArray
@@ -273,7 +290,7 @@ class RowSimulator:
         """How much later than it was sent a command reaches each row, (rows, columns) s."""
         late = behind([self.segments[r] for r in rows], effects, columns)
         for effect, v in effects:
-            added = effect.command_delay(v)
+            added = effect.command_latency(v)
             late = late if added is None else late + added
         return late
 
@@ -353,7 +370,7 @@ class RowSimulator:
         batch.bind("qvel")[:, at_dof] = world.velocity
         batch.bind("qfrc_applied")[:, at_dof] = written.constant
         batch.forward()
-        if hooks["friction"] or hooks["gear"]:
+        if _reads_load(hooks):
             world.load = batch.bind("qfrc_bias")[:, at_dof]
         self.roll_in(world, rows, effects)
         shifts = [self.segments[r].motor_shift for r in rows]
@@ -375,12 +392,12 @@ class RowSimulator:
         rows, steps = commands.shape[:2]
         q, v, effort = self._motion(steps, rows)
         level, start = world.friction_level, world.time
-        loaded = bool(hooks["friction"] or hooks["gear"])
+        loaded = _reads_load(hooks)
         commanded = np.ascontiguousarray(commands.swapaxes(0, 1))
         pushed = np.empty((rows, len(self.joints)))
         by_hand = bare.any()
         # What nobody reads or changes between steps is not worked out there.
-        asked = bool(hooks["drive"]) or any(e.reads_drive for e, _ in hooks["friction"])
+        asked = bool(hooks["drive"]) or any(e.reads_delivered_effort for e, _ in hooks["friction"])
         pushes = bool(hooks["force"] or hooks["drive"] or hooks["gear"] or by_hand)
         apart = written.apart.any()
 
@@ -426,6 +443,11 @@ class RowSimulator:
         effort[steps - 1] += actuator_force[:, at_dof]
         effort[steps] = effort[steps - 1]
         return q, v, effort
+
+
+def _reads_load(hooks: Hooks) -> bool:
+    """Whether an effect between steps needs the load of its joint."""
+    return bool(hooks["friction"] or hooks["gear"] or any(e.reads_load for e, _ in hooks["servo"]))
 
 
 def _span(index: NDArray[np.int64]) -> slice | NDArray[np.int64]:

@@ -15,8 +15,9 @@ class EncoderBias(Effect):
 
     id = "encoder_bias"
     family = "sensing"
-    reads_after = 2
-    of_every_drive = True
+    nearly_linear = True
+    hook_order = 2
+    common_to_geared_motors = True
     law = "measured = q + bias; the servo regulates q + in_loop bias"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
@@ -53,7 +54,7 @@ class EncoderScale(Effect):
 
     id = "encoder_scale"
     family = "sensing"
-    reads_after = 1
+    hook_order = 1
     law = "measured = (1 + scale_error) q"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
@@ -86,6 +87,7 @@ class EncoderEccentricity(Effect):
 
     id = "encoder_eccentricity"
     family = "sensing"
+    periodic = True
     law = "measured = q + sine sin(q) + cosine (cos(q) - zeroed)"
     source = "Hagiwara et al., IEEE Trans. Instrum. Meas. 41 (1992): eccentricity of encoders"
     parameters = (
@@ -136,7 +138,8 @@ class EffortBias(Effect):
 
     id = "effort_bias"
     family = "sensing"
-    reads_after = 2
+    needs_effort_sensor = True
+    hook_order = 2
     law = "measured effort = effort + bias"
     source = "ISO 376; zero offset of force-proving instruments"
     parameters = (
@@ -157,7 +160,8 @@ class EffortScale(Effect):
 
     id = "effort_scale"
     family = "sensing"
-    reads_after = 1
+    needs_effort_sensor = True
+    hook_order = 1
     law = "measured effort = (1 + scale_error) effort"
     source = "ISO 376; sensitivity of force-proving instruments"
     parameters = (

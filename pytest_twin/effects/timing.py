@@ -19,7 +19,8 @@ class CommandDelay(Effect):
 
     id = "command_delay"
     family = "timing"
-    of_every_drive = True
+    common_to_geared_motors = True
+    nearly_linear = True
     law = "setpoint(t) = command(t - delay)"
     source = "transport delay, e.g. Franklin, Powell, Emami-Naeini, Feedback Control, ch. 5"
     parameters = (
@@ -34,7 +35,7 @@ class CommandDelay(Effect):
         "the step",
     }
 
-    def command_delay(self, values: Values) -> FloatArray | None:
+    def command_latency(self, values: Values) -> FloatArray | None:
         return values["delay"]
 
 

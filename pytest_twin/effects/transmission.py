@@ -19,9 +19,10 @@ class JointSpring(Effect):
 
     id = "joint_spring"
     family = "transmission"
+    nearly_linear = True
     law = "effort = preload - stiffness q"
     source = "Siciliano et al., Robotics (2009), sec. 7.2"
-    of_position = True
+    depends_only_on_position = True
     parameters = (
         Parameter(
             "stiffness", "stiffness", 0.0, -2.0, 20.0, (0.1,), "stiffness",
@@ -168,7 +169,7 @@ class Backlash(Effect):
         "joint_elasticity": "repeat the recording with two payloads: a gap does not grow with the "
         "load",
     }
-    has_in_it = frozenset({"joint_elasticity"})
+    generalizes = frozenset({"joint_elasticity"})
 
     def holds(self, effect: str) -> Mapping[str, str]:
         """A compliant gear's compliance becomes that of its teeth."""
@@ -183,6 +184,10 @@ class Backlash(Effect):
             self.separates(values), values["tooth_compliance"], None,
             world.motor_armature, world.link_inertia, world.timestep,
         )  # fmt: skip
+
+
+_LINK_ERRORS = (-0.4, -0.2, 0.2, 0.4, 0.8)
+"""Relative errors of a link's mass and inertia to try behind an elastic transmission."""
 
 
 class JointElasticity(Effect):
@@ -213,6 +218,24 @@ class JointElasticity(Effect):
         "actuator_lag": "tap the link: only an elastic transmission resonates",
         "controller_gain": "record fast and slow motions: only an elastic transmission resonates",
     }
+
+    def compensated_starts(
+        self, own: Mapping[str, float], servo_compliance: float
+    ) -> Sequence[tuple[Mapping[str, float], str, Mapping[str, float]]]:
+        """A heavier link on a stiffer gear, with the same resonance.
+
+        Gear and servo are springs in series. The link swings on them at the root of their stiffness
+        divided by its inertia. A fit with the model's link finds the compliance of this resonance.
+        """
+        if own["damping_time"] <= 0.0:
+            return ()
+        series = own["compliance"] + servo_compliance
+        pairs = ((error, series / (1.0 + error) - servo_compliance) for error in _LINK_ERRORS)
+        return [
+            ({"compliance": compliance}, "inertial_parameters", {"relative_error": error})
+            for error, compliance in pairs
+            if compliance > 0.0
+        ]
 
     def separates(self, values: Values) -> NDArray[np.bool_]:
         return values["compliance"] > 0.0

@@ -156,7 +156,12 @@ def wanted_properties(leave_out: Collection[str]) -> dict[str, Property]:
     """
     for name in leave_out:
         if name not in PROPERTIES:
-            raise SpecError("no such property", value=name, expected=", ".join(PROPERTIES))
+            raise SpecError(
+                "no such property",
+                where="leave_out",
+                value=name,
+                expected=", ".join(PROPERTIES),
+            )
     return {name: made for name, made in PROPERTIES.items() if name not in leave_out}
 
 

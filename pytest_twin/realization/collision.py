@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from pytest_twin.errors import ModelError
 from pytest_twin.realization import simulate
+from pytest_twin.realization.coal_hull import convex, outward_faces
 from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
@@ -178,16 +179,7 @@ class Shapes:
             ) from error
         corner = np.full(len(points), -1)
         corner[hull.vertices] = np.arange(len(hull.vertices))
-        faces = corner[hull.simplices]
-        first, second, third = (points[hull.simplices[:, i]] for i in range(3))
-        normals = np.cross(second - first, third - first)
-        inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
-        faces[inward] = faces[inward][:, ::-1]
-        vertices = coal.StdVec_Vec3s()
-        vertices.extend(list(points[hull.vertices]))
-        triangles = coal.StdVec_Triangle()
-        triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
-        return coal.Convex(vertices, triangles)
+        return convex(points[hull.vertices], corner[outward_faces(hull, points)])
 
 
 def hull_points(model: mujoco.MjModel, spec: mujoco.MjSpec, mesh: int) -> Vector:

@@ -36,7 +36,8 @@ def in_forks(tasks: Sequence[Callable[[], _Result]], processes: int) -> list[_Re
         processes: at most, this one among them.
 
     Raises:
-        Exception: what a task raises. One that fails in a fork is done again here.
+        Exception: what a task raises. One that fails in a fork, or dies with it, is done again
+            here; what that fork finished before stands.
     """
     global _sharing
     helpers = min(free_cores(processes), len(tasks)) - 1
@@ -111,13 +112,14 @@ class _Fork(Generic[_Result]):
             os.close(write)
 
     def found(self) -> dict[int, _Result]:
-        """Number of a task -> its result; nothing where the fork failed."""
-        try:
-            # Written by a copy of this process alone.
-            answer: dict[int, _Result] = pickle.load(self.answers)  # noqa: S301
-        except (EOFError, pickle.UnpicklingError, MemoryError):
-            return {}
-        return answer
+        """Number of a task -> its result; of a fork that failed, what it had finished."""
+        found: dict[int, _Result] = {}
+        # Written by a copy of this process alone.
+        with contextlib.suppress(EOFError, pickle.UnpicklingError, MemoryError):
+            while True:
+                number, result = pickle.load(self.answers)  # noqa: S301
+                found[number] = result
+        return found
 
     def end(self) -> None:
         """End it, done or not; nobody waits until the system has taken its memory back."""
@@ -138,11 +140,24 @@ def _bury() -> None:
 
 
 def _work(tasks: Sequence[Callable[[], object]], numbers: int, answers: int) -> None:
-    """All that a fork does."""
+    """All that a fork does.
+
+    A result is written when it is there, as far as the pipe has room, so that a fork that dies
+    takes its last task with it alone and no fork waits for its parent.
+    """
     # What the parent's garbage holds (threads that this process does not have) is not its to end.
     gc.freeze()
     try:
-        with os.fdopen(answers, "wb") as pipe:
-            pickle.dump(_taken(tasks, numbers), pipe, protocol=pickle.HIGHEST_PROTOCOL)
+        backlog = bytearray()
+        os.set_blocking(answers, False)
+        while number := os.read(numbers, _NUMBER):
+            i = int.from_bytes(number, "little")
+            backlog += pickle.dumps((i, tasks[i]()), protocol=pickle.HIGHEST_PROTOCOL)
+            with contextlib.suppress(BlockingIOError):
+                while backlog:
+                    del backlog[: os.write(answers, backlog)]
+        os.set_blocking(answers, True)
+        while backlog:
+            del backlog[: os.write(answers, backlog)]
     finally:
         os._exit(0)

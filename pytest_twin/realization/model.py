@@ -36,6 +36,7 @@ class Realization(NamedModel):
         if self.twin is None:
             raise SpecError(
                 "a model without twin.yaml has no controllers or payloads",
+                path=self.path,
                 value=", ".join(name for name in (controller, payload) if name is not None),
                 expected="a twin.yaml with controllers and payloads; pytest-twin init writes one",
             )

@@ -76,15 +76,18 @@ class Sandbox:
         *,
         seconds: float | None = None,
         progress: Callable[[float], None] | None = None,
+        tell: Callable[[str, str], None] | None = None,
     ) -> Any:
         """Call ``module:function`` with keyword ``arguments`` in the child.
 
-        A function with a parameter ``progress`` is given a callback of the fraction done.
+        A function with a parameter ``progress`` is given a callback of the fraction done, one with
+        a parameter ``tell`` a callback of a kind of message and its text.
 
         Args:
             arguments: JSON-able.
             seconds: bound on this call, the sandbox's own by default.
             progress: called in this thread with each fraction that the function reports.
+            tell: called in this thread with each message.
 
         Returns:
             The function's result, which must be JSON-able; tuples come back as lists.
@@ -106,7 +109,7 @@ class Sandbox:
                 "path": [entry for entry in sys.path if entry],
             }
             try:
-                answer = self._exchange(self._child, request, bound, progress)
+                answer = self._exchange(self._child, request, bound, progress, tell)
             except BaseException:
                 # Whatever ended the wait, the child is in an unknown state.
                 self._discard()
@@ -114,6 +117,12 @@ class Sandbox:
         if "error" in answer:
             raise _rebuild(answer["error"])
         return answer["result"]
+
+    def interrupt(self) -> None:
+        """Ask the function that runs in the child to end early, if it can be asked (SIGINT)."""
+        if self._child is not None:
+            with contextlib.suppress(ProcessLookupError):
+                self._child.process.send_signal(signal.SIGINT)
 
     def close(self) -> None:
         """End the child."""
@@ -142,6 +151,7 @@ class Sandbox:
         request: Mapping[str, Any],
         bound: float,
         progress: Callable[[float], None] | None,
+        tell: Callable[[str, str], None] | None,
     ) -> dict[str, Any]:
         deadline = time.monotonic() + bound
         try:
@@ -172,11 +182,16 @@ class Sandbox:
                         raise child.crashed(self._output, self.memory_bytes, bound)
                     buffer += data
                 for answer in _frames(buffer):
-                    if "progress" not in answer:
+                    if "progress" in answer:
+                        if progress is not None:
+                            progress(float(answer["progress"]))
+                    elif "tell" in answer:
+                        if tell is not None:
+                            kind, text = answer["tell"]
+                            tell(str(kind), str(text))
+                    else:
                         self._drain(child)
                         return answer
-                    if progress is not None:
-                        progress(float(answer["progress"]))
 
     def _drain(self, child: _Child) -> None:
         """Take what the child wrote up to now, without waiting for more."""

@@ -21,6 +21,8 @@ from pytest_twin.errors import LimitError, SimulationError, TwinError
 def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
     """Answer calls until the parent closes its end."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # An interruption is the parent's affair; a function that can be stopped handles it itself.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _bound_memory(memory_bytes)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     os.set_inheritable(request_descriptor, False)
@@ -117,13 +119,16 @@ def _bound_cpu(seconds: float) -> None:
 def _call(function: str, arguments: Mapping[str, Any], answers: BinaryIO) -> Any:
     module, _, name = function.partition(":")
     target: Callable[..., Any] = getattr(importlib.import_module(module), name)
-    if "progress" in inspect.signature(target).parameters:
 
-        def progress(fraction: float) -> None:
-            _send(answers, {"progress": float(fraction)})
+    def progress(fraction: float) -> None:
+        _send(answers, {"progress": float(fraction)})
 
-        return target(**arguments, progress=progress)
-    return target(**arguments)
+    def tell(kind: str, text: str) -> None:
+        _send(answers, {"tell": [kind, text]})
+
+    parameters = inspect.signature(target).parameters
+    given = {"progress": progress, "tell": tell}
+    return target(**arguments, **{name: f for name, f in given.items() if name in parameters})
 
 
 def _described(error: TwinError) -> dict[str, Any]:

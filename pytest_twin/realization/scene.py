@@ -88,8 +88,11 @@ def setting(free: FreeObject | None, floor: float | None) -> Callable[[mujoco.Mj
         if free is not None:
             if spec.compiler.settotalmass > 0.0:
                 raise ModelError(
-                    "compiler settotalmass would scale the scene's object too",
-                    expected="masses as they are",
+                    "settotalmass would scale the mass of the scene's object too",
+                    where="compiler.settotalmass",
+                    value=float(spec.compiler.settotalmass),
+                    unit="kg",
+                    expected="a model without settotalmass: state the masses of its bodies",
                 )
             # gravcomp has to be there when the model is compiled to be switched later.
             body = spec.worldbody.add_body(

@@ -42,6 +42,9 @@ _THINNEST = 1e-6
 _PLATE = 1e-3
 _WIDEST = 1e6
 
+_NAMED = 4
+"""Links that a note names."""
+
 
 @dataclass(slots=True)
 class Converted:
@@ -301,20 +304,35 @@ class _Converter:
         for link in self.robot.links.values():
             self.stated[link.name] = self._stated(link)
         moving = {joint.child for joint in self.robot.joints.values() if joint.type != "fixed"}
+        raised: list[Link] = []
         for link in self.robot.links.values():
             mass, com, moments = self.stated[link.name]
             if link.name in moving and not self._has_inertia(link):
-                self.note(
-                    link.inertial or link.node,
-                    f"moving link '{link.name}' has no inertia "
-                    f"({mass:g} kg, {principal_text(moments)} kg*m^2): raised to "
-                    f"{inertia.MASS_FLOOR:g} kg and kg*m^2 so that it can be simulated",
-                )
+                raised.append(link)
                 mass = max(mass, inertia.MASS_FLOOR)
                 moments = inertia.consistent(moments, floor=inertia.MASS_FLOOR)
             body = self.bodies[link.name]
             if body.name != "world":
                 inertia.write(body, mass, com, moments)
+        if raised:
+            self._say_raised(raised)
+
+    def _say_raised(self, links: list[Link]) -> None:
+        """Note which moving links got an inertia, in one line."""
+        names = [f"'{link.name}'" for link in links]
+        if len(links) == 1:
+            mass, _, moments = self.stated[links[0].name]
+            found = f"moving link {names[0]} has no inertia "
+            found += f"({mass:g} kg, {principal_text(moments)} kg*m^2)"
+        else:
+            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+            found = f"{len(links)} moving links have no inertia "
+            found += f"({', '.join(names[:_NAMED])}{more})"
+        self.note(
+            links[0].inertial or links[0].node,
+            f"{found}: raised to {inertia.MASS_FLOOR:g} kg and kg*m^2 so that the model can be "
+            "simulated; motions under forces mean nothing until their masses are stated",
+        )
 
     def _stated(self, link: Link) -> tuple[float, Vector, Vector]:
         """Mass, centre of mass and inertia, patches taken in."""

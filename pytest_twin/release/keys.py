@@ -149,7 +149,7 @@ def trust_first(root: Path, signer: CryptoSigner) -> str:
             shutil.rmtree(staging, ignore_errors=True)
     except OSError as error:
         raise PathError(f"cannot be written: {error.strerror}", path=folder) from None
-    return f"first release: this twin now trusts {folder / name} (commit it)"
+    return f"first release: this twin now trusts {folder / name}; commit this file"
 
 
 def public_pem(signer: CryptoSigner) -> bytes:

@@ -14,6 +14,7 @@ from typing import Any
 import jinja2
 
 from pytest_twin.report.text import number, printable
+from pytest_twin.words import counted
 
 MARKS: Mapping[str, str] = {"critical": "X", "warning": "!", "unknown": "?", "info": "."}
 """By severity, the gravest first."""
@@ -27,6 +28,7 @@ _TITLES: Mapping[str, str] = {
     "frames": "Frames",
     "commands": "Command semantics",
     "controllers": "Controllers and sensors",
+    "planning": "Planning groups, poses and disabled pairs",
 }
 MAX_ROWS = 200
 """Findings of one kind that the page lists; all are in the JSON."""
@@ -89,16 +91,24 @@ def table(audit: Mapping[str, Any], *, every: bool = False) -> str:
             lines += ["", *_kind(group)]
     if not every:
         lines += _not_stated(audit)
+    lines += ["", *_layers(audit), "", summary(audit)]
+    return "\n".join(printable(line) for line in lines)
+
+
+def summary(audit: Mapping[str, Any]) -> str:
+    """One line: what the file describes."""
     facts = audit["facts"]
-    lines += [
-        "",
-        *_layers(audit),
-        "",
+    if audit["kind"] == "srdf":
+        return (
+            f"{counted(facts['groups'], 'group')}, {counted(facts['states'], 'state')}, "
+            f"{counted(facts['end_effectors'], 'end effector')}, "
+            f"{counted(facts['disabled_pairs'], 'disabled pair')}"
+        )
+    return (
         f"{facts['bodies']} bodies, {facts['joints']} joints, "
         f"{facts['degrees_of_freedom']} degrees of freedom ({facts['independent']} independent), "
-        f"{number(facts['mass']['value'])} kg",
-    ]
-    return "\n".join(printable(line) for line in lines)
+        f"{number(facts['mass']['value'])} kg"
+    )
 
 
 def _kind(group: Group) -> list[str]:
@@ -213,6 +223,7 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
         marks=MARKS,
         renders=renders,
         file=Path(str(audit["asset"])).name,
+        summary=summary(audit),
         max_rows=MAX_ROWS,
     )
 

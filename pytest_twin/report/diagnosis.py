@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from importlib import resources
 from typing import Any
 
 import jinja2
 
-from pytest_twin.realization.forks import in_forks, usable_cores
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import usable_cores
 from pytest_twin.report.diagnosis_plots import joint_figure
 from pytest_twin.report.diagnosis_view import DiagnosisView
 from pytest_twin.report.finding_words import (
@@ -21,10 +22,12 @@ from pytest_twin.report.finding_words import (
     gain,
     percent,
     place,
+    place_of_set,
     readable,
     table_row,
     to_confirm,
 )
+from pytest_twin.report.law_plot import law_figure
 from pytest_twin.report.text import number, printable, quantity
 
 MAX_FIGURES = 12
@@ -38,6 +41,10 @@ _VERDICT = {
     "improved": "Improved: these findings explain a part, and a residual remains",
     "unexplained": "Unexplained: the model is wrong, and no known effect explains it",
 }
+SMALL = "Small corrections of the model, no missing physics; the patched model contains them"
+_NO_MISMATCH_WITH_CORRECTIONS = (
+    "No mismatch of consequence: the model's error is at most 0.1 % of the travel of each joint"
+)
 _WHAT_TO_DO = (
     "Next: inspect the joint in this regime, and record more motion there. If you know the cause, "
     "add it as an effect (docs, page Effects)."
@@ -52,7 +59,7 @@ def words(said: Mapping[str, Any]) -> list[str]:
         said: ``diagnosis.json``.
     """
     held_out = bool(said["trials"]["held_out"])
-    lines = [_VERDICT[said["verdict"]]]
+    lines = [headline(said)]
     for i, finding in enumerate(said["findings"], 1):
         lines.append(f"  {i}. {finding_sentence(finding)}")
         buys = f"Correcting it {gain(finding, held_out=held_out)}."
@@ -61,6 +68,11 @@ def words(said: Mapping[str, Any]) -> list[str]:
             lines.append(f"     {rivals}")
         if finding["confidence"] < SURE:
             lines.append(f"     {to_confirm(finding)}")
+    if said.get("small_corrections"):
+        lines.append(f"  {SMALL}:")
+        lines += [
+            f"    {finding_sentence(f)} Small: {f['why_small']}." for f in said["small_corrections"]
+        ]
     if said["held_out"]:
         which = "held-out recordings" if held_out else "fitted recordings, none is held out"
         lines.append(f"  RMS error on the {which}:")
@@ -77,6 +89,13 @@ def words(said: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def headline(said: Mapping[str, Any]) -> str:
+    """The verdict of ``diagnosis.json`` as a sentence."""
+    if said["verdict"] == "no_mismatch" and said.get("small_corrections"):
+        return _NO_MISMATCH_WITH_CORRECTIONS
+    return _VERDICT[said["verdict"]]
+
+
 def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
     """RMS errors of a joint before and after, and its noise floor, in one readable unit."""
     factor, unit = readable(max(error["rms_before"], error["floor"]), error["unit"])
@@ -84,6 +103,11 @@ def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
         f"{number(factor * error[key])} {unit}" for key in ("rms_before", "rms_after", "floor")
     )
     return before, after, floor
+
+
+def _score_shown(score: float | None) -> str:
+    """A score of the search; nothing where none was computed."""
+    return "" if score is None else f"{score:.1f}"
 
 
 def render(view: DiagnosisView) -> str:
@@ -94,14 +118,19 @@ def render(view: DiagnosisView) -> str:
     )
     said = view.said
     drawn = view.joints[:MAX_FIGURES]
-    figures = in_forks([partial(joint_figure, v) for v in drawn], usable_cores())
+    figures = Forks(usable_cores()).map(joint_figure, drawn)
     return _template().render(
         view=view,
         style=style,
         style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
-        headline=_VERDICT[said["verdict"]],
+        headline=headline(said),
         mood=_MOOD[said["verdict"]],
         findings=[_shown(f, view) for f in said["findings"]],
+        small_title=SMALL,
+        small=[
+            {"sentence": finding_sentence(f), "why": f["why_small"]}
+            for f in said.get("small_corrections", ())
+        ],
         left=_left(said),
         what_to_do=_WHAT_TO_DO,
         figures=[(v.joint, _data_uri(f)) for v, f in zip(drawn, figures, strict=True)],
@@ -113,7 +142,8 @@ def render(view: DiagnosisView) -> str:
 
 
 def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
-    law, source = view.laws[finding["effect"]]
+    equation, source = view.laws[finding["effect"]]
+    law = finding.get("law")
     return {
         **finding,
         "name": place(finding),
@@ -122,20 +152,28 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
         "ambiguous": ambiguous(finding),
         "to_confirm": to_confirm(finding),
         "rows": [table_row(finding, key) for key in finding["parameters"]],
-        "alternatives": [{**a, "name": place(a)} for a in finding["alternatives"]],
+        "alternatives": [{**a, "name": place_of_set(a)} for a in finding["alternatives"]],
         "correlated": finding.get("correlated", []),
         "windows": [(n, spans_said(w)) for n, w in finding["where"]["windows"].items()],
-        "law": law,
+        "equation": equation,
         "source": source,
+        "curve": _data_uri(law_figure(law, finding["joint"])) if law is not None else None,
     }
 
 
 def _left(said: Mapping[str, Any]) -> list[str]:
     return [
         f"Unexplained: {percent(u['fraction'])} of the squared error of joint {joint}; "
-        f"mainly {u['where']}."
+        f"mainly {u['where']}.{_modelled(u)}"
         for joint, u in said["unexplained"].items()
     ]
+
+
+def _modelled(unexplained: Mapping[str, Any]) -> str:
+    removed = unexplained.get("unnamed_law_removes")
+    if removed is None:
+        return ""
+    return f" The fitted law removes {percent(removed)} of the squared held-out error."
 
 
 def spans_said(windows: Sequence[Sequence[float]]) -> str:
@@ -167,6 +205,11 @@ def _template() -> jinja2.Template:
         loader=jinja2.PackageLoader("pytest_twin.report", "."),
     )
     environment.filters.update(
-        number=number, quantity=quantity, percent=percent, spans=spans_said, errors=errors_shown
+        number=number,
+        quantity=quantity,
+        percent=percent,
+        spans=spans_said,
+        errors=errors_shown,
+        score=_score_shown,
     )
     return environment.get_template("diagnosis.html.j2")

@@ -121,7 +121,8 @@ def view_of(
     from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT, LEFT_FLOORS
     from pytest_twin.effects import catalogue
 
-    joints = found.prepared.problem.joints
+    tested = found.tested.prepared
+    joints = tested.problem.joints
     return DiagnosisView(
         model=model,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -129,10 +130,10 @@ def view_of(
         joints=joint_views(found),
         floor_parts={
             source: dict(zip(joints, map(float, values), strict=True))
-            for source, values in found.prepared.floor_parts.items()
+            for source, values in tested.floor_parts.items()
         },
         simulated=patched.substeps > 0,
-        step_left=found.prepared.problem.step_left,
+        step_left=tested.problem.step_left,
         native=tuple(f"{_at(e)}: {e.written}" for e in patched.effects if e.written),
         beside=tuple(_at(e) for e in patched.beside),
         tried=found.selected.tried,
@@ -152,35 +153,36 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
     """Figure data of every joint, the largest error in floors first."""
     from pytest_twin.diagnosis.locate import motions, regimes
 
-    problem, prepared = found.prepared.problem, found.prepared
-    everything = (*found.trials.fit, *found.trials.held_out)
-    every, tested = problem.everywhere, problem.tested
+    tested = found.tested
+    problem, prepared = tested.prepared.problem, tested.prepared
+    everything = (*tested.trials.fit, *tested.trials.held_out)
+    every, shown = problem.everywhere, problem.tested
     lengths = problem.lengths(every)
     starts = np.concatenate([[0], np.cumsum(lengths)])
     inside = problem.in_test
     paths = [
-        m for m, t in zip(motions(prepared, everything), np.isin(every, tested), strict=True) if t
+        m for m, t in zip(motions(prepared, everything), np.isin(every, shown), strict=True) if t
     ]
-    owners = sorted({prepared.segment_trial[s] for s in tested})
+    owners = sorted({prepared.segment_trial[s] for s in shown})
     views = []
     for j, joint in enumerate(problem.joints):
         error = found.errors.get(joint)
         if error is None:
             continue
-        left = [r[inside, j] for r in (found.before, found.after)]
+        left = [r[inside, j] for r in (tested.before, tested.after)]
         worst = max(
             owners,
             key=lambda o: _rms(
                 np.concatenate(
                     [
-                        found.before[starts[s] : starts[s + 1], j]
-                        for s in tested
+                        tested.before[starts[s] : starts[s + 1], j]
+                        for s in shown
                         if prepared.segment_trial[s] == o
                     ]
                 )
             ),
         )
-        parts = [s for s in tested if prepared.segment_trial[s] == worst]
+        parts = [s for s in shown if prepared.segment_trial[s] == worst]
         segments = [problem.simulator.segments[s] for s in parts]
         rows = np.concatenate([np.arange(starts[s], starts[s + 1]) for s in parts])
         measured = np.concatenate([s.position[:, j] for s in segments])
@@ -195,8 +197,8 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
                 recording=name,
                 time=everything[worst].offset + np.concatenate([s.time for s in segments]),
                 measured=measured,
-                before=measured - found.before[rows, j],
-                after=measured - found.after[rows, j],
+                before=measured - tested.before[rows, j],
+                after=measured - tested.after[rows, j],
                 command_time=everything[worst].offset + segments[0].command_time
                 if commanded
                 else None,
@@ -207,7 +209,7 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
                 velocity=np.concatenate([m.velocity[:, j] for m in paths]),
                 position=np.concatenate([m.position[:, j] for m in paths]),
                 load=np.concatenate([m.load[:, j] for m in paths]),
-                stretches=tuple(lengths[s] for s in tested),
+                stretches=tuple(lengths[s] for s in shown),
                 interval=float(np.median(np.diff(segments[0].time))),
                 regimes=tuple(
                     Regime(text, _rms(left[0][mask]), _rms(left[1][mask]), float(mask.mean()))

@@ -22,6 +22,8 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
     Args:
         finding: of ``diagnosis.json``.
     """
+    if "law" in finding:
+        return law_sentence(finding)
     known = {p.reported_name: p for p in _parameters(finding["effect"])}
     values, forms = [], []
     for key, estimate in finding["parameters"].items():
@@ -40,6 +42,15 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
     return f"{name[:1].upper()}{name[1:]}{form}: {listed}."
 
 
+def law_sentence(finding: Mapping[str, Any]) -> str:
+    """What a law without a name does, and the known effect of the same shape, if there is one."""
+    law = finding["law"]
+    text = f"No known effect explains joint {finding['joint']}; a fitted law does: {law['words']}"
+    if law["resembles"] is None:
+        return f"{text}."
+    return f"{text}. It has the shape of {place({'effect': law['resembles'], 'joint': None})}."
+
+
 def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
     """What the correction does to the squared error that the other findings leave."""
     share = finding["held_out_gain"]
@@ -51,7 +62,7 @@ def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
 def ambiguous(finding: Mapping[str, Any]) -> str:
     """The effects that the recordings do not separate from a finding; empty without any."""
     rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - SURE]
-    listed = " or ".join(f"{place(a)} ({percent(a['confidence'])})" for a in rivals)
+    listed = " or ".join(f"{place_of_set(a)} ({percent(a['confidence'])})" for a in rivals)
     return f"Ambiguous: it may also be {listed}." if listed else ""
 
 
@@ -65,7 +76,22 @@ def place(item: Mapping[str, Any]) -> str:
     """Effect and joint of a finding or an alternative, ``command delay at joint elbow``."""
     words = (_PROPER_NAMES.get(word, word) for word in str(item["effect"]).split("_"))
     name = " ".join(words)
+    if "variable" in item:
+        name += f" over {item['variable']}, {item['acts']},"
     return name if item["joint"] is None else f"{name} at joint {item['joint']}"
+
+
+def place_of_set(item: Mapping[str, Any]) -> str:
+    """All effects of an alternative and, of a set, the findings that it replaces."""
+    names = [place(item), *(place(other) for other in item.get("together_with", ()))]
+    gone = [place(other) for other in item.get("instead_of", ())]
+    instead = f" instead of {_listed(gone)}" if gone else ""
+    return f"{_listed(names)}{instead}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def table_row(finding: Mapping[str, Any], key: str) -> tuple[str, str, str]:

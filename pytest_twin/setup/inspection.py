@@ -17,6 +17,10 @@ from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.twin import load_twin
 
 _TOOL = re.compile(r"(^|_)(tcp|tool0?|ee|ee_link|end_effector|gripper_?frame)$", re.IGNORECASE)
+_OF_FORCES = ("frequency_response", "joint_direction", "settling", "step")
+"""Kinds whose values follow from forces and masses."""
+_LEAST_MASS = 1e-6
+"""kg: less than any robot's link; links without a mass are raised to 1e-12 kg each."""
 
 
 def look(
@@ -94,7 +98,11 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
     specs: list[dict[str, Any]] = []
     silent: dict[str, str] = {}
     none: dict[str, str] = {}
+    weightless = _is_weightless(realization)
     for done, kind in enumerate(kinds()):
+        if weightless and kind in _OF_FORCES:
+            none[kind] = "no moving link has a mass; state masses in the model first"
+            continue
         try:
             found = check_of(kind).first(realization)
         except NothingToProposeError as reason:
@@ -111,6 +119,13 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
         specs += [{"kind": kind, **_plain(spec)} for spec in found]
         progress((done + 1) / len(kinds()))
     return {"specs": specs, "silent": silent, "none": none}
+
+
+def _is_weightless(realization: Realization) -> bool:
+    """Whether no joint moves a mass: what forces do to such a robot means nothing."""
+    model = realization.model
+    moved = [float(model.body_subtreemass[body]) for body in model.jnt_bodyid]
+    return bool(moved) and max(moved) < _LEAST_MASS
 
 
 def _last_frame(realization: Realization) -> str | None:

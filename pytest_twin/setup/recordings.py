@@ -85,7 +85,8 @@ def place_recordings(recordings: Sequence[Path], folder: Path) -> tuple[list[str
         if root == Path(root.anchor):
             raise SpecError(
                 "the recordings have no folder in common",
-                value=", ".join(str(path) for path in outside),
+                path=outside[0],
+                value=", ".join(str(path) for path in outside[1:]),
                 expected="recordings below one folder, or inside the twin's",
             )
     base = {path: folder if path.is_relative_to(folder) else root for path in resolved}

@@ -43,7 +43,9 @@ def configurations(
     for joint in held:
         if joint not in free.independent:
             raise SpecError(
-                f"{joint!r} is no independent joint",
+                "no independent joint",
+                where="joints",
+                value=joint,
                 expected=", ".join(sorted(free.independent)) or "none: nothing moves",
             )
     drawn = st.fixed_dictionaries(

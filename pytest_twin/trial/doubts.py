@@ -28,6 +28,8 @@ _STUCK_SECONDS = 1.0
 _STUCK_SPAN = 0.2
 # Positions this far beyond the joint's range are in another unit: a degree is 1/57 rad.
 _BEYOND_RANGE = 10.0
+_NARROW = 0.1
+"""rad: a range of a few degrees is often one that MJCF took for degrees."""
 # More doubts of one kind than this are one mark.
 _MOST_MARKS = 200
 # Two sources that take turns: samples are this many times as far from their neighbours as from the
@@ -133,6 +135,8 @@ class Doubts:
             if unit == "rad":
                 degrees = largest * np.pi / 180.0 <= 2.0 * reach
                 guess = ", as if in degrees" if degrees else ", as if in encoder counts"
+                if reach < _NARROW:
+                    guess += ", or the model's range is in another unit (compiler angle)"
             elif largest * 1e-3 <= 2.0 * reach:
                 guess = ", as if in mm"
             raise self.error(

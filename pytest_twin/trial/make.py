@@ -133,13 +133,10 @@ def _series(recording: Recording, role: str) -> JointSeries:
             value=str(recording.damage[0]),
             expected="a whole recording",
         )
-    raise RecordingError(
-        f"no {role} messages",
-        path=recording.path,
-        where=role,
-        expected=f"{what_to_do(recording, role)}; topics are mapped in twin.yaml or by "
-        "--topics state=/x,command=/y",
-    )
+    advice = what_to_do(recording, role)
+    if "--topics" not in advice:
+        advice += "; topics are mapped in twin.yaml or by --topics state=/x,command=/y"
+    raise RecordingError(f"no {role} messages", path=recording.path, where=role, expected=advice)
 
 
 def _between(recording: Recording, options: RecordingOptions) -> tuple[CommandBetween, str]:

@@ -42,7 +42,7 @@ def test_hulls_by_coal_agree_with_the_compiled_model() -> None:
     asset = read(next(robots().glob("*/*/panda.urdf")))
     geometry = Geometry(asset)
     results, _ = self_collision.measure(asset, geometry, {})
-    by_hulls = self_collision.by_hulls(asset, geometry, "base", results[0].values)
+    by_hulls = self_collision.Hulls(asset, geometry).near("base", results[0].values)
     near = {(n.first, n.second): n.distance for n in results[0].near}
     assert len(near) > 3
     for other in by_hulls.near:

@@ -218,5 +218,5 @@ def test_a_name_is_no_finding(tmp_path: Path, entry: Entry) -> None:
 def test_an_srdf_alone_is_named_as_one(tmp_path: Path) -> None:
     path = tmp_path / "robot.srdf"
     path.write_text('<robot name="r">\n<group name="all"><link name="a"/></group></robot>')
-    with pytest.raises(ModelError, match=r"robot\.srdf:2: .*an SRDF, not a URDF .*the URDF that"):
+    with pytest.raises(ModelError, match=r"robot\.srdf:2: .*an SRDF, not a URDF .*--urdf FILE"):
         findings_of(path)

@@ -34,7 +34,11 @@ def test_a_name_that_is_wrong_is_said(tmp_path: Path) -> None:
     assert not right
     assert line.startswith("Nothing: backlash; no_mismatch, named nothing")
     said = json.loads((tmp_path / "case" / "why" / "diagnosis.json").read_text())
-    assert said["trials"] == {"fit": ["0.mcap", "1.mcap"], "held_out": ["2.mcap"]}
+    assert said["trials"] == {
+        "fit": ["0.mcap", "1.mcap"],
+        "validation": [],
+        "held_out": ["2.mcap"],
+    }
 
 
 def test_forms_are_of_the_catalogue_and_leave_the_other_joints_alone(tmp_path: Path) -> None:

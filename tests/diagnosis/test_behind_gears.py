@@ -8,11 +8,11 @@ from test_first_order import ELBOW, link, problem_of
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.compensated_starts import compensated
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.foremost import foremost
 from pytest_twin.diagnosis.search.front import front
 from pytest_twin.diagnosis.search.look import look_ahead
-from pytest_twin.diagnosis.search.resonant import resonant
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.search.tryout import Tryout
 
@@ -21,10 +21,6 @@ PLAY, FRICTION, LATE = (
 )
 TEETH = {"gap": 0.04, "tooth_compliance": 1e-4}
 DRY = {"coulomb": 0.25, "offset": 0.15}
-
-
-def silent(text: str) -> None:
-    del text
 
 
 def with_true(problem: Problem, term: Term, values: dict[str, float]) -> Hypothesis:
@@ -47,7 +43,7 @@ def test_what_acts_on_a_motor_behind_play_is_simulated(problem: Problem) -> None
     best = fitted(contest, with_true(problem, PLAY, TEETH))
     look = look_ahead(problem, best)
     assert look.linear is None
-    found = foremost(contest, best, look, silent)
+    found = foremost(contest, best, look)
     assert found is not None
     assert (PLAY, FRICTION) in {h.terms for h in front(problem, best, look, found)}
     # Where no gear is named nothing but the laws along the motion is asked.
@@ -60,7 +56,7 @@ def test_play_beside_what_explains_more_is_tried_by_simulation() -> None:
     contest = Contest(problem)
     best = fitted(contest, with_true(problem, LATE, late))
     look = look_ahead(problem, best)
-    found = foremost(contest, best, look, silent)
+    found = foremost(contest, best, look)
     assert found is not None
     assert PLAY in {h.terms[-1] for h in front(problem, best, look, found)}
 
@@ -71,7 +67,7 @@ SOFT = {"compliance": 1.0 / 12.0, "damping_time": 0.01}
 
 def tried(problem: Problem, best: Rival) -> list[Hypothesis]:
     left = np.mean(best.fitted.residual**2, axis=0)
-    return resonant(Tryout(problem, best, left), best.hypothesis)
+    return compensated(Tryout(problem, best, left), best.hypothesis)
 
 
 def test_a_heavier_link_is_tried_with_its_gear_as_much_stiffer() -> None:
@@ -88,7 +84,7 @@ def test_a_heavier_link_is_tried_with_its_gear_as_much_stiffer() -> None:
     assert found.theta[:2] == pytest.approx(truth, rel=0.02)
     assert found.theta[found.slice_of(LINK)][0] == pytest.approx(error, rel=0.02)
     look = look_ahead(problem, best)
-    seen = foremost(contest, best, look, silent)
+    seen = foremost(contest, best, look)
     assert seen is not None
     (start,) = (h for h in front(problem, best, look, seen) if h.terms == found.terms)
     assert start.theta[:2] == pytest.approx(truth, rel=0.05)

@@ -10,7 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from test_behind_gears import silent
 from touching_arm import FRICTION, SOLREF, case, mjcf
 
 from pytest_twin import cli
@@ -23,6 +22,7 @@ from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import search
 from pytest_twin.diagnosis.trials import read_trials
@@ -56,7 +56,7 @@ def test_a_contact_that_differs_is_named_with_its_size(
     hidden: dict[str, Any],
 ) -> None:
     words = case(tmp_path, joints, **hidden)
-    assert cli.main(["diagnose", *words, "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert said["verdict"] == "explained"
     (finding,) = said["findings"]
@@ -76,7 +76,7 @@ def test_what_is_wrong_in_the_air_is_named_beside_what_is_wrong_at_the_table(
     tmp_path: Path,
 ) -> None:
     words = case(tmp_path, ONE, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
-    assert cli.main(["diagnose", *words, "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert said["verdict"] == "explained"
     found = {f["effect"]: f["parameters"] for f in said["findings"]}
@@ -106,10 +106,10 @@ def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
     friction = {t.effect for t in found.explained.hypothesis.terms}
     assert friction == {"viscous_friction"}
     assert found.astray
-    more = _once_more(found, silent)
+    more = _once_more(found, Run())
     assert {f.effect for f in more.explained.findings} == friction | {"contact_stiffness"}
     assert more.verdict == "explained"
-    assert _once_more(more, silent) is more
+    assert _once_more(more, Run()) is more
 
 
 def test_windows_in_the_air_lie_far_from_the_table(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
-from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.searched import pose
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.effects.constraint import hold, stiff
@@ -121,7 +121,7 @@ def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: P
     again = load_model(find_model(tmp_path))
     assert again.patched is not None
     assert again.patched.creeps
-    (trial,) = found.trials.held_out
+    (trial,) = found.roles.test
     (predicted,) = replay_patched(again.realization, again.patched, [trial], threads=1)
     off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
     assert (off < 1.5 * problem.floor).all()
@@ -138,13 +138,13 @@ def test_a_search_goes_on_the_way_that_it_sees(tmp_path: Path, holds: bool) -> N
     realization, trials = given_by(tmp_path, delay=0.012, holds=holds)
     given = Given.of(realization, None, threads=1)
     prepared, trials = pose(given, trials, [])
-    problems: list[Problem] = []
-    said: list[str] = []
-    stepped, found = searched_so(given, prepared, trials, problems, said.append, EMPTY)
+    run = Run()
+    stepped, found = searched_so(given, prepared, trials, run, EMPTY)
     assert stepped.creeps is not holds
     assert [t.effect for t in found.explained.hypothesis.terms] == ["command_delay"]
     # Nothing that was left in the one way was held against more names.
-    assert [text[0] for text in said if text[0] in "+-~="] == ["+"]
+    accepted = [step for step in run.trace.steps if step.decision == "accepted"]
+    assert [step.move for step in accepted] == ["addition"]
     assert found.verdict == "explained"
 
 

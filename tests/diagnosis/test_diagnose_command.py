@@ -25,7 +25,7 @@ from pytest_twin.formats.schema import load_schema
 def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a diagnosis where one joint's commands come 20 ms late."""
     folder = tmp_path_factory.mktemp("late")
-    arguments = ["diagnose", *case(folder, delay=0.02, joint=1)]
+    arguments = ["diagnose", "--seconds", "0", *case(folder, delay=0.02, joint=1)]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert cli.main([*arguments, "--out", str(folder / "out")]) == 0
@@ -115,7 +115,14 @@ def test_nothing_else_is_left_where_the_user_stands(late: Path) -> None:
 def test_diagnosing_the_patched_model_finds_nothing_more(
     late: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["diagnose", str(late / "out"), str(late / "fit1.mcap"), str(late / "held_out3.mcap")]
+    words = [
+        "diagnose",
+        "--seconds",
+        "0",
+        str(late / "out"),
+        str(late / "fit1.mcap"),
+        str(late / "held_out3.mcap"),
+    ]
     assert cli.main([*words, "--out", str(late / "again")]) == 0
     found = json.loads((late / "again" / "diagnosis.json").read_text())
     assert found["verdict"] == "no_mismatch"
@@ -132,7 +139,7 @@ def test_diagnosing_the_patched_model_finds_nothing_more(
 
 def test_viscous_friction_is_named_with_its_coefficient(tmp_path: Path) -> None:
     arguments = case(tmp_path, joints=("left",), viscous=0.12)
-    assert cli.main(["diagnose", *arguments, "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["diagnose", "--seconds", "0", *arguments, "--out", str(tmp_path / "out")]) == 0
     (finding,) = said(tmp_path)["findings"]
     assert (finding["effect"], finding["joint"]) == ("viscous_friction", "left")
     coefficient = finding["parameters"]["coefficient"]
@@ -144,7 +151,7 @@ def test_viscous_friction_is_named_with_its_coefficient(tmp_path: Path) -> None:
 
 def test_nothing_hidden_is_no_mismatch(tmp_path: Path) -> None:
     arguments = case(tmp_path, joints=("left",))
-    assert cli.main(["diagnose", *arguments, "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["diagnose", "--seconds", "0", *arguments, "--out", str(tmp_path / "out")]) == 0
     found = said(tmp_path)
     assert (found["verdict"], found["findings"], found["unexplained"]) == ("no_mismatch", [], {})
 
@@ -167,7 +174,21 @@ def test_the_result_for_programs_is_the_file_that_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = case(tmp_path, joints=("left",))
-    assert cli.main(["diagnose", *arguments, "--out", str(tmp_path / "out"), "--json", "-"]) == 0
+    assert (
+        cli.main(
+            [
+                "diagnose",
+                "--seconds",
+                "0",
+                *arguments,
+                "--out",
+                str(tmp_path / "out"),
+                "--json",
+                "-",
+            ]
+        )
+        == 0
+    )
     out, err = capsys.readouterr()
     assert json.loads(out) == said(tmp_path)
     assert "No mismatch" in err

@@ -136,7 +136,11 @@ def assert_attached(root: Path, text: str) -> None:
     folder = root / ".twin" / "diagnosis" / "mujoco"
     said = json.loads((folder / "diagnosis.json").read_text())
     assert [f["effect"] for f in said["findings"]] == ["command_delay"]
-    assert said["trials"] == {"fit": ["fit1.mcap"], "held_out": ["held_out3.mcap"]}
+    assert said["trials"] == {
+        "fit": ["fit1.mcap"],
+        "validation": [],
+        "held_out": ["held_out3.mcap"],
+    }
     assert text.count("diagnosing mujoco over 2 recordings") == 1
     assert text.count("--- diagnosis ---") == 2
     assert text.count("The command delay of joint elbow is ") == 1

@@ -429,7 +429,7 @@ def test_a_joint_that_one_recording_lacks_is_left_out(bench: Bench) -> None:
     one = bench.put("one.mcap", joints=("left",))
     found = diagnose(bench.loaded.realization, bench.read(both, one))
     assert set(found.errors) == {"left"}
-    assert "joint 'right' is left out: one.mcap lacks it" in found.notes
+    assert "joint 'right' is not tested: one.mcap lacks it" in found.notes
     alone = diagnose(bench.loaded.realization, bench.read(one))
     assert set(alone.errors) == {"left"}
     said = "joint 'right' is in no recording: it is simulated from the model's initial position"
@@ -479,7 +479,7 @@ def test_unusable_input_is_one_line_and_leaves_nothing(
 ) -> None:
     bench = Bench(tmp_path)
     later = bench.put("later.mcap", sent_at=bench.sent_at + 60.0)
-    arguments = ["diagnose", str(tmp_path / "model.xml"), str(later)]
+    arguments = ["diagnose", "--seconds", "0", str(tmp_path / "model.xml"), str(later)]
     assert cli.main([*arguments, "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
     assert said.out == ""
@@ -496,7 +496,7 @@ def test_a_folder_with_other_things_is_not_replaced(
     (tmp_path / "mine" / "thesis.txt").write_text("years of work")
     record(tmp_path / "a.mcap", 1, seconds=1.0)
     (tmp_path / "model.xml").write_text(mjcf())
-    words = ["diagnose", str(tmp_path / "model.xml"), str(tmp_path / "a.mcap")]
+    words = ["diagnose", "--seconds", "0", str(tmp_path / "model.xml"), str(tmp_path / "a.mcap")]
     assert cli.main([*words, "--out", str(tmp_path / "mine")]) == 2
     assert "is not replaced" in capsys.readouterr().err
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"

@@ -45,7 +45,7 @@ def test_every_law_of_a_drive_is_added_once_and_at_nothing(tmp_path: Path) -> No
     problem = prepare(realization, trials.fit, trials.held_out, threads=1).problem
     known = EMPTY.with_term(RUBS, np.array([0.3])).with_term(Term("payload", -1), np.zeros(5))
     more = with_drive(problem, known, 0)
-    drive = {effect for effect, law in catalogue().items() if law.of_every_drive}
+    drive = {effect for effect, law in catalogue().items() if law.common_to_geared_motors}
     assert {t.effect for t in more.terms} == drive | {"payload"}
     assert len(set(more.terms)) == len(more.terms)
     assert more.theta[more.slice_of(RUBS)] == [0.3]

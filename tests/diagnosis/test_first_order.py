@@ -152,8 +152,10 @@ HELD_BY: Mapping[str, frozenset[str]] = {
     # To first order a command that comes late and one that is smoothed are the same.
     "command_delay": frozenset({"actuator_lag"}),
     "actuator_lag": frozenset({"command_delay"}),
-    # Its damping error, under a servo; without warming up.
-    "viscous_friction": frozenset({"controller_gain", "thermal_friction"}),
+    # Its damping error, under a servo; without warming up; alike in both directions.
+    "viscous_friction": frozenset(
+        {"controller_gain", "thermal_friction", "directional_viscous_friction"}
+    ),
     # A bias holds the servo off by a constant effort: a preload.
     "encoder_bias": frozenset({"joint_spring"}),
     # A link alone on its motor: of what its drive gives more, it asks less.

@@ -5,11 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
+from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.fit import Fitted
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales
-from pytest_twin.diagnosis.intervals import spread
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term
+from pytest_twin.diagnosis.intervals import clusters, jackknife, spread
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.segment import Predicted
 
@@ -104,3 +106,58 @@ def test_what_the_time_step_leaves_is_in_the_interval() -> None:
     # An eighth of a defect that looks like the first parameter's response, 0.4 of it.
     assert np.isclose(with_it[0] - without[0], 0.05, rtol=0.1)
     assert with_it[1] - without[1] < 0.01
+
+
+def _with_model_error(
+    seed: int, recordings: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Design, residual, estimate and recording of each sample: every recording is off by a smooth
+    error of its own, as of a law that is not quite right, and by correlated noise.
+    """
+    rng = np.random.default_rng(seed)
+    n, designs, measured = 400, [], []
+    t = np.arange(n) * 0.01
+    for _ in range(recordings):
+        one, two = (np.sin(w * t + rng.uniform(0, 6)) for w in rng.uniform(1.5, 4.5, 2))
+        own = 0.2 * rng.standard_normal(2)
+        noise = lfilter([1.0], [1.0, -0.9], 0.05 * rng.standard_normal(n))
+        designs.append(np.stack([one, two], axis=1))
+        measured.append(designs[-1] @ (TRUTH + own) + noise)
+    design, y = np.concatenate(designs), np.concatenate(measured)
+    theta = np.linalg.lstsq(design, y, rcond=None)[0]
+    return design, y - design @ theta, theta, np.repeat(np.arange(recordings), n)
+
+
+def test_intervals_hold_where_the_model_is_wrong_in_another_way_in_each_recording() -> None:
+    plain, widened = [], []
+    for seed in range(400):
+        design, residual, theta, owner = _with_model_error(seed, recordings=5)
+        information = design.T @ design
+        effective = effective_samples(residual[:, None], [400] * 5)
+        variance = np.mean(residual**2) * len(residual) / effective
+        half = 1.96 * np.sqrt(np.diag(np.linalg.inv(information)) * variance)
+        plain.append(np.abs(theta - TRUTH) <= half)
+        parts = [design[owner == k] for k in range(5)]
+        scores = np.array([d.T @ residual[owner == k] for k, d in enumerate(parts)])
+        wide = jackknife(scores, np.array([d.T @ d for d in parts]))
+        widened.append(np.abs(theta - TRUTH) <= wide)
+    assert float(np.mean(plain)) < 0.9
+    assert 0.9 <= float(np.mean(widened)) <= 0.99
+
+
+def test_few_recordings_are_cut_into_parts() -> None:
+    assert np.array_equal(np.unique(clusters([0, 1, 2], [5, 5, 5])), [0, 1, 2])
+    two = clusters([0, 0, 1], [30, 30, 60])
+    assert len(np.unique(two)) == 6
+    assert (np.diff(two) >= 0).all()
+
+
+def test_parameters_that_near_structures_move_are_less_well_known() -> None:
+    given = fitted(np.random.default_rng(2), 0.0)
+    term = Term("controller_gain", 0)
+    one = Fitted(Hypothesis((term,), given.hypothesis.theta), given.residual, given.jacobian, 0.0)
+    alone = spread(problem(), one).half_width
+    near = spread(problem(), one, [(1.0, {term: np.array([0.4, 0.0])})]).half_width
+    # As likely as the best, 0.4 away: a deviation of sqrt(0.5) 0.4.
+    assert near[0] == pytest.approx(np.hypot(alone[0], 1.96 * 0.4 * np.sqrt(0.5)), rel=0.02)
+    assert near[1] == pytest.approx(alone[1])

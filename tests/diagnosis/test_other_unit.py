@@ -86,7 +86,7 @@ def test_states_and_commands_in_one_wrong_unit_are_refused_at_once(
     unit: str,
 ) -> None:
     files = [servos(tmp_path / f"{k}.mcap", k, scale) for k in range(2)]
-    words = ["diagnose", str(tmp_path / "model.xml"), *map(str, files), "--out"]
+    words = ["diagnose", "--seconds", "0", str(tmp_path / "model.xml"), *map(str, files), "--out"]
     assert cli.main([*words, str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert re.fullmatch(

@@ -67,6 +67,12 @@ EFFECTS = [
         {"coefficient": 0.2, "stiction_excess": 0.1, "stribeck_velocity": 0.2},
         False,
     ),
+    ("control_period", 0, {"period": 0.0083, "computing_delay": 0.7}, False),
+    ("velocity_filter", 1, {"time_constant": 0.01}, False),
+    ("velocity_feedforward", 0, {"feedforward": 0.08}, False),
+    ("integral_gain", 1, {"inverse_integral_time": 1.5}, False),
+    ("directional_viscous_friction", 0, {"coefficient": 0.1, "difference": 0.04}, False),
+    ("gear_efficiency", 1, {"forward_loss": 0.2, "backward_loss": 0.6}, False),
     ("encoder_bias", 1, {"bias": 0.05, "in_loop": 1.0}, False),
     ("sensor_delay", -1, {"delay": 0.013}, False),
 ]

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_behind_gears import silent
 from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import _by_shorter
 from pytest_twin.diagnosis.given import Given
-from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import Searched, pose, search
 from pytest_twin.diagnosis.shorter import stays_near
@@ -64,18 +63,18 @@ def given_up(folder: Path, load: float) -> tuple[Given, Searched]:
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     given = Given.of(loaded.realization, None, 1)
     prepared, trials = pose(given, trials, [])
-    return given, search(prepared, trials, Selection(prepared.problem, silent, share_left=0.0))
+    return given, search(prepared, trials, Selection(prepared.problem, share_left=0.0))
 
 
 def test_a_load_that_turns_the_arm_over_is_found_from_shorter_windows(tmp_path: Path) -> None:
     given, found = given_up(tmp_path, load=1.2)
     assert found.verdict == "unexplained"
     assert found.far_from
-    problems: list[Problem] = []
-    better = _by_shorter(found, given, problems, silent)
+    run = Run()
+    better = _by_shorter(found, given, run)
     assert better.verdict == "explained"
     assert {t.law.family for t in better.explained.hypothesis.terms} == {"rigid_body"}
-    (shorter,) = problems
+    shorter = run.budget.problems[0]
     lengths = [s.time[-1] - s.time[0] for s in shorter.simulator.segments]
     assert max(lengths) < 0.3, "the model stays near within these"
     usual = found.prepared.problem.simulator.segments
@@ -109,5 +108,5 @@ def test_what_shorter_windows_do_not_better_stays(
         return found
 
     monkeypatch.setattr("pytest_twin.diagnosis.diagnose.search", nothing)
-    assert _by_shorter(found, given, [], silent) is found
+    assert _by_shorter(found, given, Run()) is found
     assert from_where == [()], "what names nothing is no start"

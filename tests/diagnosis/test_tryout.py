@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_behind_gears import fitted, silent, with_true
+from test_behind_gears import fitted, with_true
 from test_first_order import ELBOW, SHOULDER, carried, problem_of
 
 from pytest_twin.diagnosis.first_order.deepen import deepened
@@ -69,12 +69,12 @@ def test_what_failed_is_not_offered_again() -> None:
     contest = Contest(problem)
     best = fitted(contest, with_true(problem, LATE, {"delay": 0.03}))
     look = look_ahead(problem, best)
-    found = foremost(contest, best, look, silent)
+    found = foremost(contest, best, look)
     assert found is not None
     assert PLAY in {h.terms[-1] for h in front(problem, best, look, found)}
     less = look.without({PLAY})
     assert PLAY not in {r.term for r in less.answers.responses}
-    rest = foremost(contest, best, less, silent)
+    rest = foremost(contest, best, less)
     assert rest is not None
     assert PLAY not in {h.terms[-1] for h in front(problem, best, less, rest)}
 
@@ -91,7 +91,7 @@ def test_a_name_counts_for_more_where_what_no_fit_has_seen_keeps_more() -> None:
 
     def offered(times: float) -> set[Term]:
         best.held_residual = times * best.fitted.residual
-        found = foremost(contest, best, look_ahead(problem, best), silent)
+        found = foremost(contest, best, look_ahead(problem, best))
         assert found is not None
         return {h.terms[-1] for h in found.starts}
 

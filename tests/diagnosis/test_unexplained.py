@@ -12,6 +12,7 @@ from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.restraint import Pruned
 from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.searched import Searched, left_everywhere, pose
 from pytest_twin.diagnosis.trials import TrialSet
@@ -64,7 +65,15 @@ def unnamed(prepared: Prepared, trials: TrialSet) -> Searched:
     nominal = Contest(problem).nominal
     selected = Selected(nominal, nominal)
     return Searched(
-        prepared, trials, selected, Explained((), EMPTY), left, left, errors, "unexplained"
+        prepared,
+        trials,
+        selected,
+        Pruned(nominal.fitted, [], []),
+        Explained((), EMPTY),
+        left,
+        left,
+        errors,
+        "unexplained",
     )
 
 

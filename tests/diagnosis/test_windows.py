@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_behind_gears import silent
 from two_pendulums import ARMATURE, DAMPING, INERTIA, KP, KV, LENGTH, MASS, mjcf, record
 
 from pytest_twin.commands.replay import load_model
@@ -16,6 +15,7 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.searched import carried, confirmed, search
 from pytest_twin.diagnosis.start import free_shifts
@@ -104,7 +104,7 @@ def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(tmp_path:
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
     whole = search(prepared, trials, Selection(prepared.problem))
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
-    found = confirmed(cut, trials, whole, silent)
+    found = confirmed(cut, trials, whole, Run())
     assert found is not None
     assert found.verdict == "explained"
     assert found.prepared is cut
@@ -114,7 +114,7 @@ def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(tmp_path:
     # What does not explain the windows, or names nothing, leaves them to a search of their own.
     for hypothesis in (EMPTY, EMPTY.with_term(Term("encoder_scale", 0), np.array([0.1]))):
         other = replace(whole, explained=Explained((), hypothesis))
-        assert confirmed(cut, trials, other, silent) is None
+        assert confirmed(cut, trials, other, Run()) is None
 
 
 def off(errors: Mapping[str, JointError], times: float) -> dict[str, JointError]:

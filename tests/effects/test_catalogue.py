@@ -22,4 +22,4 @@ def test_the_docs_hold_what_the_command_prints() -> None:
 def test_it_is_confused_with_others_of_the_catalogue(effect) -> None:
     assert effect.confused_with
     assert effect.id not in effect.confused_with
-    assert {*effect.confused_with, *effect.has_in_it} <= catalogue().keys()
+    assert {*effect.confused_with, *effect.generalizes} <= catalogue().keys()

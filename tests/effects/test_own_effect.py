@@ -53,7 +53,7 @@ def test_it_is_listed(site: Path) -> None:
 def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
     """What was in nobody's catalogue is named once somebody has put it there."""
     words = case(tmp_path / "case", magnet=0.08)
-    done = pytest_twin("diagnose", *words, "--out", str(tmp_path / "why"))
+    done = pytest_twin("diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "why"))
     assert done.returncode == 0, done.stdout + done.stderr
     said = json.loads((tmp_path / "why" / "diagnosis.json").read_text())
     assert [(f["effect"], f["joint"]) for f in said["findings"]] == [("magnet", "left")]
@@ -79,6 +79,13 @@ def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
         ("(0.05, 0.15)", "(0.05, 5.0)", "magnet.parameters.width"),
         ('(0.3,), "effort"', '(0.3,), "joule"', "magnet.parameters.strength.reference"),
         ('(0.3,), "effort"', '(0.3,), "effort", under=("form", (1.0,))', "strength.under"),
+        ('id = "magnet"', 'id = "magnet"\n    dry_friction_level = "level"', "dry_friction_level"),
+        (
+            'parameters = (\n        Parameter("strength", "effort", 0.0, 0.0, 10.0, (0.3,)',
+            "is_limit = True\n    parameters = (\n"
+            '        Parameter("strength", "effort", 0.0, 0.0, 10.0, (0.3, 0.2)',
+            "magnet.parameters.strength.starts",
+        ),
         ("class Magnet(Effect)", "class Magnet", "subclass of pytest_twin.effects.Effect"),
     ],
 )

@@ -303,14 +303,12 @@ OWN_WORDS = {"error", "words", "reason"}
 # Sites without a place: the caller, which knows the file, adds it. Each number may only fall.
 WITHOUT_PLACE = {
     "release": 18,  # of an envelope's bytes: `check` names the folder
-    "realization": 15,  # of a child process: the gate names the golden
+    "realization": 12,  # of a child process: the gate names the golden
     "units.py": 3,  # of a text: the reader of the spec names file, line and field
     "formats": 2,
     "gate": 1,  # a text that holds its place already
     "commands": 1,
-    "properties": 1,
-    "setup": 3,  # of a recording's name: `init` says which
-    "strategies": 1,
+    "setup": 2,  # of a tolerance's text: the command line names the option
 }
 # Errors without an expectation of their own, each with its reason.
 WITHOUT_EXPECTATION = {

@@ -308,7 +308,7 @@ def test_the_first_release_says_whom_the_twin_trusts_from_now_on(root: Path) -> 
     signer, _ = release.signer(root)
     _, notes = release.write(root, make_draft(root), signer, html, now=NOW)
     (key,) = (root / "keys").glob("*.pub")
-    assert notes == (f"first release: this twin now trusts {key} (commit it)",)
+    assert notes == (f"first release: this twin now trusts {key}; commit this file",)
     assert b"PRIVATE" not in key.read_bytes()
     _, notes = release.write(root, make_draft(root), signer, html, now=NOW)
     assert notes == ()

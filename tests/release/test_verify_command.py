@@ -29,7 +29,7 @@ def test_a_release_that_holds(two: Path, capsys: pytest.CaptureFixture[str]) -> 
     first, second, third = out.splitlines()
     assert first == "holds: release 2 of 'arm'"
     assert second.startswith("  made ")
-    assert third == "  1 goldens, 6 files, 0 files elsewhere by digest"
+    assert third == "  1 golden, 6 files in the release"
     assert err == ""
 
 

@@ -145,7 +145,7 @@ def test_times_before_zero_are_moved_by_whole_seconds_and_it_is_said(
         ("given.mcap", "given.mcap", "would overwrite the recording itself"),
         ("bag", "bag/out.mcap", "would overwrite the recording itself"),
         ("nothing", "out.mcap", "nothing: no such file or folder"),
-        ("given.mcap", "out.mcap", "neither states nor commands (expected one of /js (200 "),
+        ("given.mcap", "out.mcap", "neither states nor commands (expected /js (200 "),
     ],
 )
 def test_unusable_input_is_one_line_and_leaves_nothing(

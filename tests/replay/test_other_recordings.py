@@ -156,7 +156,7 @@ def test_a_topic_that_was_read_stays() -> None:
         ((Topic("/tf", "tf2_msgs/msg/TFMessage", 3),), "a topic with joints; it has /tf"),
         (
             (Topic("/c", STATE, 3, BOTH, tuple("abcdefgh"), ("position",)),),
-            "one of /c (3 sensor_msgs/msg/JointState of a, b, c, d, e, f and 2 more)",
+            "/c (3 sensor_msgs/msg/JointState of a, b, c, d, e, f and 2 more)",
         ),
     ],
 )

@@ -66,7 +66,7 @@ def test_what_has_no_name_is_said(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "robot.xml").write_text(NAMELESS)
     made = run("pytest-twin", "init", "robot.xml", cwd=folder)
-    assert f"note: {folder}/robot.xml: 1 of 1 joints have no name: name them" in (made.stdout)
+    assert "note: robot.xml: 1 of 1 joints have no name: name them" in made.stdout
     assert "nothing proposed for fk: no joint moves a frame that has a name" in made.stdout
     assert "tcp" not in (folder / "twin.yaml").read_text()
 
@@ -149,3 +149,47 @@ def test_odd_names_get_portable_files_and_a_release(tmp_path: Path) -> None:
     assert "release 0001 signed" in released.stdout
     verified = run("pytest-twin", "verify", "releases/0001", cwd=folder)
     assert verified.returncode == 0, verified.stdout + verified.stderr
+
+
+def test_a_scene_without_bodies_is_refused_and_leaves_no_folder(tmp_path: Path) -> None:
+    path = tmp_path / "arena.xml"
+    path.write_text('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>')
+    done = run("pytest-twin", "init", "arena.xml", "--out", "twin", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "arena.xml: there is nothing to test in this model (expected a joint," in done.stderr
+    assert not (tmp_path / "twin").exists()
+
+
+MASSLESS = """\
+<robot name="bare"><link name="base"/><link name="a"/><link name="b"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="9"/></joint>
+<joint name="j2" type="revolute"><origin xyz="0 0 .3"/><parent link="a"/><child link="b"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="1" effort="9"/></joint></robot>
+"""
+
+
+def test_a_robot_without_masses_gets_no_golden_of_forces(tmp_path: Path) -> None:
+    (tmp_path / "bare.urdf").write_text(MASSLESS)
+    done = run("pytest-twin", "init", "bare.urdf", "--out", "twin", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "bare.urdf:1: 2 moving links have no inertia ('a', 'b'): raised to" in done.stdout
+    told = json.loads((tmp_path / "twin/.twin/init.json").read_text())
+    none = "no moving link has a mass; state masses in the model first"
+    for kind in ("step", "settling", "frequency_response", "joint_direction"):
+        assert told["nothing_to_propose"][kind] == none
+    assert {golden.split("/")[1] for golden in told["goldens"]} >= {"fk", "limits"}
+    assert told["left_out"] == told["failing"] == {}
+
+
+def test_notes_of_one_kind_are_one_line(tmp_path: Path) -> None:
+    bare = MASSLESS.replace(' effort="9"', "")
+    (tmp_path / "bare.urdf").write_text(bare)
+    done = run("pytest-twin", "init", "bare.urdf", "--out", "twin", cwd=tmp_path)
+    lines = [line for line in done.stdout.splitlines() if "states no effort" in line]
+    assert lines == [
+        "note: bare.urdf:2: joint 'j1' states no effort and has no actuator "
+        "(and 1 more note of this kind in .twin/init.json)"
+    ]
+    told = json.loads((tmp_path / "twin/.twin/init.json").read_text())
+    assert sum("states no effort" in note for note in told["notes"]) == 2

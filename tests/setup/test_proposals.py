@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pytest_twin.checks import check_of
+from pytest_twin.checks import check_of, proposals
 from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
@@ -121,7 +121,7 @@ def test_a_mass_that_is_off_by_7_percent_fails_a_torque_step(link: str, tmp_path
 def test_a_link_that_is_too_light_to_be_felt_is_named(tmp_path: Path) -> None:
     robot = arm(tmp_path, {**MASSES, "cover": 1e-5})
     notes = " ".join(first("step", robot)["joint0"]["notes"])
-    assert "Too light to be felt in this step: cover, less than 0.4 % of the inertia" in notes
+    assert "Not tested by this step: the mass of cover (less than 0.4 % of the inertia" in notes
 
 
 def test_a_robot_without_servos_falls_and_is_told_so(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_robot_without_servos_falls_and_is_told_so(tmp_path: Path) -> None:
     assert list(specs) == ["gravity"]
     assert specs["gravity"]["title"] == "Fall from the pose under gravity; nothing holds the joints"
     notes = " ".join(specs["gravity"]["notes"])
-    assert "No controller: a URDF states none, its motors take torques." in notes
+    assert "No controller: a URDF states none, and its motors take torques." in notes
     assert "Left out: motion without gravity, because no servo would move the joints." in notes
 
 
@@ -280,3 +280,23 @@ def test_the_servo_lines_of_twin_yaml_load_once_the_gains_are_in(tmp_path: Path)
     assert first("settling", realization)["gravity"]["title"] == (
         "Servos hold the pose under gravity"
     )
+
+
+@pytest.mark.parametrize(
+    ("actuator", "words"),
+    [
+        ("", "the model has no actuators."),
+        ('<motor joint="j"/>', "the model has no actuators with a name."),
+        ('<motor name="m" joint="j"/>', "the model has no position servos; its motors take torq"),
+    ],
+)
+def test_what_a_model_without_servos_is_told(tmp_path: Path, actuator: str, words: str) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="b"><joint name="j"/><geom size=".1" mass="1"/></body>'
+        f"</worldbody><actuator>{actuator}</actuator></mujoco>"
+    )
+    realization = load(path)
+    said = proposals.Actuation.of(realization).no_controller(realization)
+    assert said is not None
+    assert words in said

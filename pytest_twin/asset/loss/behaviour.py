@@ -16,6 +16,8 @@ from pytest_twin.realization.tree import inverse
 Vector = NDArray[np.float64]
 _STEP = 0.1
 _PARALLEL = 1e-12
+_LEAST_MASS = 1e-6
+"""kg: a robot whose masses are placeholders has no centre of mass to compare."""
 
 
 def rows(
@@ -53,11 +55,12 @@ def rows(
         "kg",
         after=f"{mass[1]:.9g} kg",
     )
-    centre = max(
-        float(np.abs(reference.center_of_mass(q) - target.dynamics.center_of_mass(q)).max())
-        for q in poses
-    )
-    yield _measured("centre of mass", "of all bodies", ran, centre, 1.0, "m")
+    if min(mass) > _LEAST_MASS:
+        centre = max(
+            float(np.abs(reference.center_of_mass(q) - target.dynamics.center_of_mass(q)).max())
+            for q in poses
+        )
+        yield _measured("centre of mass", "of all bodies", ran, centre, 1.0, "m")
     mine, theirs = _orders(reference, target.dynamics, poses[0])
     names = f"{len(mine)} joints"
     torque, largest = 0.0, 1.0

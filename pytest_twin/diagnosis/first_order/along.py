@@ -37,6 +37,7 @@ class Along:
         position, velocity, acceleration: (segments, samples, joints) of the measured motion.
         predicted_position, predicted_velocity: the same of the hypothesis.
         reading: per segment, (stamps, joints) what it predicts that the encoders read.
+        effort: the same of its effort sensors.
         at_rest: (segments, samples, joints) where neither moves.
         slip_velocity: (joints,) rad/s or m/s, over which dry friction changes its sign.
     """
@@ -51,6 +52,7 @@ class Along:
     predicted_position: FloatArray
     predicted_velocity: FloatArray
     reading: tuple[FloatArray, ...]
+    effort: tuple[FloatArray, ...]
     at_rest: NDArray[np.bool_]
     slip_velocity: FloatArray
 
@@ -111,6 +113,7 @@ def along(
         predicted_position=q,
         predicted_velocity=v,
         reading=tuple(p.position for p in predictions),
+        effort=tuple(p.effort for p in predictions),
         at_rest=standing,
         slip_velocity=_SLIP * typical,
     )

@@ -8,7 +8,6 @@ gets its company.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -17,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.polish import Polished
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, Search, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.realization.forks import in_forks
+from pytest_twin.realization.executor import Forks
 
 # Single terms that are grown.
 _ROOTS = 4
@@ -57,7 +56,7 @@ def deepened(
         return [root.hypothesis.with_terms(level[0].starts) for level in levels]
 
     out: list[Hypothesis] = []
-    for h in chain(*in_forks([partial(grown, r) for r in roots[:_ROOTS]], cores)):
+    for h in chain(*Forks(cores).map(grown, roots[:_ROOTS])):
         if frozenset(h.terms) not in seen:
             seen.add(frozenset(h.terms))
             out.append(h)

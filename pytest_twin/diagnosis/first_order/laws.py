@@ -33,7 +33,8 @@ _BLOCK = 64
 """Steps that are prepared and closed together: few enough to stay in a core's cache."""
 _PER_ROW = (
     "gain", "stiffness", "damping", "offset", "lower", "upper", "friction_level",
-    "motor_armature", "motor_damping", "link_inertia", "coldness",
+    "motor_armature", "motor_damping", "link_inertia", "coldness", "least_setpoint",
+    "greatest_setpoint",
 )  # fmt: skip
 _AT_ONCE, _SAMPLES, _STEPS = 0, 1, 2
 """Pace of a joint's laws: all samples at once, sample by sample, at the model's own step."""
@@ -262,7 +263,7 @@ class Laws:
         simulator, along = self.simulator, self.along
         segments, samples, joints = along.position.shape
         steps = (samples - 1) * along.steps
-        late = [(e, v) for e, v in effects if e.overrides("command_delay", "sample_time")]
+        late = [(e, v) for e, v in effects if e.overrides("command_latency", "sample_time")]
         if late:
             rows = along.segments[lanes.segment]
             found = simulator.commands(rows, late, steps, lanes.joint)

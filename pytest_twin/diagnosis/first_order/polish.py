@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.first_order.screen import View
 from pytest_twin.diagnosis.fit import nudged, proposals, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
-from pytest_twin.realization.forks import free_cores, in_forks
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores
 
 NEARBY, FAR_OFF = 3, 8
 """Iterations of what starts near where it ends, and of what stands for something else."""
@@ -41,11 +42,27 @@ class Polished:
 
 
 def polish(
-    linear: Linear, view: View, starts: Sequence[Hypothesis], iterations: int
+    linear: Linear,
+    view: View,
+    starts: Sequence[Hypothesis],
+    iterations: int,
+    targets: Sequence[FloatArray] | None = None,
 ) -> list[Polished]:
-    """Fit every start, side by side; each under the weights of what it leaves."""
-    residuals = [view.residual - d for d in _differences(linear, starts)]
+    """Fit every start, side by side; each under the weights of its residual.
+
+    Args:
+        linear: laws along the measured motion.
+        view: residual and noise floor.
+        starts: hypotheses with starting values.
+        iterations: at most.
+        targets: (bins, signals) what the differences of each are to explain; the residual of
+            ``view`` by default.
+    """
+    if targets is None:
+        targets = [view.residual] * len(starts)
+    residuals = [t - d for t, d in zip(targets, _differences(linear, starts), strict=True)]
     fits = [Polished(h, r) for h, r in zip(starts, residuals, strict=True)]
+    target = {id(f): t for f, t in zip(fits, targets, strict=True)}
     active = [f for f in fits if f.hypothesis.theta.size]
     for _ in range(iterations):
         if not active:
@@ -57,7 +74,7 @@ def polish(
         ends = [0]
         for f, (_, steps) in zip(active, nudges, strict=True):
             weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
-            here = view.residual - f.residual
+            here = target[id(f)] - f.residual
             slope = np.zeros((*here.shape, f.hypothesis.theta.size))
             for column, s in zip(np.flatnonzero(f.hypothesis.movable), steps, strict=True):
                 slope[..., column] = (next(moved) - here) / s
@@ -65,7 +82,9 @@ def polish(
             weights.append(weight)
             tried += proposals(f.hypothesis, f.residual, slope, weight, _DAMPINGS)
             ends.append(len(tried))
-        left = [view.residual - d for d in _differences(linear, tried)]
+        owner = [f for f, n in zip(active, np.diff(ends), strict=True) for _ in range(n)]
+        found = _differences(linear, tried)
+        left = [target[id(f)] - d for f, d in zip(owner, found, strict=True)]
         still = []
         for k, (f, weight) in enumerate(zip(active, weights, strict=True)):
             mine = range(ends[k], ends[k + 1])
@@ -79,8 +98,29 @@ def polish(
     return fits
 
 
+def slopes_along(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+    """(bins, signals, parameters) of each hypothesis's prediction along the measured motion, per
+    scaled parameter; zero where a fit does not move it.
+    """
+    nudges = [nudged(h) for h in hypotheses]
+    here = _differences(linear, hypotheses)
+    moved = iter(_differences(linear, [row for rows, _ in nudges for row in rows]))
+    out = []
+    for h, base, (_, steps) in zip(hypotheses, here, nudges, strict=True):
+        slope = np.zeros((*base.shape, h.theta.size))
+        for column, step in zip(np.flatnonzero(h.movable), steps, strict=True):
+            slope[..., column] = (next(moved) - base) / step
+        out.append(np.nan_to_num(slope, posinf=0.0, neginf=0.0))
+    return out
+
+
 def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
-    """As :meth:`Linear.differences`, in batches that need the same steps."""
+    """As :meth:`Linear.differences`, in batches that need the same steps.
+
+    Raises:
+        OutOfTime: the time of the search is over.
+    """
+    check()
     groups: dict[tuple[bool, bool], list[int]] = {}
     for i, h in enumerate(hypotheses):
         effects = [t.law for t in h.terms]
@@ -99,8 +139,10 @@ def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Float
         batches += [which[i : i + each] for i in range(0, len(which), each)]
     if cores > 1:
         linear.know_bodies(hypotheses)
-    tasks = [partial(linear.differences, [hypotheses[i] for i in some]) for some in batches]
+    differences = Forks(cores).map(
+        linear.differences, [[hypotheses[i] for i in some] for some in batches]
+    )
     out: dict[int, FloatArray] = {}
-    for some, found in zip(batches, in_forks(tasks, cores), strict=True):
+    for some, found in zip(batches, differences, strict=True):
         out.update(zip(some, found, strict=True))
     return [out[i] for i in range(len(hypotheses))]

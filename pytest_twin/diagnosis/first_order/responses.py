@@ -10,13 +10,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.first_order.along import Along, along
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
@@ -36,9 +36,10 @@ from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.acting import BETWEEN_STEPS, in_turn, with_fixed
 from pytest_twin.effects.base import Effect, Values
-from pytest_twin.realization.forks import free_cores, in_forks
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores
 
-_IN_FORCES = ("gains", "command_delay", "sample_time", "fields", "separates", *BETWEEN_STEPS)
+_IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *BETWEEN_STEPS)
 _CLOSEST = 16
 """Candidates that are simulated at every starting size, where none is of first order."""
 
@@ -293,7 +294,12 @@ class Linear:
     # -- candidates
 
     def responses(self, terms: Sequence[Term]) -> list[Response]:
-        """All candidates', those of one effect together."""
+        """All candidates', those of one effect together.
+
+        Raises:
+            OutOfTime: the time of the search is over.
+        """
+        check()
         by_effect: dict[str, list[Term]] = {}
         for term in sorted(terms, key=lambda t: t.effect):
             by_effect.setdefault(term.effect, []).append(term)
@@ -304,7 +310,7 @@ class Linear:
                 for start, _ in grid(t)
             ])  # fmt: skip
         order = sorted(by_effect, key=_slow, reverse=True)
-        found = in_forks([partial(self._of_effect, by_effect[e]) for e in order], cores)
+        found = Forks(cores).map(self._of_effect, [by_effect[e] for e in order])
         of = dict(zip(order, found, strict=True))
         return [response for effect in by_effect for response in of[effect]]
 
@@ -431,8 +437,10 @@ class Linear:
             change = _only(change[0], joint)
             if self.problem.effort_floor is not None and segment.effort is not None:
                 measured = segment.effort[None]
-                effort = effect.sense_effort(measured, mine) - measured
-                change = np.concatenate([change, _only(effort[0], joint)], axis=1)
+                effort = effect.sense_effort(measured, mine)[0] - segment.effort
+                if effect.overrides("sample_time"):
+                    effort = effort + self._effort_at(i, late[0]) - self.along.effort[i]
+                change = np.concatenate([change, _only(effort, joint)], axis=1)
             direct.append(change)
         q0 = np.array([self.simulator.segments[s].initial_position for s in self.segments])
         v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
@@ -446,6 +454,18 @@ class Linear:
         time = self.along.time[i]
         return np.stack(
             [np.interp(stamps[:, j], time, values[:, j]) for j in range(values.shape[1])], axis=1
+        )
+
+    def _effort_at(self, i: int, taken: FloatArray) -> FloatArray:
+        """(stamps, joints) predicted efforts of segment ``i`` as they would be read at other times,
+        (stamps, joints) s, linear between stamps.
+        """
+        effort, stamps = self.along.effort[i], self.simulator.segments[self.segments[i]].time
+        own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
+        own = self.simulator.taken(self.segments[i : i + 1], own, _sensing(in_turn(self.own)))[0]
+        return np.stack(
+            [np.interp(taken[:, j], own[:, j], effort[:, j]) for j in range(effort.shape[1])],
+            axis=1,
         )
 
     # -- whole hypotheses
@@ -506,7 +526,10 @@ class Linear:
             position = self._at(self.along.predicted_position[i], i, stamps[0])[None]
             velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
             measured = segment.effort is not None and self.problem.effort_floor is not None
-            effort = segment.effort[None] if measured and segment.effort is not None else position
+            effort = position
+            if measured and segment.effort is not None:
+                late = self._effort_at(i, stamps[0]) - self.along.effort[i]
+                effort = (segment.effort + late)[None]
             for effect, v in mine:
                 position, velocity = effect.sense(stamps, position, velocity, v)
                 effort = effect.sense_effort(effort, v)

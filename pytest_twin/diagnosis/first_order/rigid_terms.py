@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain
 
 import mujoco
@@ -13,11 +12,12 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along
-from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect, ModelFields, Values
+from pytest_twin.effects.rigid_body import InertialParameters, Payload
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.spared import unclocked
-from pytest_twin.realization.forks import free_cores, in_forks
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores
 from pytest_twin.realization.quiet import quiet
 
 _EVERY = 0.02
@@ -119,7 +119,7 @@ def rigid_terms(
 
     if cores > 1:
         simulator.models.warm(rows, effects)
-    return list(chain(*in_forks([partial(terms, i) for i in range(0, copies, per)], cores)))
+    return list(chain(*Forks(cores).map(terms, range(0, copies, per))))
 
 
 def slopes(
@@ -189,23 +189,24 @@ class _Family:
     """Parts of an effort that go together.
 
     Attributes:
-        effect, parameters: whose values, in SI units, the probes are.
+        effect, parameters: the law whose parameters, in SI units, the probes are.
         probes: (n, parameters) from which the parts are told.
         amounts: of each part in (k, parameters) values, n times (k,).
     """
 
-    effect: str
+    effect: Effect
     parameters: tuple[str, ...]
     probes: FloatArray
     amounts: Callable[[FloatArray], list[FloatArray]]
 
 
 _ONE = np.ones((1, 1))
+_LINK, _LOAD = InertialParameters(), Payload()
 _FAMILIES = {
-    "mass": _Family("inertial_parameters", ("mass_error",), _ONE, _itself),
-    "inertia": _Family("inertial_parameters", ("inertia_error",), _ONE, _itself),
-    "moved": _Family("inertial_parameters", ("radial", "tangential"), _MOVES, _shifts),
-    "load": _Family("payload", ("distance", "sideways", "across"), _PLACES, _moments),
+    "mass": _Family(_LINK, ("mass_error",), _ONE, _itself),
+    "inertia": _Family(_LINK, ("inertia_error",), _ONE, _itself),
+    "moved": _Family(_LINK, ("radial", "tangential"), _MOVES, _shifts),
+    "load": _Family(_LOAD, ("distance", "sideways", "across"), _PLACES, _moments),
 }
 
 
@@ -279,8 +280,8 @@ class Efforts:
         joints = self._bare.shape[2]
         copies = sum(len(_FAMILIES[name].probes) for name, _ in missing)
         values = {
-            effect: {p.name: np.zeros((copies, joints)) for p in catalogue()[effect].parameters}
-            for effect in {f.effect for f in _FAMILIES.values()}
+            effect: {p.name: np.zeros((copies, joints)) for p in effect.parameters}
+            for effect in dict.fromkeys(f.effect for f in _FAMILIES.values())
         }
         rows: dict[tuple[str, int], slice] = {}
         first = 0
@@ -292,8 +293,7 @@ class Efforts:
             if name == "load":
                 values[family.effect]["mass"][here] = 1.0
             first = here.stop
-        effects = [(catalogue()[effect], v) for effect, v in values.items()]
-        found = rigid_terms(self._simulator, self._along, effects, copies)
+        found = rigid_terms(self._simulator, self._along, list(values.items()), copies)
         more = np.stack([f.effort - self._bare for f in found])
         for (name, j), here in rows.items():
             family = _FAMILIES[name]

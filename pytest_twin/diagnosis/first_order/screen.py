@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.responses import Response
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
-from pytest_twin.realization.forks import in_forks
+from pytest_twin.realization.executor import Forks
 
-# Laws with one period a turn say nothing of a slide.
-_OF_A_TURN = frozenset({"cogging", "encoder_eccentricity", "position_dependent_friction"})
 _RIDGE = 1e-8
 _SWAPS = 4
 
@@ -35,9 +34,9 @@ def candidates(problem: Problem) -> list[Term]:
     servo = problem.simulator.layout.servo
     found = []
     for effect in catalogue().values():
-        if problem.family not in (None, effect.family):
+        if not effect.candidate or problem.family not in (None, effect.family):
             continue
-        if effect.id.startswith("effort_") and problem.effort_floor is None:
+        if effect.needs_effort_sensor and problem.effort_floor is None:
             continue
         if effect.family == "contact" and not problem.simulator.models.contact.has(effect.id):
             continue
@@ -47,7 +46,7 @@ def candidates(problem: Problem) -> list[Term]:
         for j in range(len(problem.joints)):
             if effect.family in ("actuation", "timing") and servo[j] not in effect.modes:
                 continue
-            if effect.id in _OF_A_TURN and problem.simulator.layout.slides[j]:
+            if effect.periodic and problem.simulator.layout.slides[j]:
                 continue
             found.append(Term(effect.id, j))
     return found
@@ -416,10 +415,11 @@ class Search:
         return [lens.compared(lens.bare, sizes[n])[: self.width] for n in sorted(sizes)]
 
     def _grown(self, lens: Lens, level: Sequence[Structure], count: int) -> list[Structure]:
+        check()
         parents = [s for s in level if len(s.chosen) < self.most]
         lens.answers.take_products(i for s in parents for i in s.chosen)
-        tasks = [partial(lens.children, s, count) for s in parents]
-        wanted = {frozenset(c): c for each in in_forks(tasks, self.cores) for c in each}
+        children = Forks(self.cores).map(partial(lens.children, count=count), parents)
+        wanted = {frozenset(c): c for each in children for c in each}
         new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
         lens.answers.take_products(i for chosen in new.values() for i in chosen)
         self._seen |= {key: lens.structure(chosen) for key, chosen in new.items()}

@@ -1,7 +1,7 @@
-"""Laws that bend sharply, at sizes of their own: between two of a grid they answer like neither.
+"""Limits at sizes between those of the grid, where a joint is far off.
 
-What a limit changes is no multiple of what another limit changes. Where a joint is far off, the
-best size of each such law is sought along the motion before structures are searched.
+The change that one limit makes is no multiple of the change that another makes. The best size of
+each limit is therefore fitted along the measured motion before structures are searched.
 """
 
 from __future__ import annotations
@@ -15,15 +15,13 @@ from pytest_twin.diagnosis.first_order.responses import Linear, Response
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 
-_SIZES = 6
-"""Starting sizes of its switch that mark a law as one that bends."""
 _FAR = 10.0
 """Floors beyond which a joint is far off."""
 _ROUNDS = 3
 
 
 def sharpened(linear: Linear, view: View, answers: Answers, best: Hypothesis) -> list[Response]:
-    """Responses of laws that bend, each at the size that fits alone, at joints that are far off.
+    """Responses of limits, each at the size that fits best alone, at joints that are far off.
 
     Args:
         linear: around ``best``.
@@ -39,7 +37,7 @@ def sharpened(linear: Linear, view: View, answers: Answers, best: Hypothesis) ->
     starts: list[Hypothesis] = []
     for chosen in lens.children(lens.bare, len(answers.responses)):
         response = answers.responses[chosen[0]]
-        if _bends(response) and far[max(response.term.joint, 0)]:
+        if _is_lone_limit(response) and far[max(response.term.joint, 0)]:
             ((term, start),) = lens.structure(chosen).starts.items()
             starts.append(best.with_term(term, start))
     alone = [
@@ -49,10 +47,9 @@ def sharpened(linear: Linear, view: View, answers: Answers, best: Hypothesis) ->
     return _responses(linear, alone)
 
 
-def _bends(response: Response) -> bool:
-    """Whether one switch at many sizes is what the law has."""
-    (first, *more) = response.switches
-    return not more and len(response.term.parameters[first].starts) >= _SIZES
+def _is_lone_limit(response: Response) -> bool:
+    """Whether the law is a limit that one parameter switches on."""
+    return response.term.law.is_limit and len(response.switches) == 1
 
 
 def _responses(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Response]:

@@ -8,6 +8,7 @@ simulated model has no delay lines; its commands are delayed instead.
 from __future__ import annotations
 
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
 from pytest_twin.realization.mjcf import compiled
@@ -23,7 +24,7 @@ def stepped_beside(realization: Realization, patched: Patched | None) -> tuple[A
             joint = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
             late[joint] = max(delay, late.get(joint, 0.0))
     lines = (
-        AppliedEffect("command_delay", joint, {"delay": delay}, in_model=True)
+        AppliedEffect(CommandDelay.id, joint, {"delay": delay}, in_model=True)
         for joint, delay in late.items()
     )
     return (*(() if patched is None else patched.beside), *lines)

@@ -11,6 +11,7 @@ from typing import Any
 
 from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.unnamed_law import TABLES
 from pytest_twin.errors import SpecError
 from pytest_twin.realization import Realization
 
@@ -87,7 +88,7 @@ def effects_json(patched: Patched) -> dict[str, Any]:
             {
                 "effect": e.effect,
                 "joint": e.joint,
-                "values": dict(e.values),
+                **_parameters_json(e),
                 "in_model": e.in_model,
                 **({"written": e.written} if e.written else {}),
                 "law": laws[e.effect].law,
@@ -95,6 +96,13 @@ def effects_json(patched: Patched) -> dict[str, Any]:
             for e in patched.effects
         ],
     }
+
+
+def _parameters_json(effect: AppliedEffect) -> dict[str, Any]:
+    table = TABLES.get(effect.effect)
+    if table is not None:
+        return {"table": table.table_of(effect.values)}
+    return {"values": dict(effect.values)}
 
 
 def read_effects(path: Path) -> Patched:
@@ -147,6 +155,12 @@ def read_effects(path: Path) -> Patched:
         here = f"effects.{i}"
         need(isinstance(item, dict), here, "a table")
         name, joint, values = item.get("effect"), item.get("joint"), item.get("values")
+        if name in TABLES:
+            need(isinstance(item.get("table"), dict), f"{here}.table", "a table")
+            try:
+                values = TABLES[name].read_table(item["table"])
+            except ValueError as error:
+                need(False, f"{here}.table", str(error))
         need(
             name in catalogue(), f"{here}.effect", "an installed effect (pytest-twin effects)", name
         )

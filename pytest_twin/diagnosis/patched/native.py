@@ -15,7 +15,15 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects import catalogue
+from pytest_twin.effects import (
+    actuation,
+    contact,
+    directional,
+    friction,
+    rigid_body,
+    timing,
+    transmission,
+)
 from pytest_twin.effects.base import ModelFields
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.realization import Realization, patch
@@ -123,6 +131,11 @@ def _viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
         return None
     _add_damping(w, name, 0, values["coefficient"])
     return f"joint '{name}' damping", {}
+
+
+def _directional_viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    written = _viscous(w, joint, values)
+    return None if written is None else (written[0], {"difference": values["difference"]})
 
 
 def _add_damping(w: NativeWriter, name: str, order: int, value: float) -> None:
@@ -251,7 +264,7 @@ def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     layout, body = w.simulator.layout, w.body_name(joint)
     index = int(layout.body_index[joint])
     fields = ModelFields.neutral(np.zeros((1, 3)), 1)
-    link = catalogue()["inertial_parameters"]
+    link = rigid_body.InertialParameters()
     stated = {p.name: values.get(p.name, 0.0) for p in link.parameters}
     link.fields(fields, {k: np.full((1, 1), v) for k, v in stated.items()})
     mass, tensor = _compiled_inertia(w.model, index)
@@ -284,7 +297,7 @@ def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
 def _tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
     fields = ModelFields.neutral(np.array([w.model.opt.gravity]), 1)
-    catalogue()["base_tilt"].fields(fields, {k: np.full((1, 1), v) for k, v in values.items()})
+    rigid_body.BaseTilt().fields(fields, {k: np.full((1, 1), v) for k, v in values.items()})
     w.spec.option.gravity = fields.gravity[0]
     return "option gravity", {}
 
@@ -307,27 +320,28 @@ def _six(tensor: FloatArray) -> list[float]:
 
 
 _NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] = {
-    "viscous_friction": _viscous,
-    "quadratic_drag": _drag,
-    "coulomb_friction": _coulomb,
-    "asymmetric_friction": _asymmetric,
-    "armature": _armature,
-    "joint_spring": _spring,
-    "controller_gain": _gains,
-    "torque_constant": _torque_constant,
-    "torque_saturation": _saturation,
-    "command_delay": _delay,
-    "actuator_lag": _lag,
-    "inertial_parameters": _inertial,
-    "payload": _payload,
-    "base_tilt": _tilt,
+    friction.ViscousFriction.id: _viscous,
+    directional.DirectionalViscousFriction.id: _directional_viscous,
+    friction.QuadraticDrag.id: _drag,
+    friction.CoulombFriction.id: _coulomb,
+    friction.AsymmetricFriction.id: _asymmetric,
+    rigid_body.Armature.id: _armature,
+    transmission.JointSpring.id: _spring,
+    actuation.ControllerGain.id: _gains,
+    actuation.TorqueConstant.id: _torque_constant,
+    actuation.TorqueSaturation.id: _saturation,
+    timing.CommandDelay.id: _delay,
+    actuation.ActuatorLag.id: _lag,
+    rigid_body.InertialParameters.id: _inertial,
+    rigid_body.Payload.id: _payload,
+    rigid_body.BaseTilt.id: _tilt,
     **{
         effect: functools.partial(_contact, effect)
         for effect in (
-            "contact_offset",
-            "contact_stiffness",
-            "contact_damping",
-            "contact_friction",
+            contact.ContactOffset.id,
+            contact.ContactStiffness.id,
+            contact.ContactDamping.id,
+            contact.ContactFriction.id,
         )
     },
 }

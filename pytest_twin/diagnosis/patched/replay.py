@@ -11,6 +11,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.ranges import outside_in_words
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
 from pytest_twin.diagnosis.temperature import coldness_in
 from pytest_twin.diagnosis.windows import segments_of
@@ -118,7 +119,11 @@ def replay_whole(
         effort=_with_columns(plain.effort, columns, predicted.effort),
         qpos=_with_columns(plain.qpos, configuration, encoders.model_position(predicted.position)),
         error=None,
-        notes=(*plain.notes, *beside_in_words(patched)),
+        notes=(
+            *plain.notes,
+            *beside_in_words(patched),
+            *outside_in_words(realization, patched, trial.time, predicted),
+        ),
     )
 
 

@@ -21,6 +21,7 @@ from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.effects import catalogue
 from pytest_twin.formats import atomic
 from pytest_twin.realization import Realization
+from pytest_twin.recording_options import CommandBetween
 from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin
 
 
@@ -32,8 +33,9 @@ def write_realization(
     inherited: Patched | None = None,
     coldness: Coldness = MappingProxyType({}),
     substeps: int = 0,
+    between: CommandBetween | None = None,
 ) -> Patched:
-    """Write ``model.xml``, ``effects.json`` and, with controllers or payloads, ``twin.yaml``.
+    """Write ``model.xml``, ``effects.json`` and, where it says something, ``twin.yaml``.
 
     Args:
         folder: new, empty.
@@ -43,6 +45,8 @@ def write_realization(
         inherited: effects of the nominal model, if an earlier diagnosis wrote it.
         coldness: temperature -> normalized coldness of the trials.
         substeps: see :class:`Patched`.
+        between: what commands do between stamps where a recording does not say it, as found; None
+            where that is not known.
 
     Raises:
         PathError: the folder cannot be written.
@@ -57,7 +61,7 @@ def write_realization(
             for p, t in zip(term.parameters, theta, strict=True)
         }
         effects += writer.take(term, values)
-    asked = any(catalogue()[e.effect].asks_temperature for e in effects)
+    asked = any(catalogue()[e.effect].needs_temperature for e in effects)
     patched = Patched(
         problem.joints,
         tuple(effects),
@@ -74,11 +78,14 @@ def write_realization(
     atomic.write_text(folder / MODEL_FILE, text)
     atomic.write_text(folder / EFFECTS_FILE, json.dumps(effects_json(patched), indent=2) + "\n")
     if realization.twin is not None:
-        atomic.write_text(folder / FILE_NAME, _twin_text(realization.twin))
+        atomic.write_text(folder / FILE_NAME, _twin_text(realization.twin, between))
+    elif between is not None:
+        data = {"name": "diagnosed", "model": MODEL_FILE, "command_between": between}
+        atomic.write_text(folder / FILE_NAME, yaml.safe_dump(data, sort_keys=False))
     return patched
 
 
-def _twin_text(twin: Twin) -> str:
+def _twin_text(twin: Twin, between: CommandBetween | None) -> str:
     """A ``twin.yaml`` for the patched model: what trials' metadata selects stays selectable."""
     data: dict[str, Any] = {
         "name": f"{twin.name}-diagnosed",
@@ -88,6 +95,8 @@ def _twin_text(twin: Twin) -> str:
     options = twin.recordings.to_json()
     if "command_between_default" in options:
         options["command_between"] = options.pop("command_between_default")
+    elif between is not None:
+        options["command_between"] = between
     data |= options
     if twin.controllers:
         data["controllers"] = {

@@ -12,17 +12,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.evidence import Likelihood, effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.screen import candidates, name_price, price
 from pytest_twin.diagnosis.fit import fit, weighted_cost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT, own_mismatch, worth_a_name
 from pytest_twin.effects.segment import Predicted
 
-QUICK, FAIR, _LONG = 2, 4, 8
-"""Iterations of a fit that ranks, and of one that decides."""
+QUICK, FAIR, LONG = 2, 4, 8
+"""Iterations of a fit that ranks, of one that decides, and of one that goes to the end."""
 # Rivals that stay in the race after one iteration: evidence behind the first, and how many.
 _IN_FRONT, FRONT = 150.0, 4
 # Share of the best one's evidence within which so many rivals are judged each with the simulator's
@@ -46,16 +48,19 @@ class Contest:
         name_price: evidence that a name has to earn, drawn from so many.
         nominal: the model as it came.
         since: steps that were simulated before it.
+        run: the diagnosis that it belongs to.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, run: Run | None = None) -> None:
         self.problem = problem
+        self.run = Run() if run is None else run
         self.since = problem.stepped
         self.has_held = bool(len(problem.held_out))
         self.tried = len(candidates(problem))
         self.name_price = name_price(self.tried)
         # An earlier search may have left the step corrected for what it came to.
-        self.nominal = self.as_it_is(EMPTY)
+        with self.run.budget.reserved():
+            self.nominal = self.as_it_is(EMPTY)
 
     @property
     def of_all(self) -> float:
@@ -202,11 +207,19 @@ class Contest:
         return float(np.max(rms / self.problem.signal_floor[: len(rms)]))
 
     def settled(self, rival: Rival) -> Rival:
-        """The rival fitted to the end, with the simulator's step corrected where it now stands."""
+        """The rival fitted to the end, with the simulator's step corrected where it now stands; as
+        far as it came where time runs out.
+        """
+        try:
+            return self._settled(rival)
+        except OutOfTime:
+            return rival
+
+    def _settled(self, rival: Rival) -> Rival:
         # Where impacts fall between steps depends on the parameters themselves.
         for _ in range(_ROUGH_ROUNDS if rival.hypothesis.rough else 1):
             self.problem.refine_at(rival.hypothesis)
-            settled = self.rivals([rival.hypothesis], self.weights(rival), _LONG, slopes=True)[0]
+            settled = self.rivals([rival.hypothesis], self.weights(rival), LONG, slopes=True)[0]
             if not np.isfinite(settled.held_residual).all():
                 # A fit that diverges on what it has not seen is none: stay where it did not.
                 return self.rivals([rival.hypothesis], self.weights(rival), 0, slopes=True)[0]
@@ -214,8 +227,10 @@ class Contest:
         return rival
 
     def spent(self, found: Sequence[Term]) -> bool:
-        """Whether as much was simulated as a search that found these may take."""
-        once = int(self.problem.simulator.steps.sum())
+        """Whether as much was simulated as a search that found these may take, or as all searches
+        of the diagnosis may.
+        """
+        once = self.problem.once
         names = sum(min(n, _COUNTED) for n in Counter(t.joint for t in found).values())
         most = _MOST_REPLAYS + _MORE_REPLAYS * names
-        return self.problem.stepped - self.since > most * once
+        return self.run.budget.spent or self.problem.stepped - self.since > most * once

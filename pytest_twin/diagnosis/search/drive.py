@@ -35,7 +35,7 @@ def with_drive(problem: Problem, known: Hypothesis, joint: int) -> Hypothesis:
     """
     more = known
     for term in candidates(problem):
-        if term.law.of_every_drive and term.joint == joint and term not in known.terms:
+        if term.law.common_to_geared_motors and term.joint == joint and term not in known.terms:
             more = more.with_term(term, np.array([p.absent for p in term.parameters]))
     return more
 

@@ -19,7 +19,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.polish import Polished
-from pytest_twin.diagnosis.first_order.responses import Response
+from pytest_twin.diagnosis.first_order.responses import Linear, Response
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
@@ -68,13 +68,13 @@ class Exchange:
     def has_it(self) -> bool:
         """Whether what is new has the one that is gone in it."""
         (one, *more), new = self.gone, self.new
-        return new is not None and not more and one.effect in new.law.has_in_it
+        return new is not None and not more and one.effect in new.law.generalizes
 
     @property
     def comes_to(self) -> bool:
         """Whether what is new is a special case of the one that is gone."""
         (one, *more), new = self.gone, self.new
-        return new is not None and not more and new.effect in one.law.has_in_it
+        return new is not None and not more and new.effect in one.law.generalizes
 
 
 def exchanges(
@@ -279,11 +279,10 @@ def _places(
     """Nothing, and the ``count`` best candidates, in each of several places, to first order."""
     own, view = best.hypothesis, look.view
     rests = [own.without(*gone) for gone in places]
-    gears = [any(t.law.overrides("separates") for t in gone) for gone in places]
+    gears = [any(t.law.is_elastic_transmission for t in gone) for gone in places]
     out = []
-    for gone, rest, gear, left in zip(
-        places, rests, gears, _left(problem, look, rests, gears), strict=True
-    ):
+    lefts = _left_of(problem, look.linear, view, rests, gears)
+    for gone, rest, gear, left in zip(places, rests, gears, lefts, strict=True):
         slope = view.jacobian[:, :, own.parameters_without(*gone)]
         lens = Lens(View(left, slope, view.floor, view.lengths), answers)
         chosen = lens.children(lens.bare, count, rest.terms)
@@ -300,23 +299,42 @@ def _places(
     return out
 
 
-def _left(
-    problem: Problem, look: Look, rests: Sequence[Hypothesis], gears: Sequence[bool]
+def _left_of(
+    problem: Problem,
+    linear: Linear | None,
+    view: View,
+    rests: Sequence[Hypothesis],
+    gears: Sequence[bool],
 ) -> list[FloatArray]:
     """(bins, signals) that each of the rests leaves: simulated without gears and where nothing is
     of first order, else along the motion.
     """
-    simulated = [k for k, gear in enumerate(gears) if gear or look.linear is None]
+    simulated = [k for k, gear in enumerate(gears) if gear or linear is None]
     along = [k for k in range(len(rests)) if k not in simulated]
     out: dict[int, FloatArray] = {}
     if simulated:
         binned = bins(problem, problem.fit)
         found = problem.residuals([rests[k] for k in simulated], problem.fit)
         out = {k: binned.mean(np.nan_to_num(r)) for k, r in zip(simulated, found, strict=True)}
-    if along and look.linear is not None:
-        differences = look.linear.differences([rests[k] for k in along])
-        out |= {k: look.view.residual - d for k, d in zip(along, differences, strict=True)}
+    if along and linear is not None:
+        differences = linear.differences([rests[k] for k in along])
+        out |= {k: view.residual - d for k, d in zip(along, differences, strict=True)}
     return [np.nan_to_num(out[k]) for k in range(len(rests))]
+
+
+def left_without(
+    problem: Problem,
+    linear: Linear,
+    view: View,
+    own: Hypothesis,
+    places: Sequence[tuple[Term, ...]],
+) -> list[FloatArray]:
+    """(bins, signals) that a fit leaves without each of several subsets of its terms, the others as
+    they are: simulated where a gear goes, else along the motion.
+    """
+    gears = [any(t.law.is_elastic_transmission for t in gone) for gone in places]
+    rests = [own.without(*gone) for gone in places]
+    return _left_of(problem, linear, view, rests, gears)
 
 
 def _together(terms: Sequence[Term]) -> list[tuple[Term, ...]]:

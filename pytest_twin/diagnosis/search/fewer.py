@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
@@ -13,6 +12,7 @@ from pytest_twin.diagnosis.first_order.responses import grid
 from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects import catalogue
 
 
 def merged(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
@@ -108,16 +108,13 @@ def _special_cases(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict
 
 
 def in_other_forms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with a law in a form that has fewer parameters, with a load on the last link
-    in the place of another such link, or with a rotor in the place of a link's inertia.
+    """The hypothesis with a law in a form that has fewer parameters, or with an equivalent effect
+    in place of a term: a payload in place of another last link.
     """
     out = []
     for term in hypothesis.terms:
         out += _forms_with_fewer(hypothesis, term)
-        if term == Term("inertial_parameters", len(problem.joints) - 1):
-            out += _as_payload(problem, hypothesis, term)
-        if term.effect == "inertial_parameters":
-            out += _as_rotor(problem, hypothesis, term)
+        out += _as_equivalents(problem, hypothesis, term)
     return out
 
 
@@ -155,51 +152,22 @@ def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
     return list(found.values())
 
 
-def _as_payload(problem: Problem, hypothesis: Hypothesis, link: Term) -> list[Hypothesis]:
-    """The hypothesis with a last link of another mass and centre as it is and a load on it, of the
-    same mass and first moment.
-    """
-    load = Term("payload", -1)
-    layout, values = problem.simulator.layout, _values(problem, hypothesis, link)
-    mass = float(problem.simulator.segments[0].model.body_mass[layout.body_index[-1]])
-    added = values["mass_error"] * mass
-    if load in hypothesis.terms or not added:
-        return []
-    last = np.array([link.joint])
-    radial, tangential = np.array([values["radial"]]), np.array([values["tangential"]])
-    (moved,), (axes,) = layout.shift(radial, tangential, last), layout.own_axes(last)
-    center = layout.link_length[-1] * layout.directions[-1]
-    at = axes @ (center + (mass + added) / added * moved)
-    place = {"mass": added, **dict(zip(("distance", "sideways", "across"), at, strict=True))}
-    found = dict[bytes, Hypothesis]()
-    for start, _ in grid(load):
-        has = load.law.has(start)
-        for k, p in enumerate(load.parameters):
-            if has[k] and p.name in place:
-                start[k] = np.clip(place[p.name] / problem.scales.value(p, -1), p.lower, p.upper)
-        found[has.tobytes()] = hypothesis.without(link).with_term(load, start)
-    return list(found.values())
-
-
-def _as_rotor(problem: Problem, hypothesis: Hypothesis, link: Term) -> list[Hypothesis]:
-    """The hypothesis with a link of another inertia alone as it is, and as much more at its rotor.
-
-    Where no joint before it turns the link about that axis the two are the same motion; and rotors
-    and gears are what models leave out.
-    """
-    rotor = Term("armature", link.joint)
-    layout, values = problem.simulator.layout, _values(problem, hypothesis, link)
-    theta = hypothesis.theta[hypothesis.slice_of(link)]
-    changed = {
-        p.name for p, moves in zip(link.parameters, link.movable(theta), strict=True) if moves
-    }
-    if rotor in hypothesis.terms or layout.slides[link.joint] or changed != {"inertia_error"}:
-        return []
-    model, body = problem.simulator.segments[0].model, layout.body_index[link.joint]
-    axis, turned_back = np.zeros(3), np.zeros(4)
-    mujoco.mju_negQuat(turned_back, model.body_iquat[body])
-    mujoco.mju_rotVecQuat(axis, model.jnt_axis[layout.joint_ids[link.joint]], turned_back)
-    added = values["inertia_error"] * float(model.body_inertia[body] @ axis**2)
-    (p,) = rotor.parameters
-    start = np.clip(added / problem.scales.value(p, rotor.joint), p.lower, p.upper)
-    return [hypothesis.without(link).with_term(rotor, np.array([start]))]
+def _as_equivalents(problem: Problem, hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
+    """The hypothesis with each form of each equivalent effect that it lacks in place of a term."""
+    layout, model = problem.simulator.layout, problem.simulator.segments[0].model
+    values = _values(problem, hypothesis, term)
+    out: list[Hypothesis] = []
+    for effect, own in term.law.equivalents(values, layout, model, term.joint).items():
+        new = Term(effect, -1 if catalogue()[effect].scope == "robot" else term.joint)
+        if new in hypothesis.terms:
+            continue
+        forms = dict[bytes, Hypothesis]()
+        for start, _ in grid(new):
+            has = new.law.has(start)
+            for k, p in enumerate(new.parameters):
+                if has[k] and p.name in own:
+                    scale = problem.scales.value(p, new.joint)
+                    start[k] = np.clip(own[p.name] / scale, p.lower, p.upper)
+            forms[has.tobytes()] = hypothesis.without(term).with_term(new, start)
+        out += forms.values()
+    return out

@@ -7,7 +7,7 @@ terms as they were fitted (:mod:`deepen`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,10 +20,9 @@ from pytest_twin.diagnosis.first_order.screen import Lens, Search, View
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.contest import FRONT, Contest
 from pytest_twin.diagnosis.search.look import Look
-from pytest_twin.diagnosis.search.rivals import EARNS, Rival, described
+from pytest_twin.diagnosis.search.rivals import EARNS, Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 
-Say = Callable[[str], None]
 # Structures kept at each size, terms added at once, structures of each size and of one term that
 # are fitted along the motion.
 _WIDTH, _AT_ONCE, _OFFERED, _SINGLE = 10, 4, 2, 8
@@ -46,14 +45,13 @@ class Foremost:
     singles: list[Hypothesis]
 
 
-def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | None:
+def foremost(contest: Contest, best: Rival, look: Look) -> Foremost | None:
     """The best structures along the motion, None without candidates.
 
     Args:
         contest: of the search.
         best: the fit at hand.
         look: at it.
-        say: told what is considered.
     """
     if not look.answers.responses:
         return None
@@ -92,7 +90,7 @@ def foremost(contest: Contest, best: Rival, look: Look, say: Say) -> Foremost | 
             lambda: search(_NARROW, _AT_ONCE - 1), cores,
         )  # fmt: skip
         polished += polish(look.linear, look.view, more, NEARBY)
-    return _foremost(look.view, polished, best, contest.name_price, say)
+    return _foremost(look.view, polished, best, contest.name_price)
 
 
 def _whole(contest: Contest, best: Rival) -> FloatArray:
@@ -113,13 +111,9 @@ def _by_evidence(view: View, polished: Sequence[Polished], name_price: float) ->
     return [polished[i] for i in order]
 
 
-def _foremost(
-    view: View, polished: Sequence[Polished], best: Rival, name_price: float, say: Say
-) -> Foremost:
+def _foremost(view: View, polished: Sequence[Polished], best: Rival, name_price: float) -> Foremost:
     evidence = evidence_along(view, polished, name_price)
     order = np.argsort(-evidence)
-    for i in order:
-        say(f"  along {described(polished[i].hypothesis)} evidence {evidence[i]:.1f}")
     front: list[int] = []
     for i in order:
         terms = set(polished[i].hypothesis.terms)

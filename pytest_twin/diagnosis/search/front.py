@@ -15,12 +15,12 @@ from pytest_twin.diagnosis.first_order.responses import grid, in_first_form
 from pytest_twin.diagnosis.first_order.screen import candidates
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.compensated_starts import compensated
+from pytest_twin.diagnosis.search.distant_starts import distant
 from pytest_twin.diagnosis.search.foremost import Foremost
 from pytest_twin.diagnosis.search.limits import FAR_OFF, beyond, hone, limits_far_off
 from pytest_twin.diagnosis.search.look import Look
-from pytest_twin.diagnosis.search.resonant import resonant
 from pytest_twin.diagnosis.search.rivals import Rival
-from pytest_twin.diagnosis.search.softer import softened
 from pytest_twin.diagnosis.search.tryout import Tryout
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 
@@ -42,7 +42,7 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
     if _bent(look, left, clear=bool(starts) and starts[0] in found.singles):
         scanned = _scanned(tryout, best, look, found)
         if not best.hypothesis.terms:
-            scanned += softened(problem, best.hypothesis, look.view.mean_square)
+            scanned += distant(problem, best.hypothesis, look.view.mean_square)
     else:
         scanned = _yielding(tryout, best, look, found)
     alike = {h.terms for h in scanned}
@@ -51,9 +51,9 @@ def front(problem: Problem, best: Rival, look: Look, found: Foremost) -> list[Hy
         starts = _anchored(tryout, best, starts)
     if look.linear is None and starts:
         starts = _promising(tryout, best, starts)
-    swinging = resonant(tryout, best.hypothesis)
-    alike = {h.terms for h in swinging}
-    starts = [*(h for h in starts if h.terms not in alike), *swinging]
+    pairs = compensated(tryout, best.hypothesis)
+    alike = {h.terms for h in pairs}
+    starts = [*(h for h in starts if h.terms not in alike), *pairs]
     named = {t for h in starts for t in h.terms}
     return [*starts, *(h for h in _misread(problem, best) if h.terms[-1] not in named)]
 
@@ -141,7 +141,7 @@ def _gears(problem: Problem, look: Look, left: FloatArray, floors: float) -> lis
     far = left[:joints] > (floors * problem.floor) ** 2
     return [
         t for t in candidates(problem)
-        if t.law.overrides("separates") and far[t.joint] and t not in look.failed
+        if t.law.is_elastic_transmission and far[t.joint] and t not in look.failed
     ]  # fmt: skip
 
 

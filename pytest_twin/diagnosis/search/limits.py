@@ -22,8 +22,6 @@ from pytest_twin.diagnosis.verdict import STANDS_OUT
 
 FAR_OFF = 10.0
 """Floors beyond which slopes may lead nowhere."""
-# Starting sizes of a law that bends sharply, at least.
-_MANY = 6
 # Laws are honed by so many sizes within these factors, one after the other.
 _NEIGHBOURS, _HONED = 9, (1.25, 1.05)
 # Joints whose drives are scanned for limits.
@@ -39,7 +37,7 @@ def limits_far_off(problem: Problem, whole: FloatArray) -> list[Term]:
     most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > FAR_OFF]
     return [
         t for t in candidates(problem)
-        if t.joint in most and _limits(t) and t.lone(in_first_form(t)[0]) == 0
+        if t.joint in most and t.law.is_limit and t.lone(in_first_form(t)[0]) is not None
     ]  # fmt: skip
 
 
@@ -76,10 +74,8 @@ def limits_instead(problem: Problem, best: Rival, places: Sequence[Term]) -> lis
 
 
 def _limits(term: Term) -> bool:
-    """Whether a law limits what a drive does."""
-    return term.joint >= 0 and any(
-        p.neutral is not None and len(p.starts) >= _MANY for p in term.parameters
-    )
+    """Whether a term limits what the drive of one joint does."""
+    return term.joint >= 0 and term.law.is_limit
 
 
 def hone(tryout: Tryout, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -91,16 +87,16 @@ def hone(tryout: Tryout, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def beyond(term: Term) -> list[FloatArray]:
-    """Sizes of a law's forms with one parameter and many starting sizes, on from these to its
-    bound.
+    """Sizes of a limit from its last starting size to its bound, for each form with one parameter;
+    empty for other laws.
     """
     out = []
-    for start, _ in grid(term):
+    for start, _ in grid(term) if term.law.is_limit else ():
         lone = term.lone(start)
-        if lone is None or len(term.parameters[lone].starts) < _MANY:
+        if lone is None:
             continue
         p = term.parameters[lone]
-        if start[lone] != p.starts[-1]:
+        if start[lone] != p.starts[-1] or len(p.starts) < 2:
             continue
         ratio = p.starts[-1] / p.starts[-2]
         for k in range(int(np.log(p.upper / p.starts[-1]) / np.log(ratio))):

@@ -9,6 +9,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.responses import (
     Linear,
+    Response,
     answered,
     linearized,
     simulated,
@@ -18,6 +19,7 @@ from pytest_twin.diagnosis.first_order.screen import Answers, View, candidates
 from pytest_twin.diagnosis.first_order.sharpen import sharpened
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded_range import RecordedRange, hidden_at
 from pytest_twin.diagnosis.search.rivals import Rival
 from pytest_twin.diagnosis.verdict import STANDS_OUT
 
@@ -63,13 +65,13 @@ def look_ahead(problem: Problem, best: Rival) -> Look:
     left = bins(problem, problem.fit).mean(best.fitted.residual)
     near = [t for t in terms if t.joint in joints]
     found = simulated(problem, near, problem.fit, best.hypothesis, left)
-    answers = Answers([*look.answers.responses, *found])
+    answers = Answers([*look.answers.responses, *_shown(problem, found)])
     return Look(best, None, view_of(problem, best, left), answers, frozenset(terms))
 
 
 def _behind_gears(problem: Problem, best: Rival, linear: Linear) -> set[int]:
     """Joints whose gear was named and that still stand above the floor."""
-    gears = {t.joint for t in best.hypothesis.terms if t.law.overrides("separates")}
+    gears = {t.joint for t in best.hypothesis.terms if t.law.is_elastic_transmission}
     if not gears:
         return gears
     view = view_of(problem, best, linear.residual(best.fitted.residual))
@@ -107,14 +109,21 @@ def _looked(
     view = view_of(problem, best, left)
     if known is not None:
         found += [r for r in known.answers.responses if r.term in terms]
+    found = _shown(problem, found)
     answers = Answers(found)
     if linear is not None and known is None and found:
-        more = [
-            *sharpened(linear, view, answers, best.hypothesis),
-            *rippled(linear, view, new),
-        ]
+        more = _shown(
+            problem,
+            [*sharpened(linear, view, answers, best.hypothesis), *rippled(linear, view, new)],
+        )
         answers = Answers([*found, *more]) if more else answers
     return Look(best, linear, view, answers, frozenset(terms))
+
+
+def _shown(problem: Problem, found: Sequence[Response]) -> list[Response]:
+    """Responses whose shapes lie where the recordings can show them."""
+    recorded = RecordedRange.of(problem)
+    return [r for r in found if not hidden_at(problem, recorded, r.term, r.start)]
 
 
 def view_of(problem: Problem, best: Rival, left: FloatArray) -> View:

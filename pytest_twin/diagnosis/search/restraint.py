@@ -44,8 +44,8 @@ _LEFT_SEVERAL, _SEVERAL_FLOORS = 0.05, 50.0
 _UNSURE, _SLIGHT = 0.7, 0.01
 _UNLIKELY, _EVEN = 0.02, 0.5
 # What could be absent, by its own interval, or stands for something else, its shape at a physical
-# bound, or has predicted nothing that no fit has seen, has to take off this many times as much as
-# others; half widths of that interval within which a name is in doubt where its joint stays
+# bound, or shows in one recording alone where none validates, has to take off this many times as
+# much as others; half widths of that interval within which a name is in doubt where its joint stays
 # unexplained: the right law is known well there, for so much stands out of the noise.
 _DOUBTFUL_BAR, _DOUBTED = 2.0, 2.0
 # Share of the squared mismatch that without a name is left in addition, where it is no doubt.
@@ -102,7 +102,7 @@ class _Tested:
     @cached_property
     def known(self) -> Spread:
         """How well its parameters are known."""
-        return spread(self.problem, self.fitted)
+        return spread(self.problem, self.fitted, in_parts=False)
 
     @cached_property
     def errors(self) -> list[JointError]:
@@ -136,7 +136,7 @@ _Gone = Mapping[int, str]
 """Terms that are taken back, by their place in the fit, and what a reader is told of each."""
 
 
-def prune(problem: Problem, selected: Selected) -> Pruned:
+def prune(problem: Problem, selected: Selected, *, hurried: bool = False) -> Pruned:
     """Take back what explains nothing above the floor, and what explains too little to be right.
 
     A term stays where some signal of the tested recordings, refitted without it, stands above
@@ -153,7 +153,7 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
     problem.refine_at(EMPTY)
     (before,) = _levels(problem, [EMPTY], problem.tested)
     while fitted.hypothesis.terms:
-        refitted, weights, base, levels = _without_each(problem, fitted)
+        refitted, weights, base, levels = without_each(problem, fitted, hurried)
         tested = _Tested(
             problem, fitted, selected.confidence, before, base, refitted, levels, weights
         )
@@ -164,8 +164,15 @@ def prune(problem: Problem, selected: Selected) -> Pruned:
         if not gone:
             return Pruned(fitted, [f.hypothesis for f in refitted], notes)
         notes += gone.values()
-        fitted = tested.without(list(gone))
+        fitted = _with_slopes(problem, tested.without(list(gone)), weights)
     return Pruned(fitted, [], notes)
+
+
+def _with_slopes(problem: Problem, fitted: Fitted, weights: FloatArray) -> Fitted:
+    """The same with its Jacobian."""
+    if fitted.jacobian.shape[2] == fitted.hypothesis.theta.size:
+        return fitted
+    return fit(problem, [fitted.hypothesis], weights, problem.fit, iterations=0)[0]
 
 
 def _diverging(tested: _Tested) -> _Gone:
@@ -195,12 +202,12 @@ def _less_than_none(tested: _Tested) -> _Gone:
 def _under_the_floor(tested: _Tested) -> _Gone:
     """The term that takes least off, where that is too little to stand out."""
     problem, fitted = tested.problem, tested.fitted
-    untested = not len(problem.held_out)
 
     def doubtful(t: Term) -> bool:
         # Dry friction that turns to bristles of the least length is dry friction in another form.
         changed = problem.out_of_shape(fitted.hypothesis, t)
-        return untested or changed or _perhaps_absent(fitted, t, tested.known)
+        seen_once = not len(problem.held_out) and _recordings_that_show(tested, t) < 2
+        return seen_once or changed or _perhaps_absent(fitted, t, tested.known)
 
     bars = [STANDS_OUT * (_DOUBTFUL_BAR if doubtful(t) else 1.0) for t in tested.terms]
     # What stands with all of them at work is no term's merit.
@@ -219,12 +226,29 @@ def _under_the_floor(tested: _Tested) -> _Gone:
     }
 
 
+def _recordings_that_show(tested: _Tested, term: Term) -> int:
+    """How many of the fitted recordings have a signal that is predicted worse without a term."""
+    problem = tested.problem
+    without = tested.refitted[tested.terms.index(term)].residual
+    segments = problem.simulator.segments
+    owner = np.repeat([segments[s].trial for s in problem.fit], problem.lengths(problem.fit))
+    shown = 0
+    for trial in np.unique(owner):
+        mine = owner == trial
+        levels = (
+            in_floors(r[mine], problem.signal_floor) for r in (without, tested.fitted.residual)
+        )
+        worse, base = levels
+        shown += bool((worse > np.maximum(_WORSE * base, STANDS_OUT)).any())
+    return shown
+
+
 def _as_good_as_rigid(tested: _Tested) -> _Gone:
     """A gear that gives as little as none, by its own interval: a motor apart from its link is
     stepped in another way than one with it, and what that takes off is no gear's merit.
     """
     for k, t in enumerate(tested.terms):
-        apart = t.law.overrides("separates")
+        apart = t.law.is_elastic_transmission
         if apart and _perhaps_absent(tested.fitted, t, tested.known):
             return {
                 k: f"rejected: {tested.label(k)}: its 95 % interval includes a rigid transmission"
@@ -238,7 +262,7 @@ def _within_a_step(tested: _Tested) -> _Gone:
     """
     problem = tested.problem
     for k, t in enumerate(tested.terms):
-        shift = _longest_shift(problem, tested.fitted.hypothesis, t)
+        shift = longest_shift(problem, tested.fitted.hypothesis, t)
         if 0.0 < shift < _PART_OF_A_STEP * problem.simulator.timestep:
             return {
                 k: f"rejected: {tested.label(k)}: it shifts signals by at most {1e3 * shift:.2g} "
@@ -247,7 +271,7 @@ def _within_a_step(tested: _Tested) -> _Gone:
     return {}
 
 
-def _longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:
+def longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:
     """s by which a law of timing shifts a command or a reading at most, 0 where it is none."""
     if term.law.family != "timing":
         return 0.0
@@ -258,7 +282,7 @@ def _longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> floa
     }
     stamps = [s.time[[0, -1]] for s in problem.simulator.segments]
     ends = np.array([min(t[0] for t in stamps), max(t[1] for t in stamps)])[None, :, None]
-    late = term.law.command_delay(values)
+    late = term.law.command_latency(values)
     of_reading = term.law.sample_time(ends, values) - ends
     return float(max(np.abs(of_reading).max(), 0.0 if late is None else np.abs(late).max()))
 
@@ -337,7 +361,7 @@ def _misshapen(tested: _Tested) -> _Gone:
     goes with position as well: something else acts there (a cable that goes slack is no spring).
     """
     for k, t in enumerate(tested.terms):
-        if t.joint < 0 or not t.law.of_position:
+        if t.joint < 0 or not t.law.depends_only_on_position:
             continue
         error = tested.errors[t.joint]
         if error.explained or error.fraction <= LEFT:
@@ -440,16 +464,25 @@ def _levels(
     return [in_floors(residual, problem.signal_floor) for residual in residuals]
 
 
-def _without_each(
-    problem: Problem, fitted: Fitted
+def without_each(
+    problem: Problem, fitted: Fitted, hurried: bool = False
 ) -> tuple[list[Fitted], FloatArray, FloatArray, list[FloatArray]]:
     """The rest refitted without each of the terms, the weights of that, what the fit leaves, and
     what each rest does; with the simulator's step corrected for the fit.
+
+    In a hurry each takes one step, along the slopes of the fit.
     """
     problem.refine_at(fitted.hypothesis)
     weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
     starts = [fitted.hypothesis.without(t) for t in fitted.hypothesis.terms]
-    refitted = fit(problem, starts, weights, problem.fit, iterations=_REFIT)
+    shared = [
+        fitted.jacobian[:, :, fitted.hypothesis.parameters_without(t)]
+        for t in fitted.hypothesis.terms
+    ]
+    refitted = fit(
+        problem, starts, weights, problem.fit,
+        iterations=1 if hurried else _REFIT, slopes=False, jacobians=shared if hurried else None,
+    )  # fmt: skip
     each = [fitted.hypothesis, *(f.hypothesis for f in refitted)]
     base, *levels = _levels(problem, each, problem.tested)
     return refitted, weights, base, levels

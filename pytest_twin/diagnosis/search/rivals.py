@@ -54,6 +54,23 @@ class Rival:
         return most
 
 
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """Another set of effects in the place of some of those that were found.
+
+    Attributes:
+        new: effects that it has instead.
+        gone: effects that it lacks.
+        confidence: posterior share.
+        apart: largest RMS difference between the two predictions, in floors; None if unknown.
+    """
+
+    new: tuple[Term, ...]
+    gone: tuple[Term, ...]
+    confidence: float
+    apart: float | None = None
+
+
 @dataclass(slots=True)
 class Selected:
     """What was chosen, and what stood against it.
@@ -63,6 +80,10 @@ class Selected:
         nominal: the model as it came.
         confidence: term -> share of the evidence against the rivals in its place.
         alternatives: term -> rivals in its place with their share, best first.
+        sets: term -> alternatives to it, sets of effects among them, most likely first; empty
+            until the final set was compared with such sets. They then replace ``alternatives``.
+        near: structures that explain nearly as much: their odds against the best, and how far the
+            parameters of the terms that both have lie apart, scaled.
         tried: effects at joints that competed.
     """
 
@@ -70,7 +91,15 @@ class Selected:
     nominal: Rival
     confidence: dict[Term, float] = field(default_factory=dict)
     alternatives: dict[Term, list[tuple[Term, float]]] = field(default_factory=dict)
+    sets: dict[Term, list[Alternative]] = field(default_factory=dict)
+    near: list[tuple[float, dict[Term, FloatArray]]] = field(default_factory=list)
     tried: int = 0
+
+    def alternatives_to(self, term: Term) -> list[Alternative]:
+        """What may explain the data instead of a term, most likely first."""
+        if term in self.sets:
+            return self.sets[term]
+        return [Alternative((new,), (term,), c) for new, c in self.alternatives.get(term, [])]
 
     def weigh(self, evidence: Mapping[Place, float]) -> None:
         """Set how sure each term of the best is in its place, and what could stand there.
@@ -84,7 +113,7 @@ class Selected:
             # A law that has this one in it says the same where it says no more.
             others = {
                 new: e for (gone, new), e in evidence.items()
-                if gone == (term,) and not (new and term.effect in new.law.has_in_it)
+                if gone == (term,) and not (new and term.effect in new.law.generalizes)
             }  # fmt: skip
             values = np.array([0.0, *others.values()])
             share = np.exp(np.clip(values - values.max(), -700.0, 0.0))

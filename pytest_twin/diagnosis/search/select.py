@@ -14,10 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.evidence import borne_out
 from pytest_twin.diagnosis.first_order.responses import Linear, Response, linearized
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded_range import not_shown
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.contest import FAIR, QUICK, Contest
 from pytest_twin.diagnosis.search.exchange import (
     MORE_TO_IT,
@@ -46,10 +49,11 @@ from pytest_twin.diagnosis.search.rivals import (
     Place,
     Rival,
     Selected,
-    described,
     quieter,
     simplest,
 )
+from pytest_twin.diagnosis.totals import impossible
+from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT_FLOORS
 
 _MAX_TERMS = 20
@@ -66,6 +70,10 @@ _EVEN = 10.0
 _LIKE = 2.0 * EARNS
 # Rivals in one place that are simulated.
 _MOST_CLOSE = 2
+# Greatest confidence of an effect that was compared with its alternatives along the motion alone.
+_ALONG = 0.8
+# Structures that are simulated once where the time is over before they are fitted.
+_MOST_HURRIED = 4
 # Terms that act on one joint and may be a crowd in the place of fewer.
 _CROWD = 3
 
@@ -76,7 +84,7 @@ class Selection:
     def __init__(
         self,
         problem: Problem,
-        say: Callable[[str], None] = lambda text: None,
+        run: Run | None = None,
         share_left: float = 1.0,
         leave: Callable[[Rival], bool] = lambda rival: False,
     ) -> None:
@@ -84,20 +92,23 @@ class Selection:
 
         Args:
             problem: what to explain.
-            say: told what is considered.
+            run: the diagnosis that the search belongs to.
             share_left: of the squared mismatch. Below 1 the search is a second look: given up where
                 along the motion no structure leaves less, or where those in front fail.
             leave: asked of each fit with more terms, before a crowd is grown once more; whether the
                 search ends there.
         """
         self.problem = problem
-        self.say = say
+        self.diagnosis_run = Run() if run is None else run
         self.share_left = share_left
         self.leave = leave
         self.left_off = False
         self.attempts = _ATTEMPTS if share_left >= 1.0 else 1
-        self.contest = Contest(problem)
+        self.contest = Contest(problem, self.diagnosis_run)
         self.regrown: tuple[Term, ...] = ()
+        self._scored = self.contest.nominal, 0.0
+        self.shortlist: list[Hypothesis] = []
+        """What is best along the motion at the fit at hand, while it is simulated."""
         self.first: tuple[Term, ...] | None = None
         self.last_look: Look | None = None
         self.known: dict[Term, list[Response]] = {}
@@ -106,17 +117,95 @@ class Selection:
         """Evidence of what the best fit was simulated without: its terms, over it."""
 
     def run(self, start: Rival | None = None) -> Selected:
-        """Search forward, backward and sideways, from the model as it came or from a fit of it."""
+        """Search forward, backward and sideways, from the model as it came or from a fit of it.
+
+        Where time runs out, the best so far is the result.
+        """
         nominal = self.contest.nominal
         selected = Selected(nominal, nominal, tried=self.contest.tried)
-        if start is not None:
-            selected.best = self._backward(start)
-        self._grow(selected)
-        return selected if self.left_off else self._regrown(selected)
+        try:
+            if start is not None:
+                selected.best = start
+                selected.best = self._backward(start)
+            self._grow(selected)
+            return selected if self.left_off else self._regrown(selected)
+        except OutOfTime:
+            with self.diagnosis_run.budget.reserved():
+                selected.best = self._best_of_shortlist(selected.best)
+            self._weigh_along(selected)
+            self._end(selected.best)
+            return selected
 
     def anew(self) -> Selection:
         """Another search of the same problem, which may have changed."""
-        return Selection(self.problem, self.say, self.share_left)
+        return Selection(self.problem, self.diagnosis_run, self.share_left)
+
+    def _best_of_shortlist(self, best: Rival) -> Rival:
+        """What was about to be simulated, as it was fitted along the motion, where that earns its
+        name; else the best so far.
+        """
+        more = [h for h in self.shortlist if set(best.hypothesis.terms) < set(h.terms)]
+        if not more:
+            return best
+        self.problem.refine_at(best.hypothesis)
+        rivals = self.contest.rivals(more[:_MOST_HURRIED], self.contest.weights(best), 0)
+        self.contest.judge(rivals, best)
+        earning = [r for r in rivals if self._earns(r, best) and not self._strained(r)]
+        if not earning:
+            return best
+        top = simplest(sorted(earning, key=lambda r: -r.evidence))
+        self._step("addition", "accepted", "fitted to the linearized motion alone", top, best)
+        return top
+
+    def _weigh_along(self, selected: Selected) -> None:
+        """Compare effects with their alternatives along the motion alone, in the reserved time;
+        none is sure then.
+        """
+        best, terms = selected.best, selected.best.hypothesis.terms
+        contact = self.problem.simulator.models.contact.world.size
+        if contact or all(t in selected.confidence for t in terms):
+            return
+        try:
+            with self.diagnosis_run.budget.fitting():
+                if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
+                    best = selected.best = self.contest.as_it_is(best.hypothesis, slopes=True)
+                self.problem.refine_at(best.hypothesis)
+                look = look_around(self.problem, best)
+                price = self.contest.name_price
+                found = exchanges(self.problem, best, look, self.known, price)
+                selected.weigh(self._weighed(best, found, []))
+        except OutOfTime:
+            return
+        for t in terms:
+            selected.confidence[t] = min(selected.confidence[t], _ALONG)
+
+    def _end(self, best: Rival) -> None:
+        """Say that the search ended for want of time."""
+        stage = self.diagnosis_run.trace.stage
+        self.diagnosis_run.skip(f"the search over {stage} (begun, not finished)")
+        self._step("search", "ended", "the time is over", None, best)
+
+    def _score(self, rival: Rival) -> float:
+        """Evidence over the nominal model."""
+        known, score = self._scored
+        if known is not rival:
+            copy = replace(rival)
+            self.contest.judge([copy], self.contest.nominal)
+            score = copy.evidence
+            self._scored = rival, score
+        return score
+
+    def _step(
+        self, move: str, decision: Decision, reason: str, proposed: Rival | None, best: Rival
+    ) -> None:
+        """Record a step; the evidence of a proposal is over ``best``."""
+        score = self._score(best)
+        self.diagnosis_run.step(
+            self.problem, move, decision, reason,
+            EMPTY if proposed is None else proposed.hypothesis,
+            None if proposed is None else score + proposed.evidence,
+            best.hypothesis, score,
+        )  # fmt: skip
 
     def _grow(self, selected: Selected) -> None:
         """Add, drop and exchange terms until nothing is better."""
@@ -134,6 +223,7 @@ class Selection:
                     selected.best, self.left_off = better, True
                     break
             if better is not None:
+                selected.best = better
                 selected.best = self._backward(better)
                 if self._strained(selected.best):
                     break
@@ -153,7 +243,7 @@ class Selection:
         top = max(self.contest.against(others, best, FAIR), key=lambda r: r.evidence)
         if top.evidence <= _CLEAR:
             return None
-        self.say(f"= {described(top.hypothesis)} evidence {top.evidence:.1f}")
+        self._step("other limit", "accepted", f"it gains {top.evidence:.1f}", top, best)
         return self.contest.settled(top)
 
     def _regrown(self, selected: Selected) -> Selected:
@@ -176,22 +266,33 @@ class Selection:
         if root.hypothesis.terms == self.first:
             return selected
         self.regrown = terms
-        self.say(f"again from {described(root.hypothesis)}")
+        self._step(
+            "restart", "started",
+            "several effects at one joint leave a residual: the search starts again from the one "
+            "that explains most alone", None, root,
+        )  # fmt: skip
         other = Selected(self.contest.settled(root), selected.nominal, tried=selected.tried)
         self._grow(other)
         self.contest.judge([other.best], best)
-        self.say(f"= {described(other.best.hypothesis)} evidence {other.best.evidence:.1f}")
-        return other if other.best.evidence > 0.0 else selected
+        better = other.best.evidence > 0.0
+        self._step(
+            "restart", "accepted" if better else "rejected",
+            f"the restarted search scores {other.best.evidence:+.1f} against the first",
+            other.best, best,
+        )  # fmt: skip
+        return other if better else selected
 
     def _strained(self, rival: Rival) -> list[Term]:
         """Laws that stand at a physical bound and leave their joint far from explained, and those
-        that are beyond physics: something else is at work there.
+        that are beyond physics or beyond what recordings show: something else is at work there.
         """
         problem, hypothesis = self.problem, rival.hypothesis
+        refused = {**impossible(problem, hypothesis), **not_shown(problem, hypothesis)}
         left = in_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
         return [
             t for t in hypothesis.terms
-            if problem.less_than_none(hypothesis, t)
+            if t in refused
+            or problem.less_than_none(hypothesis, t)
             or (
                 hypothesis.at_bound(t)
                 and (left.max() if t.joint < 0 else left[t.joint]) > LEFT_FLOORS
@@ -215,36 +316,60 @@ class Selection:
             rivals = [] if self._spent(best) else self._tried(best, look)
             if not rivals:
                 break
-            for r in rivals:
-                self.say(f"  {described(r.hypothesis)} evidence {r.evidence:.1f}")
             earning = [r for r in rivals if self._earns(r, best)]
             strained = {t for r in earning for t in self._strained(r)}
             sound = [r for r in earning if not strained & set(r.hypothesis.terms)]
-            if sound:
-                top = simplest(sound)
-                self.first = self.first or top.hypothesis.terms
-                self.say(f"+ {described(top.hypothesis)} evidence {top.evidence:.1f}")
-                return self.contest.settled(top)
+            chosen = simplest(sound) if sound else None
+            for r in rivals:
+                if r is chosen:
+                    why = f"it gains {r.evidence:.1f}, with the fewest effects of comparable sets"
+                    self._step("addition", "accepted", why, r, best)
+                else:
+                    self._step("addition", "rejected", self._why_not(r, best, strained), r, best)
+            if chosen is not None:
+                self.first = self.first or chosen.hypothesis.terms
+                return self.contest.settled(chosen)
             tried = {t for r in rivals for t in r.hypothesis.terms}
             look = look.without(strained or tried - set(best.hypothesis.terms))
         self.problem.refine_at(best.hypothesis)
         return None
 
+    def _why_not(self, rival: Rival, best: Rival, strained: set[Term]) -> str:
+        """Why a set of effects is not chosen."""
+        if rival.evidence < EARNS:
+            return f"it gains {rival.evidence:.1f}; at least {EARNS:g} are needed"
+        if self.contest.has_held and rival.held_gain <= 0.0:
+            return "it does not improve the prediction of the validation recordings"
+        if not self._earns(rival, best):
+            return "it removes too little of the remaining error"
+        if strained & set(rival.hypothesis.terms):
+            return "a parameter is at its physical bound, and the joint stays unexplained"
+        return "another set gains as much with fewer effects or parameters, or more"
+
     def _tried(self, best: Rival, look: Look) -> list[Rival]:
         """The structures in front, simulated and fitted; by evidence over ``best``."""
-        found = foremost(self.contest, best, look, self.say)
+        found = foremost(self.contest, best, look)
         if found is None or self._hopeless(found):
             return []
         starts, left = front(self.problem, best, look, found), found.left
         if not starts:
             return []
+        for h in starts:
+            self.diagnosis_run.step(
+                self.problem, "addition", "shortlisted",
+                "among the best of the linearized comparison: simulated next", h,
+                best=best.hypothesis,
+            )  # fmt: skip
         # What the step costs differs between the model as it came and what explains the rest; of
         # that, the simplest is the least to be wrong.
         fewest = min(len(h.terms) for h in starts)
         simple = [h for h in starts if len(h.terms) == fewest]
         weights = self.problem.weights(left)
+        self.shortlist = starts
         self.problem.refine_at(self.contest.nearest(simple, weights))
-        return self.contest.heats(starts, weights, best)
+        rivals = self.contest.heats(starts, weights, best)
+        self.shortlist = []
+        return rivals
 
     def _hopeless(self, found: Foremost) -> bool:
         """Whether this is a second look, and even what is best along the motion leaves too much."""
@@ -284,9 +409,13 @@ class Selection:
             self.lost = {r.hypothesis.terms: r.evidence for r in rivals}
             top = max(rivals, key=lambda r: r.evidence + grace(r.hypothesis))
             if top.evidence + grace(top.hypothesis) < -EARNS / 2:
+                why = f"without what it leaves out the score falls by {-top.evidence:.1f}"
+                self._step("elimination", "rejected", why, top, best)
                 break
-            gone = set(best.hypothesis.terms) - set(top.hypothesis.terms)
-            self.say(f"- {gone} evidence {top.evidence:.1f}")
+            self._step(
+                "elimination", "accepted",
+                f"fewer effects or parameters cost only {max(-top.evidence, 0.0):.1f}", top, best,
+            )  # fmt: skip
             best = self.contest.settled(top)
         return best
 
@@ -328,7 +457,7 @@ class Selection:
         """Those that are not clearly worse along the motion, fitted there, and those without a gear
         of the fit at hand, of which that says little.
         """
-        gears = {t for t in best.hypothesis.terms if t.law.overrides("separates")}
+        gears = {t for t in best.hypothesis.terms if t.law.is_elastic_transmission}
         told = [h for h in others if gears <= set(h.terms)]
         if linear is None or not told:
             return list(others)
@@ -483,9 +612,13 @@ class Selection:
             top = self._beside(best, first)
         elif beside or self._spent(best):
             top = self._added(best, simulated, beside.values())
+        for x, r in simulated:
+            if r is not top:
+                e = evidence[x.gone, x.new]
+                self._step("exchange", "rejected", f"it scores {e:+.1f} against the best", r, best)
         if top is None:
             return False
-        self.say(f"~ {described(top.hypothesis)} evidence {top.evidence:.1f}")
+        self._step("exchange", "accepted", f"it gains {top.evidence:.1f}", top, best)
         back = self._backward(self.contest.settled(top))
         if _alike(back.hypothesis, best.hypothesis):
             # Each is taken for the other: nobody knows which it is.

@@ -50,16 +50,21 @@ def described(topic: Topic) -> str:
 
 def what_to_do(recording: Recording, role: str) -> str:
     """For an error: the topics that could be meant, and the option that reads each pair."""
-    fits = [topic for topic in recording.topics if topic.joints and role in topic.roles]
+    others = {series.topic for other, series in recording.series.items() if other != role}
+    fits = [
+        topic
+        for topic in recording.topics
+        if topic.joints and role in topic.roles and topic.name not in others
+    ]
     if not recording.topics:
         column = "command" if role == "command" else "position"
         return f"{role}s in the file: a topic, or columns NAME.{column} of a CSV file"
     if not fits:
         names = ", ".join(topic.name for topic in recording.topics[:_LISTED])
         return f"a topic with joints; it has {names}"
-    text = "one of " + "; ".join(described(topic) for topic in fits[:_LISTED])
+    text = ("one of " if len(fits) > 1 else "") + "; ".join(map(described, fits[:_LISTED]))
     options = _options(pairs(recording))
-    return f"{text}; {' or '.join(options)}" if options else text
+    return f"{text}; to read it: {' or '.join(options)}" if options else text
 
 
 def _options(found: Sequence[tuple[Topic, Topic]]) -> list[str]:

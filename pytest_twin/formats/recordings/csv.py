@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from pytest_twin.formats.serialized import QUANTITIES, Floats, Integers
 
 TIME = "time"
 FIELDS = (*QUANTITIES, "command")
+_LIKE_TIME = re.compile(r"t$|t[_ (]|time|stamp", re.IGNORECASE)
 _MEANING = f"'{TIME}' or NAME.position, NAME.velocity, NAME.effort, NAME.command"
 
 
@@ -138,7 +140,7 @@ class _Table:
                 path=self.path,
                 line=1,
                 value=", ".join(self.header),
-                expected=f"a column {TIME!r}, or columns: {{HEADER: {TIME}}} in twin.yaml",
+                expected=f"{_MEANING}; {self._mapping()}",
             )
         if not found:
             raise FormatError(
@@ -146,7 +148,7 @@ class _Table:
                 path=self.path,
                 line=1,
                 value=", ".join(self.header),
-                expected=f"{_MEANING}, or columns: {{HEADER: NAME.position}} in twin.yaml",
+                expected=f"{_MEANING}; {self._mapping()}",
             )
         joints = {column.joint for column in found.values()}
         if len(joints) > limits.MCAP.joints_count:
@@ -158,6 +160,16 @@ class _Table:
                 expected=f"at most {limits.MCAP.joints_count}",
             )
         return found
+
+    def _mapping(self) -> str:
+        """For an error: how other headings are mapped, with headings of this file."""
+        times = [heading for heading in self.header if _LIKE_TIME.match(heading)]
+        time = times[0] if times else self.header[0]
+        other = next((heading for heading in self.header if heading != time), "HEADING")
+        return (
+            f"map other headings by --columns {time}={TIME},{other}=NAME.position,... or by "
+            "columns: in twin.yaml"
+        )
 
     def mapped(self) -> dict[str, str]:
         """Heading -> meaning, from a mapping in either direction."""

@@ -13,7 +13,7 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.softer import softened
+from pytest_twin.diagnosis.search.distant_starts import distant
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.formats.mcap import TOPICS
 from pytest_twin.realization import Realization
@@ -44,7 +44,7 @@ def problem_of(folder: Path) -> tuple[Problem, np.ndarray]:
 
 def test_gains_far_off_are_tried_at_all_joints_and_at_each(tmp_path: Path) -> None:
     problem, whole = problem_of(vendor(tmp_path, STIFFER, BRAKED))
-    together, rubbing, *alone = softened(problem, EMPTY, whole)
+    together, rubbing, *alone = distant(problem, EMPTY, whole)
     gains = tuple(Term("controller_gain", j) for j in range(len(JOINTS)))
     assert together.terms == gains
     assert rubbing.terms == (*gains, *(Term("coulomb_friction", t.joint) for t in gains))
@@ -56,8 +56,8 @@ def test_gains_far_off_are_tried_at_all_joints_and_at_each(tmp_path: Path) -> No
 def test_nothing_is_tried_where_no_servo_is_soft(tmp_path: Path) -> None:
     problem, whole = problem_of(vendor(tmp_path, 1.0, 1.0, viscous=0.3))
     assert whole.max() > (10.0 * problem.floor.max()) ** 2, "something is far off"
-    assert softened(problem, EMPTY, whole) == []
-    assert softened(problem, EMPTY, problem.floor**2) == []
+    assert distant(problem, EMPTY, whole) == []
+    assert distant(problem, EMPTY, problem.floor**2) == []
 
 
 def test_steps_of_a_fit_are_of_the_logarithm_of_a_stiffness() -> None:

@@ -1,0 +1,74 @@
+"""Laws without a name on forces that are in no catalogue: what they remove of the held-out error.
+
+    python benchmarks/unnamed_laws.py --out DIR [--seeds 71100:71120]
+
+Each seed hides one force (``kernel.OUTSIDE_KINDS``), in turn. The search over named effects is
+left out: the law is fitted to the fit recordings of the nominal model, in windows, and predicts the
+held-out recordings as a whole. Prints a row for each case and how many of each kind lose half of
+their squared error or more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent / "concealed"))
+
+from cases import OUTSIDE_NAMES, make, seeds
+
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.searched import pose
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.diagnosis.unnamed_law.fit import free_laws
+from pytest_twin.realization import load
+
+TOPICS = {"state": "/joint_states", "command": "/joint_commands"}
+
+
+def removed(folder: Path, joint: str) -> tuple[float, str]:
+    """Share of the squared held-out error of a joint that a law removes, 0 without one; words."""
+    realization = load(folder / "model.xml")
+    recordings = sorted((folder / "recordings").glob("*.mcap"))
+    trials = read_trials(recordings, [], TOPICS, realization.structure)
+    given = Given.of(realization, None)
+    with np.errstate(over="ignore", invalid="ignore"):
+        near, _ = pose(given, trials, [], window=0.5)
+        laws = free_laws(near, EMPTY, {joint: Where("", {})}, near.problem.fit)
+        if not laws.laws:
+            return 0.0, "; ".join(laws.notes)
+        problem = pose(given, trials, [])[0].problem
+        residuals = problem.errors([EMPTY, laws.hypothesis], problem.held_out)
+    before, after = (float(np.sum(r[:, problem.joints.index(joint)] ** 2)) for r in residuals)
+    return 1.0 - after / before, "; ".join(law.words for law in laws.laws)
+
+
+def main() -> None:
+    """Make the cases, and fit a law to each."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seeds", type=seeds, default=seeds("71100:71120"))
+    args = parser.parse_args()
+    shares: dict[str, list[float]] = defaultdict(list)
+    for k, seed in enumerate(args.seeds):
+        kind = OUTSIDE_NAMES[k % len(OUTSIDE_NAMES)]
+        cases, truth = args.out / "cases", args.out / "truth"
+        name = make(seed, cases, truth, kind)
+        outside = json.loads((truth / f"{name}.json").read_text())["outside"]
+        share, words = removed(cases / name, outside["joint"])
+        shares[kind].append(share)
+        print(f"{name} {kind} {100 * share:.1f} % removed: {words}", flush=True)
+    for kind, of_kind in shares.items():
+        half = sum(share >= 0.5 for share in of_kind)
+        print(f"{kind}: {half} of {len(of_kind)} lose half of their squared held-out error or more")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,193 @@
+"""``pytest-twin diagnose --fleet``: many robots, one diagnosis each."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands import json_output
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.formats import atomic, yaml
+from pytest_twin.formats.file_names import portable_name
+from pytest_twin.gate.diagnosing import REPORT_FILE
+from pytest_twin.realization.executor import Dask, Executor, Forks
+from pytest_twin.realization.forks import usable_cores
+from pytest_twin.report.text import printable
+
+FLEET_FILE = "fleet.json"
+_FIELDS = frozenset({"model", "recordings", "held_out"})
+_MOST_ROBOTS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """One robot of a fleet.
+
+    Attributes:
+        name: of the robot and of its folder.
+        model: MJCF, URDF or ``twin.yaml``, or the folder of an earlier diagnosis.
+        recordings, held_out: as ``diagnose`` takes them.
+    """
+
+    name: str
+    model: Path
+    recordings: tuple[Path, ...]
+    held_out: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one robot.
+
+    Attributes:
+        name: of the robot.
+        verdict: of its diagnosis; None where its input cannot be used.
+        error: the message then.
+        seconds: wall time.
+    """
+
+    name: str
+    verdict: str | None
+    error: str = ""
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What all robots of a fleet share.
+
+    Attributes:
+        out: folder that gets a folder for each robot.
+        threads: cores of each diagnosis, 0 for all.
+        arguments: keyword arguments of ``diagnose_files`` beside the files.
+    """
+
+    out: Path
+    threads: int = 0
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_fleet(path: Path) -> list[Robot]:
+    """The robots of a fleet file; paths are relative to it.
+
+    Raises:
+        SpecError: a field is missing, unknown or no path; with its line.
+        FormatError: not strict YAML.
+    """
+    document = yaml.load(path)
+
+    def refuse(where: str, problem: str, expected: str, value: object = None) -> SpecError:
+        return SpecError(
+            problem, path=path, line=document.lines.get(where), where=where, value=value,
+            expected=expected,
+        )  # fmt: skip
+
+    data = document.data
+    robots = data.get("robots") if isinstance(data, dict) else None
+    if not isinstance(robots, dict) or not robots or set(data) != {"robots"}:
+        raise refuse("", "not a fleet", "robots: {NAME: {model: FILE, recordings: [FILE, ...]}}")
+    if len(robots) > _MOST_ROBOTS:
+        raise refuse("robots", "too many robots", f"at most {_MOST_ROBOTS}", len(robots))
+    found = []
+    for name, item in robots.items():
+        here = f"robots.{name}"
+        if portable_name(name) != name:
+            raise refuse(here, "no name for a folder", f"a plain name: {portable_name(name)}", name)
+        if not isinstance(item, dict) or not {"model", "recordings"} <= set(item) <= _FIELDS:
+            raise refuse(here, "wrong fields", "model, recordings and, if wanted, held_out")
+        files = {}
+        for key in ("recordings", "held_out"):
+            given = item.get(key, [])
+            if not isinstance(given, list) or not all(isinstance(f, str) for f in given):
+                raise refuse(f"{here}.{key}", "not files", "a list of files")
+            files[key] = tuple(path.parent / f for f in given)
+        if not files["recordings"]:
+            raise refuse(f"{here}.recordings", "no recording", "a list of files")
+        if not isinstance(item["model"], str):
+            raise refuse(f"{here}.model", "not a file", "a file or a folder")
+        found.append(
+            Robot(name, path.parent / item["model"], files["recordings"], files["held_out"])
+        )
+    return found
+
+
+def diagnose_robot(robot: Robot, options: Options) -> Outcome:
+    """Diagnose one robot into its folder; an unusable input is an outcome, not an error."""
+    from pytest_twin.commands.diagnose import diagnose_into
+
+    since = time.perf_counter()
+    try:
+        summary = diagnose_into(
+            options.out / robot.name,
+            robot.model,
+            robot.recordings,
+            robot.held_out,
+            {**options.arguments, "threads": options.threads},
+        )
+    except TwinError as error:
+        return Outcome(robot.name, None, str(error), time.perf_counter() - since)
+    return Outcome(robot.name, summary["verdict"], "", time.perf_counter() - since)
+
+
+def diagnose_fleet(robots: Sequence[Robot], options: Options, executor: Executor) -> list[Outcome]:
+    """Diagnose every robot; outcomes in their order.
+
+    Args:
+        robots: of different names.
+        options: what they share.
+        executor: where the diagnoses run.
+    """
+    options.out.mkdir(exist_ok=True)
+    return executor.map(partial(diagnose_robot, options=options), robots)
+
+
+def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
+    """0 where nothing is left unexplained, 1 where something is, 2 where an input cannot be used.
+
+    Args:
+        args: of ``diagnose``.
+        arguments: keyword arguments of ``diagnose_files`` beside the files.
+
+    Raises:
+        TwinError: the fleet file or the output folder cannot be used.
+    """
+    out: Path = args.out.absolute()
+    if not out.parent.is_dir():
+        raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
+    robots = [
+        Robot(r.name, r.model.absolute(), *(tuple(f.absolute() for f in files)
+              for files in (r.recordings, r.held_out)))
+        for r in read_fleet(args.fleet)
+    ]  # fmt: skip
+    jobs = min(args.jobs or usable_cores(), len(robots))
+    executor: Executor = Forks(jobs) if args.scheduler is None else Dask(args.scheduler)
+    threads = max(1, usable_cores() // jobs) if args.scheduler is None else 1
+    outcomes = diagnose_fleet(robots, Options(out, threads, arguments), executor)
+    said = {
+        "schema": 1,
+        "robots": {
+            o.name: {
+                "verdict": o.verdict,
+                "seconds": round(o.seconds, 2),
+                **({"error": o.error} if o.verdict is None else {"folder": f"{o.name}/"}),
+            }
+            for o in outcomes
+        },
+    }
+    atomic.write_text(out / FLEET_FILE, json.dumps(said, indent=2) + "\n")
+    json_output.give(args, said)
+    width = max(len(o.name) for o in outcomes)
+    for o in outcomes:
+        words = o.verdict or f"not diagnosed: {o.error}"
+        show(printable(f"{o.name:<{width}}  {words}"))
+    show(f"reports: {args.out}/NAME/{REPORT_FILE}")
+    if any(o.verdict is None for o in outcomes):
+        return 2
+    return int(any(o.verdict in ("improved", "unexplained") for o in outcomes))

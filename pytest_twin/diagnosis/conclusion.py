@@ -1,0 +1,266 @@
+"""After effects are chosen: their final parameters, and the errors on the test recordings.
+
+The order matters. The parameters are fitted to the fit and validation recordings before a test
+recording is opened, and nothing is fitted or chosen afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.diagnosis.budget import Budget
+from pytest_twin.diagnosis.deadline import OutOfTime
+from pytest_twin.diagnosis.evidence import log_likelihood
+from pytest_twin.diagnosis.findings import (
+    Explained,
+    by_whole_motions,
+    doubted_by_the_test,
+    explain,
+    held_out_gains,
+    untested,
+    with_gains,
+)
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term
+from pytest_twin.diagnosis.other_unit import without_other_units
+from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.contest import LONG, QUICK, Contest
+from pytest_twin.diagnosis.search.restraint import Pruned, without_each
+from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhere, pose
+from pytest_twin.diagnosis.totals import at_zero
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.verdict import verdict
+from pytest_twin.errors import RecordingError, SimulationError, TwinError
+from pytest_twin.trial import Trial
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """What is known before a test recording is opened.
+
+    Attributes:
+        given: the model, and how it is stepped.
+        found: the search, with the final parameters; its problem fits the fit and validation
+            recordings together.
+        near: window length, s, of the problem that locates what is unexplained; None where that is
+            the problem itself.
+        notes: one line each, for the reader.
+        rival_simulations: of all recordings, to compare the final set of effects with others.
+    """
+
+    given: Given
+    found: Searched
+    near: float | None
+    notes: tuple[str, ...]
+    rival_simulations: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Assessed:
+    """A structure on the test recordings.
+
+    Attributes:
+        explained: the findings, with their gains on the test recordings.
+        tested: errors and verdict; its problem fits what was fitted and holds out the test
+            recordings. Joints that these lack are not in it.
+        near: problem and trials that locate what is unexplained.
+        notes: one line each, for the reader.
+        problems: the problems that were added.
+    """
+
+    explained: Explained
+    tested: Searched
+    near: tuple[Prepared, TrialSet]
+    notes: tuple[str, ...]
+    problems: tuple[Problem, ...]
+
+
+def with_final_parameters(found: Searched, budget: Budget) -> Searched:
+    """The chosen effects, fitted to fit and validation recordings together.
+
+    Without validation recordings the parameters are final already, unless the search ran out of
+    time: then they are fitted a little further.
+
+    Args:
+        found: the search.
+        budget: what is left of its time bounds the fit.
+    """
+    prepared, pruned = _refitted(found, budget)
+    problem = prepared.problem
+    pruned = _possible(problem, pruned)
+    everything = (*found.trials.fit, *found.trials.held_out)
+    explained = explain(prepared, found.selected, pruned, everything)
+    if found.whole is not None:
+        explained = by_whole_motions(explained, found.whole)
+    before, after = (left_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
+    errors = joint_errors(prepared, before, after)
+    return replace(
+        found,
+        prepared=prepared,
+        trials=replace(found.trials, fit=everything, held_out=()),
+        pruned=pruned,
+        explained=explained,
+        before=before,
+        after=after,
+        errors=errors,
+        verdict=verdict(errors, explained.findings),
+    )
+
+
+def _possible(problem: Problem, pruned: Pruned) -> Pruned:
+    """A fit whose totals of model and corrections are at least zero."""
+    h = pruned.fitted.hypothesis
+    theta = at_zero(problem, h)
+    if np.array_equal(theta, h.theta):
+        return pruned
+    fitted = Contest(problem).as_it_is(h.with_theta(theta), slopes=True).fitted
+    return replace(pruned, fitted=fitted)
+
+
+def _refitted(found: Searched, budget: Budget) -> tuple[Prepared, Pruned]:
+    problem, start = found.prepared.problem, found.pruned.fitted.hypothesis
+    hurried = budget.out_of_time
+    if not len(problem.held_out) and not hurried:
+        return found.prepared, found.pruned
+    every = replace(problem, fit=problem.everywhere, held_out=problem.held_out[:0])
+    prepared = replace(found.prepared, problem=every)
+    if not start.terms:
+        return prepared, found.pruned
+    contest = Contest(every)
+    best = contest.as_it_is(start, slopes=True)
+    try:
+        with budget.fitting():
+            iterations = QUICK if hurried else LONG
+            (moved,) = contest.rivals([start], contest.weights(best), iterations, slopes=True)
+    except OutOfTime:
+        moved = best
+    contest.judge([moved], best, likelihood=found.likelihood)
+    if np.isfinite(moved.evidence) and (
+        moved.evidence >= 0.0 or found.likelihood is log_likelihood
+    ):
+        best = moved
+    rests, *_ = without_each(every, best.fitted, hurried)
+    return prepared, replace(
+        found.pruned, fitted=best.fitted, rests=[f.hypothesis for f in rests], absent={}
+    )
+
+
+def assess(structure: Structure, trials: TrialSet, test: Sequence[Trial]) -> Assessed:
+    """Predict the test recordings with a structure that never saw them.
+
+    Args:
+        structure: effects and parameters.
+        trials: as they were read, for what is known of the encoders.
+        test: the test recordings; without a usable one, errors are those of the fitted recordings.
+    """
+    found, notes = structure.found, list[str]()
+    test = _usable(structure, test, notes)
+    if test:
+        try:
+            return _tested(structure, trials, test, notes)
+        except (RecordingError, SimulationError) as error:
+            notes.append(f"left out: {error}")
+    notes.append("no recording was held out: errors and gains are those of the fitted recordings")
+    near, added = _near(structure, found)
+    return Assessed(untested(found.explained), found, near, tuple(notes), added)
+
+
+def _tested(
+    structure: Structure, trials: TrialSet, test: tuple[Trial, ...], notes: list[str]
+) -> Assessed:
+    found = structure.found
+    fitted = found.prepared
+    joints = [j for j in fitted.problem.joints if all(j in t.joints for t in test)]
+    column = {fitted.problem.joints.index(j): k for k, j in enumerate(joints)}
+    for j in fitted.problem.joints:
+        lacking = [t.path.name for t in test if j not in t.joints]
+        if lacking:
+            lack = "lacks" if len(lacking) == 1 else "lack"
+            notes.append(f"joint {j!r} is not tested: {', '.join(lacking)} {lack} it")
+    scales = Scales({name: of[list(column)] for name, of in fitted.problem.scales.of.items()})
+    both = replace(found.trials, held_out=test, unseen=trials.unseen | trials.untested)
+    given = replace(structure.given, coldness=fitted.coldness)
+    prepared, kept = pose(given, both, notes, window=fitted.window, scales=scales)
+    if not kept.held_out:
+        raise SimulationError(
+            "the simulation of the model diverges on every held-out recording",
+            path=test[0].path,
+            expected="a recording through which the model can be simulated",
+        )
+    problem = prepared.problem
+    here = Explained(
+        found.explained.findings,
+        _at(found.explained.hypothesis, column),
+        rests={
+            _term(t, column): _at(rest, column)
+            for t, rest in found.explained.rests.items()
+            if _here(t, column)
+        },
+    )
+    prepared.lowers_floor(here.hypothesis)
+    gains = held_out_gains(problem, here)
+    explained = with_gains(
+        found.explained,
+        {
+            t: gains[_term(t, column)] if _here(t, column) else 0.0
+            for t in found.explained.hypothesis.terms
+        },
+    )
+    explained = doubted_by_the_test(explained, notes)
+    before, after = (left_everywhere(problem, h) for h in (EMPTY, here.hypothesis))
+    errors = joint_errors(prepared, before, after)
+    tested = replace(
+        found,
+        prepared=prepared,
+        trials=kept,
+        explained=replace(here, findings=explained.findings),
+        before=before,
+        after=after,
+        errors=errors,
+        verdict=verdict(errors, explained.findings),
+    )
+    near, added = _near(structure, tested)
+    return Assessed(explained, tested, near, tuple(notes), (problem, *added))
+
+
+def _near(
+    structure: Structure, tested: Searched
+) -> tuple[tuple[Prepared, TrialSet], tuple[Problem, ...]]:
+    """The problem that locates what is unexplained, in the parameters' scales, where one is."""
+    own = tested.prepared, tested.trials
+    if structure.near is None or tested.verdict not in ("improved", "unexplained"):
+        return own, ()
+    given = replace(structure.given, coldness=tested.prepared.coldness)
+    scales = tested.prepared.problem.scales
+    cut = pose(given, tested.trials, [], window=structure.near, scales=scales)
+    return cut, (cut[0].problem,)
+
+
+def _usable(structure: Structure, test: Sequence[Trial], notes: list[str]) -> tuple[Trial, ...]:
+    """Test recordings in the model's units."""
+    if not test:
+        return ()
+    alone = TrialSet(tuple(test), (), ())
+    try:
+        return without_other_units(structure.given.realization, alone, notes).fit
+    except TwinError as error:
+        notes.append(f"left out: {error}")
+        return ()
+
+
+def _here(term: Term, column: Mapping[int, int]) -> bool:
+    return term.joint < 0 or term.joint in column
+
+
+def _term(term: Term, column: Mapping[int, int]) -> Term:
+    return Term(term.effect, column.get(term.joint, -1))
+
+
+def _at(hypothesis: Hypothesis, column: Mapping[int, int]) -> Hypothesis:
+    """A hypothesis in the numbering of fewer joints, without the terms of others."""
+    rest = hypothesis.without(*(t for t in hypothesis.terms if not _here(t, column)))
+    return Hypothesis(tuple(_term(t, column) for t in rest.terms), rest.theta)

@@ -1,0 +1,55 @@
+"""A first answer within seconds: where the model is wrong, and the most likely effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.diagnosis.budget import RESERVED, Budget
+from pytest_twin.diagnosis.deadline import OutOfTime
+from pytest_twin.diagnosis.glance import Glance, glance
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.errors import TwinError
+from pytest_twin.realization import Realization
+from pytest_twin.replay import replay
+from pytest_twin.trial import Trial
+
+FIRST_SECONDS = 10.0
+"""Bound on the time of a first answer, s."""
+
+
+def first_answer(
+    realization: Realization, trials: Sequence[Trial], patched: Patched | None, seconds: float
+) -> Glance | None:
+    """A quick diagnosis of the recording with the largest error relative to its motion.
+
+    Args:
+        realization: the nominal model.
+        trials: recordings to choose from; no test recordings.
+        patched: effects beside the model, of an earlier diagnosis.
+        seconds: bound on its time.
+
+    Returns:
+        None where the time does not last, or the model cannot be simulated; the diagnosis says why.
+    """
+    budget = Budget(seconds / (1.0 - RESERVED), own_time=True)
+    try:
+        with budget.searching(), np.errstate(over="ignore", invalid="ignore"):
+            return glance(realization, _worst(realization, trials), patched)
+    except (OutOfTime, TwinError):
+        return None
+
+
+def _worst(realization: Realization, trials: Sequence[Trial]) -> Trial:
+    if len(trials) == 1:
+        return trials[0]
+    replayed = replay(realization, list(trials), tcp=False)
+
+    def error(k: int) -> float:
+        trial, moved = trials[k], np.ptp(trials[k].position, axis=0)
+        off = np.sqrt(np.mean((replayed[k].position - trial.position) ** 2, axis=0))
+        worst = float(np.max(off / np.maximum(moved, 1e-9)))
+        return worst if np.isfinite(worst) else -1.0
+
+    return trials[max(range(len(trials)), key=error)]

@@ -1,0 +1,57 @@
+"""Where a replay leaves the range in which a table of a patched realization is known."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.effects.segment import Predicted
+from pytest_twin.effects.unnamed_law import POSITION, SPEED, TABLES, VELOCITY, Variable
+from pytest_twin.realization import Realization
+
+
+def outside_in_words(
+    realization: Realization, patched: Patched, time: FloatArray, predicted: Predicted
+) -> tuple[str, ...]:
+    """A line for each table over position or velocity whose known range the motion leaves.
+
+    Args:
+        realization: for the types of joints.
+        patched: its effects.
+        time: (n,) s.
+        predicted: (n, joints), in the order of ``patched.joints``.
+    """
+    slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
+    said = []
+    for effect in patched.beside:
+        if effect.effect not in TABLES or effect.joint is None:
+            continue
+        variable = TABLES[effect.effect].variable(effect.values)
+        at = _along(variable, predicted, patched.joints.index(effect.joint))
+        if at is None:
+            continue
+        low, high = effect.values["valid_low"], effect.values["valid_high"]
+        outside = (at < low) | (at > high)
+        if not outside.any():
+            continue
+        seconds = float(np.sum(np.diff(time)[outside[:-1]]))
+        kind = realization.model.jnt_type[realization.joint_index(effect.joint)]
+        unit = variable.unit("slide" if kind == slide else "hinge")
+        said.append(
+            f"joint {effect.joint} leaves the range in which its unnamed law is known "
+            f"({variable.name} {low:.3g} to {high:.3g} {unit}) for {seconds:.2g} s: no force is "
+            "added there"
+        )
+    return tuple(said)
+
+
+def _along(variable: Variable, predicted: Predicted, joint: int) -> FloatArray | None:
+    """(n,) of the variable; None where a prediction does not have it."""
+    if variable == POSITION:
+        return predicted.position[:, joint]
+    if variable in (VELOCITY, SPEED):
+        velocity = predicted.velocity[:, joint]
+        return np.abs(velocity) if variable == SPEED else velocity
+    return None

@@ -1,0 +1,134 @@
+"""The fits behind :mod:`~pytest_twin.diagnosis.recorded.command_between`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.prepare import NOISE
+from pytest_twin.diagnosis.recorded.command_between import (
+    MEAN_DELAY,
+    Between,
+    Left,
+    decide,
+    without_own_recording,
+)
+from pytest_twin.diagnosis.recorded.joint_fit import DELAY, JointFit, Parameters, fit_joints
+from pytest_twin.diagnosis.searched import pose
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
+from pytest_twin.trial import Trial
+
+_SECONDS, _MOST = 2.5, 3
+"""s of each recording, from its first change of command, and recordings: enough to tell 2 ms from
+none at the noise of an encoder, at a tenth of the cost of all."""
+_BEFORE = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class BetweenFit:
+    """An answer, and the fit under it.
+
+    Attributes:
+        answer: of the recordings.
+        fit: of the answer, or of ``held`` where the data cannot tell.
+        space: its parameters.
+        joints: names.
+    """
+
+    answer: Between
+    fit: JointFit
+    space: Parameters
+    joints: tuple[str, ...]
+
+
+def fit_between(
+    given: Given, trials: Sequence[Trial], ways: Sequence[CommandBetween] = COMMAND_BETWEEN
+) -> BetweenFit:
+    """Ask recordings of one command period what their commands do between stamps.
+
+    Args:
+        given: the model.
+        trials: the recordings.
+        ways: what their commands may do.
+
+    Raises:
+        TwinError: as :func:`~pytest_twin.diagnosis.searched.pose`.
+    """
+    chosen = _liveliest(trials)
+    asked = tuple(
+        replace(t, command_between=between, effort=None) for between in ways for t in chosen
+    )
+    prepared, kept = pose(given, TrialSet(asked, (), ()), [])
+    problem, noise = prepared.problem, prepared.floor_parts[NOISE]
+    of = [(t.command_between, t.path, t.offset) for t in kept.fit]
+    common = [
+        (t.path, t.offset) for t in chosen
+        if all((b, t.path, t.offset) in of for b in ways)
+    ]  # fmt: skip
+    groups, owner = [], list[int]()
+    for between in ways:
+        mine = [
+            (common.index(of[t][1:]), s)
+            for s, t in enumerate(prepared.segment_trial)
+            if of[t][0] == between and of[t][1:] in common
+        ]
+        groups.append(np.array([s for _, s in mine], dtype=np.int64))
+        owner = [r for r, _ in mine]
+    period = float(np.median([np.median(np.diff(t.command_times)) for t in chosen]))
+    space = Parameters(problem, groups, noise)
+    fits = fit_joints(space, [period * MEAN_DELAY[b] for b in ways])
+    lengths = problem.lengths(groups[0])
+    left = {
+        between: _left(fit, space, lengths, owner) for between, fit in zip(ways, fits, strict=True)
+    }
+    answer = decide(left, lengths, owner, noise, period)
+    used = [i for i, b in enumerate(ways) if b == (answer.fact.value or "held")]
+    at = used[0]
+    return BetweenFit(answer, fits[at], space, problem.joints)
+
+
+def _liveliest(trials: Sequence[Trial]) -> list[Trial]:
+    """The beginnings of the recordings whose commands move most."""
+
+    def moved(trial: Trial) -> float:
+        return float(np.abs(np.diff(trial.command, axis=0)).sum() / max(trial.duration, 1e-3))
+
+    most = sorted(range(len(trials)), key=lambda i: moved(trials[i]), reverse=True)[:_MOST]
+    return [_beginning(trials[i]) for i in sorted(most)]
+
+
+def _beginning(trial: Trial) -> Trial:
+    """Some seconds of a recording from where its commands begin to change."""
+    changes = np.flatnonzero(np.diff(trial.command, axis=0).any(axis=1))
+    first = float(trial.command_time[changes[0]]) if len(changes) else 0.0
+    inside = trial.time <= max(first - _BEFORE, 0.0) + _SECONDS
+    return replace(
+        trial,
+        time=trial.time[inside],
+        position=trial.position[inside],
+        velocity=None if trial.velocity is None else trial.velocity[inside],
+        effort=None,
+    )
+
+
+def _left(fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Sequence[int]) -> Left:
+    ends = np.cumsum([0, *lengths])
+    rows = {
+        r: np.concatenate([
+            np.arange(ends[i], ends[i + 1]) for i, o in enumerate(owner) if o == r
+        ])
+        for r in dict.fromkeys(owner)
+    }  # fmt: skip
+    residual = fit.residual
+    if len(rows) > 1 and np.isfinite(residual).all():
+        steps = {}
+        for r, mine in rows.items():
+            others = np.delete(np.arange(len(residual)), mine)
+            steps[r] = space.step(fit.theta, residual[others], fit.slopes[others])
+        residual = without_own_recording(residual, steps, fit.slopes, rows)
+    nominal = np.sqrt(np.mean(fit.nominal**2, axis=0))
+    return Left(residual, nominal, fit.converged, fit.theta[DELAY])

@@ -1,0 +1,211 @@
+"""What commands do between two stamps: a likelihood ratio over whole recordings.
+
+``held``, ``interpolated`` and ``ramped`` setpoints differ in when they act on average (half a
+period, none, a whole one) and in their shape. A model that is wrong would hide or fake such a
+difference; so each assumption has the smooth parameters of every joint free, delays among them.
+A setpoint that acts later than assumed is a delay then, and cannot be told at high command rates;
+one that acts before its stamp cannot be a delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import effective_samples
+from pytest_twin.diagnosis.recorded.fact import Fact, unknown
+from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
+
+MEAN_DELAY: Mapping[CommandBetween, float] = {"held": 0.5, "interpolated": 0.0, "ramped": 1.0}
+"""Command periods by which a setpoint is late on average behind the line through its stamps."""
+_NATS = 10.0
+"""Log-likelihood ratio over all recordings from which an alternative is ruled out: odds of 22,000
+to 1. The samples are counted as :func:`effective_samples` counts them, so a residual of missing
+physics is worth few. Between 5 and 20 no case of the tests changes."""
+_SHARE = 0.7
+"""Mean square that the answer leaves, of what an alternative leaves, at the joint that tells most:
+a difference smaller than that is as likely one of physics that nobody modelled."""
+_FAR_LESS = 0.25
+"""The same where the answer itself leaves more than :data:`_NEAR` times the noise, or where an
+alternative is not fitted to its end."""
+_NEAR = 3.0
+_LIKE = 1.25
+"""Ratio of RMS residuals up to which two assumptions explain a recording alike."""
+_BY_MODEL = 0.9
+"""Confidence where only the model's own parameters tell, by needing no correction."""
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What one assumption leaves of the positions.
+
+    Attributes:
+        residual: (samples, joints) rad or m, parameters fitted to the other recordings.
+        nominal: (joints,) RMS with the model's own parameters.
+        converged: whether the fit ended.
+        delay: (joints,) s, fitted delay of the commands.
+    """
+
+    residual: FloatArray
+    nominal: FloatArray
+    converged: bool
+    delay: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Between:
+    """The answer for recordings of one command period.
+
+    Attributes:
+        fact: the answer.
+        possible: which assumptions are not ruled out.
+        period: s, of the commands.
+    """
+
+    fact: Fact
+    possible: tuple[CommandBetween, ...]
+    period: float
+
+    def later(self, than: CommandBetween) -> tuple[float, float]:
+        """Range, s, of what a delay found under an assumption may be more under another possible
+        one; (0, 0) where the data tell.
+        """
+        if len(self.possible) == 1:
+            return 0.0, 0.0
+        shifts = [self.period * (MEAN_DELAY[than] - MEAN_DELAY[b]) for b in self.possible]
+        return min(0.0, *shifts), max(0.0, *shifts)
+
+
+def decide(
+    left: Mapping[CommandBetween, Left],
+    lengths: Sequence[int],
+    owner: Sequence[int],
+    noise: FloatArray,
+    period: float,
+) -> Between:
+    """Choose between assumptions by what they leave.
+
+    An alternative is ruled out where the log-likelihood ratio is at least :data:`_NATS` over all
+    recordings, no recording contradicts it, and the mean square falls by :data:`_SHARE` at some
+    joint.
+
+    Args:
+        left: by assumption.
+        lengths: samples of each segment.
+        owner: recording of each segment.
+        noise: (joints,) rad or m.
+        period: s, of the commands.
+    """
+    usable = {b: x for b, x in left.items() if np.isfinite(x.residual).all()}
+    if not usable:
+        return Between(unknown("the model diverges under these commands"), COMMAND_BETWEEN, period)
+    rms = {b: np.sqrt(np.mean(x.residual**2, axis=0)) for b, x in usable.items()}
+    told = {b: float(np.sum(np.log(np.maximum(r, noise)))) for b, r in rms.items()}
+    best = min(told, key=lambda b: told[b])
+    possible, nats = [best], np.inf
+    for other in usable:
+        if other == best:
+            continue
+        ratio = _ratio(usable[best].residual, usable[other].residual, lengths, owner, noise)
+        later = period * (MEAN_DELAY[other] - MEAN_DELAY[best])
+        if _ruled_out(usable[best], usable[other], ratio, noise, later):
+            nats = min(nats, float(ratio.sum()))
+        else:
+            possible.append(other)
+    words = _in_words(rms, noise)
+    if len(possible) == 1:
+        confidence = 1.0 - 0.5 * float(np.exp(-min(nats, 20.0) / 2.0))
+        return Between(Fact(best, min(confidence, 0.999), "data", words), (best,), period)
+    plain = _by_the_model(usable, possible, rms, noise)
+    if plain is not None:
+        words += f"; the model itself needs no correction if commands are {plain}"
+        return Between(Fact(plain, _BY_MODEL, "data", words), (plain,), period)
+    return Between(
+        unknown(f"{words}: {' and '.join(sorted(possible))} explain the positions alike"),
+        tuple(possible), period,
+    )  # fmt: skip
+
+
+def _ratio(
+    best: FloatArray, other: FloatArray, lengths: Sequence[int], owner: Sequence[int],
+    noise: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """(recordings,) log-likelihood ratio, each by the fewer independent samples of both."""
+    ends = np.cumsum([0, *lengths])
+    found = []
+    for recording in dict.fromkeys(owner):
+        mine = [i for i, o in enumerate(owner) if o == recording]
+        rows = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in mine])
+        each = [lengths[i] for i in mine]
+        squares, counts = [], []
+        for residual in (best[rows], other[rows]):
+            squares.append(np.maximum(np.mean(residual**2, axis=0), noise**2))
+            counts.append(effective_samples(residual, each))
+        fewer = np.minimum(*counts)
+        found.append(0.5 * float(np.sum(fewer * np.log(squares[1] / squares[0]))))
+    return np.array(found)
+
+
+def _ruled_out(best: Left, other: Left, ratio: FloatArray, noise: FloatArray, later: float) -> bool:
+    """Whether an alternative is ruled out that acts ``later`` s later on average.
+
+    Where the fitted delay lies nearer to that than to none, the alternative lacks a small part of
+    it only, which other physics may give.
+    """
+    square = [np.maximum(np.mean(x.residual**2, axis=0), noise**2) for x in (best, other)]
+    share = square[0] / square[1]
+    joint = int(np.argmin(share))
+    near = bool(np.sqrt(square[0][joint]) <= _NEAR * noise[joint])
+    halfway = later > 0.0 and best.delay[joint] > 0.5 * later
+    most = _SHARE if near and other.converged and not halfway else _FAR_LESS
+    return bool(ratio.sum() >= _NATS and (ratio > 0.0).all() and share[joint] <= most)
+
+
+def _by_the_model(
+    left: Mapping[CommandBetween, Left],
+    possible: Sequence[CommandBetween],
+    rms: Mapping[CommandBetween, FloatArray],
+    noise: FloatArray,
+) -> CommandBetween | None:
+    """The assumption under which the model's own parameters explain some joint as well as any do,
+    where they do so under no other; None where joints differ, or none tells.
+
+    One controller moves all joints: a joint that the model lacks nothing of tells for the others.
+    """
+    least = np.min([rms[b] for b in possible], axis=0)
+    alike = {b: (left[b].nominal <= _LIKE * least) & (least <= _NEAR * noise) for b in possible}
+    alone = np.sum(list(alike.values()), axis=0) == 1
+    told = [b for b in possible if (alike[b] & alone).any()]
+    return told[0] if len(told) == 1 else None
+
+
+def _in_words(rms: Mapping[CommandBetween, FloatArray], noise: FloatArray) -> str:
+    joint = int(np.argmax(np.ptp(np.array(list(rms.values())), axis=0) / noise))
+    each = ", ".join(f"{b} {r[joint] / noise[joint]:.2f}" for b, r in rms.items())
+    return (
+        f"RMS residual in units of the encoder noise, with the smooth parameters of every joint "
+        f"free: {each}"
+    )
+
+
+def without_own_recording(
+    residual: FloatArray, steps: Mapping[int, FloatArray], slopes: FloatArray,
+    rows: Mapping[int, NDArray[np.int64]],
+) -> FloatArray:  # fmt: skip
+    """(samples, joints) residuals with the parameters that the other recordings give, to first
+    order.
+
+    Args:
+        residual: (samples, joints).
+        steps: recording -> (parameters, joints) change when it is left out of the fit.
+        slopes: (samples, parameters, joints).
+        rows: recording -> its samples.
+    """
+    out = residual.copy()
+    for recording, mine in rows.items():
+        out[mine] -= np.einsum("npj,pj->nj", slopes[mine], steps[recording])
+    return out

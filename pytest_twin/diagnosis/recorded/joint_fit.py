@@ -1,0 +1,284 @@
+"""A quick fit of the parameters that every joint has, to the measured positions alone.
+
+It is no diagnosis: it lets the smooth physics of all joints be wrong, so that a question about the
+recording is not answered by an error of the model. All joints are perturbed together, and each
+joint's own motion gives its slopes: the cost does not grow with their number, and what couples them
+is corrected by the next iteration.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term, effect_values
+from pytest_twin.diagnosis.problem import Problem, corrected
+from pytest_twin.effects.actuation import ActuatorLag, ControllerGain, DeadZone
+from pytest_twin.effects.friction import CoulombFriction, ViscousFriction
+from pytest_twin.effects.rigid_body import Armature
+from pytest_twin.effects.sensing import EncoderBias
+from pytest_twin.effects.timing import CommandDelay
+from pytest_twin.effects.transmission import JointSpring
+
+PRIORS: dict[tuple[str, str], float] = {
+    (CommandDelay.id, "delay"): 0.02,
+    (ActuatorLag.id, "time_constant"): 0.02,
+    (ControllerGain.id, "stiffness_error"): 0.3,
+    (ControllerGain.id, "damping_error"): 0.3,
+    (ViscousFriction.id, "coefficient"): 0.5,
+    (CoulombFriction.id, "coulomb"): 0.5,
+    (DeadZone.id, "width"): 0.1,
+    (Armature.id, "inertia"): 0.3,
+    (JointSpring.id, "stiffness"): 0.3,
+    (EncoderBias.id, "bias"): 0.03,
+}
+"""Effect and parameter -> standard deviation of its prior around the model's value, in the scale of
+the parameter (s, 1, or the joint's typical damping, effort, inertia and stiffness, or rad). Wide:
+they hold back only what the recordings do not show."""
+DELAY = list(PRIORS).index((CommandDelay.id, "delay"))
+_ITERATIONS = 6
+# Dampings of Levenberg and Marquardt that are tried, shares of each parameter's own curvature.
+_DAMPINGS = (1e-4, 1e-1)
+# Gain of the log-posterior, per joint, under which a fit has converged.
+_GAIN = 1.0
+# Noises at which a fit leaves noise alone, and at which it leaves far more.
+_AT_NOISE, _FAR = 1.1, 3.0
+# Samples of a trajectory's residual that count as one while it is fitted: it is smooth until then.
+_SMOOTH_SAMPLES = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """Parameters of all joints at their optimum, and what they leave.
+
+    Attributes:
+        residual: (samples, joints) of the fit's segments, rad or m.
+        nominal: the same with the model's own parameters.
+        slopes: (samples, parameters, joints) of the prediction per parameter, each joint by itself.
+        theta: (parameters, joints) in the parameters' scales, in the order of :data:`PRIORS`.
+        log_posterior: of all joints.
+        converged: whether another step would gain nothing.
+    """
+
+    residual: FloatArray
+    nominal: FloatArray
+    slopes: FloatArray
+    theta: FloatArray
+    log_posterior: float
+    converged: bool
+
+
+@dataclass(slots=True)
+class _State:
+    theta: FloatArray
+    residual: FloatArray
+    score: float
+    converged: bool = False
+
+
+def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
+    """Fit the smooth parameters of all joints to each group of segments.
+
+    The groups are the same recordings under different assumptions. Slopes are taken where the
+    posterior is highest and used for all of them: what is assumed changes them little. Each fit
+    also tries the parameters of the best, with the delay that the assumptions differ by.
+
+    Args:
+        space: of the parameters, with the segments of each assumption.
+        delays: s, by which a command acts late on average under each assumption.
+
+    Returns:
+        One fit for each group.
+    """
+    none = np.zeros(space.shape)
+    states = space.states([(i, none) for i in range(len(space.groups))])
+    nominal = [s.residual for s in states]
+    while True:
+        best = max(range(len(states)), key=lambda i: states[i].score)
+        slopes = space.slopes(best, states[best])
+        if space.iterations >= _ITERATIONS or _settled(states, space.noise):
+            break
+        tried = []
+        for i, state in enumerate(states):
+            tried += [
+                (i, state.theta + space.step(state.theta, state.residual, slopes, damping))
+                for damping in _DAMPINGS
+            ]
+            if i != best:
+                other = states[best].theta.copy()
+                other[DELAY] += delays[best] - delays[i]
+                tried.append((i, other))
+        found = space.states(tried)
+        for i, state in enumerate(states):
+            mine = [f for f, (at, _) in zip(found, tried, strict=True) if at == i]
+            better = max(mine, key=lambda f: f.score)
+            better.converged = better.score < state.score + _GAIN * space.shape[1]
+            state.converged = True
+            states[i] = better if better.score > state.score else state
+    return [
+        JointFit(s.residual, before, slopes, s.theta, s.score, s.converged)
+        for s, before in zip(states, nominal, strict=True)
+    ]
+
+
+def _settled(states: Sequence[_State], noise: FloatArray) -> bool:
+    """Whether no fit is worth another step: it has converged, leaves noise alone, or leaves far
+    more than one that does.
+    """
+    levels = [np.sqrt(np.mean(s.residual**2, axis=0)) / noise for s in states]
+    fits = [bool((level <= _AT_NOISE).all()) for level in levels]
+    far = [any(fits) and bool((level >= _FAR).any()) for level in levels]
+    return all(s.converged or f or o for s, f, o in zip(states, fits, far, strict=True))
+
+
+class Parameters:
+    """The parameters of all joints: their terms, bounds and priors.
+
+    Args:
+        problem: whose segments take part; its efforts are not used.
+        groups: segments of each assumption, in the same order of recordings.
+        noise: (joints,) of the encoders, rad or m.
+    """
+
+    def __init__(
+        self, problem: Problem, groups: Sequence[NDArray[np.int64]], noise: FloatArray
+    ) -> None:
+        self.problem, self.groups, self.noise = problem, groups, noise
+        self.iterations = 0
+        joints = len(problem.joints)
+        effects = list(dict.fromkeys(effect for effect, _ in PRIORS))
+        self.terms = tuple(Term(e, j) for e in effects for j in range(joints))
+        self.rest = np.concatenate([
+            [p.absent if p.neutral is None else p.neutral for p in t.parameters]
+            for t in self.terms
+        ])  # fmt: skip
+        self.shape = (len(PRIORS), joints)
+        self.columns = np.zeros(self.shape, dtype=np.int64)
+        self.lower, self.upper = np.zeros(self.shape), np.zeros(self.shape)
+        self.nudge = np.zeros(len(PRIORS))
+        self.prior = np.array(list(PRIORS.values()))
+        start = np.cumsum([0, *(len(t.parameters) for t in self.terms)])
+        model, dofs = problem.simulator.segments[0].model, problem.simulator.layout.dof_index
+        own = {
+            ViscousFriction.id: np.reshape(model.dof_damping[dofs], (joints, -1))[:, 0],
+            CoulombFriction.id: np.reshape(model.dof_frictionloss[dofs], (joints, -1))[:, 0],
+        }
+        for k, (effect, name) in enumerate(PRIORS):
+            for j in range(joints):
+                term = Term(effect, j)
+                at = next(i for i, p in enumerate(term.parameters) if p.name == name)
+                p = term.parameters[at]
+                self.columns[k, j] = start[self.terms.index(term)] + at
+                self.lower[k, j], self.upper[k, j] = p.lower, p.upper
+                self.nudge[k] = p.step
+                if effect in own:
+                    # The model's own value and the parameter together are not negative.
+                    least = -float(own[effect][j]) / problem.scales.value(p, j)
+                    self.lower[k, j] = max(p.lower, least)
+
+    def states(self, tried: Sequence[tuple[int, FloatArray]]) -> list[_State]:
+        """What parameters leave, (group, (parameters, joints)) each; one batch."""
+        inside = [(i, np.clip(theta, self.lower, self.upper)) for i, theta in tried]
+        return [
+            self._state(theta, residual)
+            for (_, theta), residual in zip(inside, self._residuals(inside), strict=True)
+        ]
+
+    def _state(self, theta: FloatArray, residual: FloatArray) -> _State:
+        if not np.isfinite(residual).all():
+            return _State(theta, residual, -np.inf)
+        square = np.mean(residual**2, axis=0) + 0.01 * self.noise**2
+        held_back = float(np.sum((theta / self.prior[:, None]) ** 2))
+        count = len(residual) / _SMOOTH_SAMPLES
+        score = -0.5 * (count * float(np.sum(np.log(square))) + held_back)
+        return _State(theta, residual, score)
+
+    def _residuals(self, tried: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
+        """(samples, joints) measured less predicted positions, rad or m."""
+        problem = self.problem
+        rows = np.concatenate([self.groups[i] for i, _ in tried])
+        each = [
+            h
+            for i, theta in tried
+            for h in [self.hypothesis(theta)] * len(self.groups[i])
+        ]  # fmt: skip
+        values = effect_values(each, len(problem.joints), problem.scales)
+        parts = []
+        for row, p in zip(rows, problem.simulator.simulate(rows, values), strict=True):
+            error, start = problem.defect.get(int(row)), problem.starts.get(int(row))
+            read = p if error is None else corrected(p, error)
+            off = problem.simulator.segments[row].position - read.position
+            off = off if start is None else start.freed(off)
+            parts.append(off * problem.trust.get(int(row), 1.0))
+        ends = np.cumsum([0, *(len(self.groups[i]) for i, _ in tried)])
+        return [np.concatenate(parts[a:b]) for a, b in itertools.pairwise(ends)]
+
+    def hypothesis(self, theta: FloatArray) -> Hypothesis:
+        """All terms, with (parameters, joints) in their scales."""
+        values = self.rest.copy()
+        values[self.columns] = theta
+        return Hypothesis(self.terms, values)
+
+    def value(self, theta: FloatArray, effect: str, joint: int) -> float:
+        """The parameter of an effect at a joint, SI units."""
+        k = next(i for i, (name, _) in enumerate(PRIORS) if name == effect)
+        parameter = next(p for p in Term(effect, joint).parameters if p.name == list(PRIORS)[k][1])
+        return float(theta[k, joint] * self.problem.scales.value(parameter, joint))
+
+    def slopes(self, group: int, state: _State) -> FloatArray:
+        """(samples, parameters, joints); all joints are perturbed together."""
+        self.iterations += 1
+        moved = []
+        for k, nudge in enumerate(self.nudge):
+            theta = state.theta.copy()
+            theta[k] += nudge
+            moved.append((group, theta))
+        changes = [
+            (state.residual - residual) / nudge
+            for residual, nudge in zip(self._residuals(moved), self.nudge, strict=True)
+        ]
+        return np.nan_to_num(np.stack(changes, axis=1))
+
+    def step(
+        self, theta: FloatArray, residual: FloatArray, slopes: FloatArray, damping: float = 0.0
+    ) -> FloatArray:
+        """(parameters, joints) bounded and damped Gauss-Newton step, each joint by itself; none
+        where the prediction diverged.
+        """
+        step = np.zeros(self.shape)
+        if not np.isfinite(residual).all():
+            return step
+        for j in range(self.shape[1]):
+            step[:, j] = bounded_step(
+                slopes[:, :, j], residual[:, j], theta[:, j], self.prior,
+                (self.lower[:, j], self.upper[:, j]), self.noise[j], damping,
+            )  # fmt: skip
+        return step
+
+
+def bounded_step(
+    slopes: FloatArray,
+    residual: FloatArray,
+    theta: FloatArray,
+    prior: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+    noise: float,
+    damping: float = 0.0,
+) -> FloatArray:
+    """(parameters,) change that leaves least of (samples,) residuals, held back by the prior."""
+    variance = max(noise**2, float(np.mean(residual**2)))
+    normal = slopes.T @ slopes / variance + np.diag(prior**-2)
+    right = slopes.T @ residual / variance - theta / prior**2
+    # The factor has as many rows as there are parameters, and the same bounded minimum.
+    normal += damping * np.diag(np.diag(normal))
+    factor = np.linalg.cholesky(normal)
+    lower = np.minimum(bounds[0] - theta, -1e-12)
+    upper = np.maximum(bounds[1] - theta, 1e-12)
+    found: FloatArray = lsq_linear(factor.T, np.linalg.solve(factor, right), (lower, upper)).x
+    return found

@@ -1,0 +1,126 @@
+"""Where the efforts of each joint come from, by the controller's law and by a fitted drive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.diagnosis.recorded.between_fit import BetweenFit
+from pytest_twin.diagnosis.recorded.effort import (
+    Law,
+    Signals,
+    effort_fact,
+    is_the_command,
+    law,
+    pooled,
+    signals,
+)
+from pytest_twin.diagnosis.recorded.fact import Fact
+from pytest_twin.effects.actuation import ActuatorLag, DeadZone
+from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
+from pytest_twin.trial import Trial
+
+_MOST = 3
+"""Recordings that are asked, those with the liveliest efforts."""
+_EXPLAINED = 4.0
+"""Noises of the encoder that a fit may leave for its drive to say anything of the efforts."""
+
+_COMMAND_ITSELF = Fact(
+    "demanded",
+    0.9,
+    "data",
+    "the logged efforts equal the commanded ones to within their noise, so they say nothing of "
+    "what reaches the joint",
+)
+
+
+def logged_efforts(trials: Sequence[Trial], fitted: BetweenFit) -> dict[str, Fact]:
+    """Joint -> where its logged effort comes from.
+
+    Args:
+        trials: recordings of one command period.
+        fitted: the fit of their motion, made without efforts.
+    """
+    found = {}
+    for column, joint in enumerate(fitted.joints):
+        drive = _drive(fitted, column)
+        # What commands may do between stamps -> the laws, recording by recording.
+        demands: dict[CommandBetween, list[Law]] = {}
+        drives: dict[CommandBetween, list[Law]] = {}
+        scales, periods = [], []
+        liveliest = sorted(
+            (t for t in trials if _has_efforts(t, joint)), key=lambda t: -_spread(t, joint)
+        )
+        if liveliest and all(_repeats_command(t, joint) for t in liveliest[:_MOST]):
+            found[joint] = _COMMAND_ITSELF
+            continue
+        for trial in liveliest[:_MOST]:
+            for between in _ways(trial):
+                log = _log(trial, joint, between)
+                if log is not None:
+                    demands.setdefault(between, []).append(law(log))
+                    if any(drive):
+                        drives.setdefault(between, []).append(law(log, *drive))
+            scales.append(_spread(trial, joint))
+            periods.append(float(np.median(np.diff(trial.time))))
+        if demands:
+            found[joint] = effort_fact(
+                float(np.median(scales)),
+                [pooled(each) for each in demands.values()],
+                [pooled(each) for each in drives.values()],
+                float(np.median(periods)),
+            )
+    return found
+
+
+def _has_efforts(trial: Trial, joint: str) -> bool:
+    return trial.effort is not None and joint in trial.joints and joint in trial.command_joints
+
+
+def _repeats_command(trial: Trial, joint: str) -> bool:
+    """Whether an effort drive's logged efforts are its commands."""
+    if trial.mode_of(joint) != "effort":
+        return False
+    logs = (_log(trial, joint, between) for between in _ways(trial))
+    return any(log is not None and is_the_command(log) for log in logs)
+
+
+def _log(trial: Trial, joint: str, between: CommandBetween) -> Signals | None:
+    column = trial.joints.index(joint)
+    keep = np.concatenate([[True], np.diff(trial.time) > 0.0])
+    columns = [trial.position, trial.velocity, trial.effort]
+    position, velocity, effort = (None if c is None else c[keep, column] for c in columns)
+    assert position is not None
+    assert effort is not None
+    if not np.isfinite([position, effort]).all():
+        return None
+    if velocity is not None and not np.isfinite(velocity).all():
+        velocity = None
+    mode = trial.mode_of(joint)
+    assert mode is not None
+    setpoint = replace(trial, command_between=between).setpoint
+    at = trial.command_joints.index(joint)
+    return signals(trial.time[keep], position, velocity, effort, setpoint, at, mode=mode)
+
+
+def _drive(fitted: BetweenFit, column: int) -> tuple[float, float]:
+    """Lag, s, and dead zone, rad or m, of the drive that explains a joint's motion; 0 where the fit
+    leaves much of it, or has none.
+    """
+    fit, space = fitted.fit, fitted.space
+    left = float(np.sqrt(np.mean(fit.residual[:, column] ** 2)))
+    if left > _EXPLAINED * space.noise[column]:
+        return 0.0, 0.0
+    lag, dead_zone = (space.value(fit.theta, e, column) for e in (ActuatorLag.id, DeadZone.id))
+    return lag, dead_zone
+
+
+def _ways(trial: Trial) -> tuple[CommandBetween, ...]:
+    return COMMAND_BETWEEN if trial.between_source == "assumed" else (trial.command_between,)
+
+
+def _spread(trial: Trial, joint: str) -> float:
+    assert trial.effort is not None
+    return float(np.nanstd(trial.effort[:, trial.joints.index(joint)]))

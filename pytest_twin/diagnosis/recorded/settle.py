@@ -1,0 +1,232 @@
+"""All answers about the recordings of a diagnosis, and the recordings as they are then used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded.between_fit import BetweenFit, fit_between
+from pytest_twin.diagnosis.recorded.command_between import Between
+from pytest_twin.diagnosis.recorded.fact import Fact, unknown
+from pytest_twin.diagnosis.recorded.logged_efforts import logged_efforts
+from pytest_twin.diagnosis.recorded.velocity import velocity_fact
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.errors import TwinError
+from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
+from pytest_twin.trial import Trial
+
+_SAME_PERIOD = 1.2
+"""Ratio of command periods up to which recordings are taken for one controller's."""
+_NOT_OF_THE_STATE = ("differenced", "filtered", "late")
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """What the recordings are.
+
+    Attributes:
+        between: answers of recordings that do not say it, one for each command period.
+        velocity: joint -> how its velocity is logged.
+        effort: joint -> where its logged effort comes from.
+        problems: that were simulated for it.
+    """
+
+    between: tuple[Between, ...] = ()
+    velocity: Mapping[str, Fact] = field(default_factory=dict)
+    effort: Mapping[str, Fact] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
+
+    def applied(self, trials: TrialSet) -> TrialSet:
+        """The recordings as they are used from here on, and what a reader has to know.
+
+        Commands do what was found. A velocity that is not the state's own is no initial velocity,
+        and an effort that is not a sensor's, or of another instant, is no sensor's evidence.
+        """
+        each = [tuple(map(self._used, role)) for role in (trials.fit, trials.held_out)]
+        kept = [n for n in trials.notes if not (self.between and "assumed: neither" in n)]
+        notes = dict.fromkeys([*kept, *self.notes([*trials.fit, *trials.held_out])])
+        return replace(trials, fit=each[0], held_out=each[1], notes=tuple(notes))
+
+    def notes(self, trials: Sequence[Trial]) -> list[str]:
+        """One line for each answer that changes how recordings are used."""
+        lines = []
+        for answer in self.between:
+            said = answer.fact
+            names = ", ".join(dict.fromkeys(
+                t.path.name for t in trials
+                if t.between_source == "assumed" and self._answer(t) is answer
+            ))  # fmt: skip
+            if said.value is None:
+                lines.append(
+                    f"{names}: what commands do between stamps cannot be told; they are taken as "
+                    "held, and delays have an interval that allows for it (metadata or twin.yaml: "
+                    "command_between)"
+                )
+            else:
+                lines.append(
+                    f"{names}: commands are {said.value} between their stamps, by the recordings "
+                    f"themselves (confidence {100 * said.confidence:.3g} %)"
+                )
+        for what, facts, use in (
+            ("velocity", self.velocity, "it is not used as initial velocity"),
+            ("effort", self.effort, "it is not used as a sensor's reading"),
+        ):
+            lines += [
+                f"joint {joint!r}: {fact.evidence}; {use}"
+                for joint, fact in facts.items()
+                if (_no_state(fact) if what == "velocity" else _no_sensor(fact))
+            ]
+        return lines
+
+    def to_json(self, trials: Sequence[Trial]) -> dict[str, Any]:
+        """``recordings`` of ``diagnosis.json``: file -> answers, and joint -> answers."""
+        out: dict[str, Any] = {}
+        for trial in trials:
+            fact = self._between_fact(trial).to_json()
+            joints: dict[str, Any] = {}
+            for joint in trial.joints:
+                mine: dict[str, Any] = {}
+                if joint in trial.command_joints:
+                    mine["command_between"] = fact
+                for name, facts in (("velocity", self.velocity), ("effort", self.effort)):
+                    if joint in facts:
+                        mine[name] = facts[joint].to_json()
+                joints[joint] = mine
+            out.setdefault(trial.path.name, {"command_between": fact, "joints": joints})
+        return out
+
+    @property
+    def found_between(self) -> CommandBetween | None:
+        """What commands do where the recordings do not say it; None where that cannot be told, or
+        differs between them.
+        """
+        values = {b.fact.value for b in self.between}
+        return next((b for b in COMMAND_BETWEEN if values == {b}), None)
+
+    def _answer(self, trial: Trial) -> Between | None:
+        period = _period(trial)
+        near = [b for b in self.between if _alike(b.period, period)]
+        return near[0] if near else None
+
+    def doubted(self, trials: Sequence[Trial]) -> Between | None:
+        """The answer that leaves most open, of those that cannot tell."""
+        asked = (self._answer(t) for t in trials if t.between_source == "assumed")
+        open_ = [b for b in asked if b is not None and len(b.possible) > 1]
+        return max(open_, key=lambda b: b.period, default=None)
+
+    def _between_fact(self, trial: Trial) -> Fact:
+        if trial.between_source not in ("assumed", "data"):
+            return Fact(trial.command_between, 1.0, trial.between_source, "declared")
+        answer = self._answer(trial)
+        return unknown("not asked") if answer is None else answer.fact
+
+    def _used(self, trial: Trial) -> Trial:
+        answer = self._answer(trial) if trial.between_source == "assumed" else None
+        for between in COMMAND_BETWEEN:
+            if answer is not None and answer.fact.value == between:
+                trial = replace(trial, command_between=between, between_source="data")
+        if any(_no_state(f) for f in self.velocity.values()):
+            trial = replace(trial, velocity=None)
+        if any(_no_sensor(f) for f in self.effort.values()):
+            trial = replace(trial, effort=None)
+        return trial
+
+
+def settle(given: Given, trials: TrialSet) -> Settled:
+    """Ask the recordings what they are.
+
+    Args:
+        given: the model.
+        trials: recordings that may be read: fit and validation.
+    """
+    everything = [*trials.fit, *trials.held_out]
+    velocity = _velocities(everything)
+    trials = Settled(velocity=velocity).applied(trials)
+    everything = [*trials.fit, *trials.held_out]
+    fits = []
+    for group in _alike_recordings(everything):
+        declared = group[0].between_source != "assumed"
+        if declared and all(t.effort is None for t in group):
+            continue
+        ways = (group[0].command_between,) if declared else COMMAND_BETWEEN
+        try:
+            # Parameters far off overflow; what is not finite is never the best.
+            with np.errstate(over="ignore", invalid="ignore"):
+                fits.append((group, fit_between(given, group, ways)))
+        except TwinError:
+            # Whatever these recordings lack, the diagnosis itself says.
+            continue
+    between = tuple(f.answer for group, f in fits if group[0].between_source == "assumed")
+    problems = tuple(f.space.problem for _, f in fits)
+    return Settled(between, velocity, _efforts(everything, fits), problems)
+
+
+def _efforts(
+    trials: Sequence[Trial], fits: Sequence[tuple[Sequence[Trial], BetweenFit]]
+) -> dict[str, Fact]:
+    if not fits or not any(t.effort is not None for t in trials):
+        return {}
+    return logged_efforts(*max(fits, key=lambda each: len(each[0])))
+
+
+def _velocities(trials: Sequence[Trial]) -> dict[str, Fact]:
+    """Joint -> how its velocity is logged, by the recording in which it moves most."""
+    found: dict[str, Fact] = {}
+    for joint in dict.fromkeys(j for t in trials for j in t.joints):
+        most: tuple[float, Trial] | None = None
+        for t in trials:
+            if joint in t.joints and t.velocity is not None:
+                travel = float(np.nanstd(t.position[:, t.joints.index(joint)]))
+                if most is None or travel > most[0]:
+                    most = travel, t
+        if most is None:
+            continue
+        trial, column = most[1], most[1].joints.index(joint)
+        assert trial.velocity is not None
+        seen = np.isfinite(trial.position[:, column]) & np.isfinite(trial.velocity[:, column])
+        seen &= np.concatenate([[True], np.diff(trial.time) > 0.0])
+        found[joint] = velocity_fact(
+            trial.time[seen], trial.position[seen, column], trial.velocity[seen, column]
+        )
+    return found
+
+
+def _alike_recordings(trials: Sequence[Trial]) -> list[list[Trial]]:
+    """Recordings of one command period that declare the same, or nothing, of their commands."""
+    groups: list[list[Trial]] = []
+    for trial in sorted(trials, key=_period):
+        for group in groups:
+            if _alike(_period(group[0]), _period(trial)) and _declared(group[0]) == _declared(
+                trial
+            ):
+                group.append(trial)
+                break
+        else:
+            groups.append([trial])
+    return groups
+
+
+def _declared(trial: Trial) -> CommandBetween | None:
+    return None if trial.between_source == "assumed" else trial.command_between
+
+
+def _period(trial: Trial) -> float:
+    times = trial.command_times
+    return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+
+
+def _alike(one: float, other: float) -> bool:
+    return max(one, other) <= _SAME_PERIOD * min(one, other)
+
+
+def _no_state(fact: Fact) -> bool:
+    return fact.value in _NOT_OF_THE_STATE
+
+
+def _no_sensor(fact: Fact) -> bool:
+    return fact.value == "demanded" or bool(fact.numbers.get("lag", (0.0, "s"))[0])

@@ -1,0 +1,150 @@
+"""Whether logged velocities are a sensor's own, or made by the driver from positions, and how late.
+
+A driver that differences positions gives a velocity of half a sample ago; with a low-pass filter it
+is older still, and its noise is that of the positions. Such a velocity is no initial state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.noise import sensor_noise
+from pytest_twin.diagnosis.recorded.fact import Fact, unknown
+
+Kind = Literal["sensor", "differenced", "filtered"]
+_FEWEST = 50
+# Share of the noise that differences of the logged positions have, under which a velocity is made
+# from them: one of a sensor of its own is off by all of it.
+_DERIVED = 0.2
+# Weight of the last velocity from which differences went through a filter.
+_FILTERS = 0.05
+# Share of a period by which samples may be uneven; differences that a sample takes part in.
+_EVEN, _SHARED = 0.2, 3.0
+# Standard errors, and share of a sample period, by which a velocity has to be late: a motion whose
+# acceleration jumps with the samples looks late by up to a sixth of a period.
+_SURELY, _LEAST_SHARE = 5.0, 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class VelocitySignal:
+    """What a logged velocity is.
+
+    Attributes:
+        kind: how it was made.
+        lag: s by which it is older than the position of the same message.
+        lag_error: s, standard error.
+        bandwidth: Hz of the driver's first-order filter; infinite without one.
+    """
+
+    kind: Kind
+    lag: float
+    lag_error: float
+    bandwidth: float
+
+
+def velocity_signal(
+    time: FloatArray, position: FloatArray, velocity: FloatArray
+) -> VelocitySignal | None:
+    """What a velocity is, by the positions beside it.
+
+    Args:
+        time: (n,) s, ascending.
+        position, velocity: (n,) of one joint, finite.
+
+    Returns:
+        None where the recording is too short or the joint does not move.
+    """
+    if len(time) < _FEWEST or not np.ptp(position) or not np.ptp(velocity):
+        return None
+    return _derived(time, position, velocity) or _apart(time, position, velocity)
+
+
+def _derived(time: FloatArray, position: FloatArray, velocity: FloatArray) -> VelocitySignal | None:
+    """A velocity that the logged positions give to within rounding."""
+    period = float(np.median(np.diff(time)))
+    slope = np.diff(position) / np.diff(time)
+    noise = float(sensor_noise(time, position[:, None])[0])
+    own = np.sqrt(2.0) * noise / period
+    central = np.gradient(position, time)[1:-1]
+    if _rms(velocity[1:-1] - central) < _DERIVED * own / 2.0:
+        return VelocitySignal("differenced", 0.0, 0.0, np.inf)
+    columns = np.stack([velocity[:-1], slope], axis=1)
+    weights, *_ = np.linalg.lstsq(columns, velocity[1:], rcond=None)
+    keep, share = (float(w) for w in weights)
+    if share <= 0.0 or not keep < 1.0:
+        return None
+    if _rms(velocity[1:] - columns @ weights) > _DERIVED * share * own:
+        return None
+    keep = max(keep, 0.0)
+    lag = period * (0.5 + keep / (1.0 - keep))
+    if keep < _FILTERS:
+        return VelocitySignal("differenced", lag, 0.0, np.inf)
+    return VelocitySignal("filtered", lag, 0.0, float(-np.log(keep) / (2.0 * np.pi * period)))
+
+
+def _apart(time: FloatArray, position: FloatArray, velocity: FloatArray) -> VelocitySignal:
+    """A velocity with noise of its own: its lag, by regression on the acceleration.
+
+    The mean velocity between two samples, by Simpson's rule, is the difference of their positions.
+    """
+    period = float(np.median(np.diff(time)))
+    even = np.abs(np.diff(time) - period) < _EVEN * period
+    mean = (velocity[:-2] + 4.0 * velocity[1:-1] + velocity[2:]) / 6.0
+    span = time[2:] - time[:-2]
+    moved = (position[2:] - position[:-2]) / span
+    change = (velocity[2:] - velocity[:-2]) / span
+    inside = even[:-1] & even[1:]
+    columns = np.stack([change[inside], np.ones(int(inside.sum()))], axis=1)
+    off = (moved - mean)[inside]
+    weights, *_ = np.linalg.lstsq(columns, off, rcond=None)
+    rest = off - columns @ weights
+    # Each sample is in several differences.
+    variance = _SHARED * float(rest @ rest) / max(len(rest) - 2, 1)
+    covariance = variance * np.linalg.pinv(columns.T @ columns)
+    return VelocitySignal("sensor", float(weights[0]), float(np.sqrt(covariance[0, 0])), np.inf)
+
+
+def velocity_fact(time: FloatArray, position: FloatArray, velocity: FloatArray) -> Fact:
+    """What a logged velocity is, in words; arguments as :func:`velocity_signal`."""
+    found = velocity_signal(time, position, velocity)
+    if found is None:
+        return unknown("too few samples, or no motion")
+    period = float(np.median(np.diff(time)))
+    lag = {"lag": (found.lag, "s")}
+    if found.kind == "differenced":
+        return Fact(
+            "differenced", 0.99, "data",
+            "the logged velocity is the difference of the logged positions, "
+            f"{1e3 * found.lag:.3g} ms old",
+            lag,
+        )  # fmt: skip
+    if found.kind == "filtered":
+        return Fact(
+            "filtered", 0.99, "data",
+            "the logged velocity is the difference of the logged positions through a low-pass "
+            f"filter of {found.bandwidth:.3g} Hz, {1e3 * found.lag:.3g} ms old",
+            lag | {"bandwidth": (found.bandwidth, "Hz")},
+        )  # fmt: skip
+    late = abs(found.lag) > max(_SURELY * found.lag_error, _LEAST_SHARE * period)
+    if late:
+        side = "older" if found.lag > 0.0 else "younger"
+        return Fact(
+            "late", 0.99, "data",
+            f"the velocity is {1e3 * abs(found.lag):.3g} ms {side} than the position of the same "
+            f"message (standard error {1e3 * found.lag_error:.2g} ms)",
+            lag,
+        )  # fmt: skip
+    return Fact(
+        "sensor", 0.95, "data",
+        "the velocity has noise of its own and is as old as the position, to within "
+        f"{1e3 * max(2.0 * found.lag_error, abs(found.lag)):.2g} ms",
+        lag,
+    )  # fmt: skip
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,73 @@
+"""The final set of effects against other sets, before any confidence is reported."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pytest_twin.diagnosis.equivalents import compare
+from pytest_twin.diagnosis.evidence import log_likelihood
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded_range import RecordedRange, not_shown
+from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.restraint import label, prune
+from pytest_twin.diagnosis.searched import Searched
+from pytest_twin.diagnosis.shares import shared
+from pytest_twin.diagnosis.totals import impossible
+
+
+def with_rival_sets(found: Searched, run: Run | None = None) -> tuple[Searched, float]:
+    """What was found, or a likelier set, with confidence shared among all sets that predict alike.
+
+    A set with an impossible total, or with a shape that the recordings cannot show, is refused: the
+    likeliest other set takes its place, else the rest of it. Where only absolute deviations of
+    whole motions can be compared (stick-slip motion), the confidence of the search stays.
+
+    Args:
+        found: the search.
+        run: gets a step for each set that was simulated.
+
+    Returns:
+        The search, and the simulations of all recordings that the comparison took.
+    """
+    final = found.pruned.fitted.hypothesis
+    if not final.terms or found.likelihood is not log_likelihood:
+        return found, 0.0
+    problem = found.prepared.problem
+    recorded = RecordedRange.of(problem)
+    run = Run() if run is None else run
+    run.begin("comparison with other sets", problem)
+    contest = Contest(problem, run)
+    compared = compare(contest, final, lambda h: not refused(problem, h, recorded))
+    for other in compared.sets:
+        run.step(
+            problem, "exchange of a set", "rejected",
+            f"its predictions differ by at most {other.apart:.3g} floors; it shares the confidence",
+            other.rival.hypothesis, other.evidence, compared.best.hypothesis, 0.0,
+        )  # fmt: skip
+    before = replace(found.selected, best=replace(found.selected.best, fitted=found.pruned.fitted))
+    selected, pruned = shared(before, compared), found.pruned
+    notes = list[str]()
+    why = refused(problem, selected.best.hypothesis, recorded)
+    while why:
+        # No other set predicts as much: the rest stands, and says so.
+        notes += [f"rejected: {label(problem, term)}: {reason}" for term, reason in why.items()]
+        rest = selected.best.hypothesis.without(*why)
+        selected = replace(selected, best=contest.settled(contest.as_it_is(rest)))
+        why = refused(problem, rest, recorded) if rest.terms else {}
+    if selected.best.hypothesis.terms != final.terms:
+        pruned = prune(problem, selected)
+        gone = refused(problem, final, recorded)
+        notes[:0] = [
+            f"rejected: {label(problem, term)}: {reason}. It compensates for another effect"
+            for term, reason in gone.items()
+            if not notes
+        ]
+        pruned.notes[:0] = [*found.pruned.notes, *notes]
+    return replace(found, selected=selected, pruned=pruned), compared.simulations
+
+
+def refused(problem: Problem, hypothesis: Hypothesis, recorded: RecordedRange) -> dict[Term, str]:
+    """Effects of a set that no finding may contain, and why."""
+    return {**not_shown(problem, hypothesis, recorded), **impossible(problem, hypothesis)}

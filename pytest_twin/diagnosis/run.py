@@ -1,0 +1,117 @@
+"""One diagnosis while it runs: what it may spend, what it tried, and what it left untried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from pytest_twin.diagnosis.budget import Budget
+from pytest_twin.diagnosis.deadline import OutOfTime
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.trace import Decision, Step, Trace, named
+
+Result = TypeVar("Result")
+
+
+class Run:
+    """What all searches of a diagnosis share.
+
+    Attributes:
+        budget: time and simulations.
+        trace: every step.
+        untried: what was not done for want of time or simulations, one line each.
+    """
+
+    def __init__(self, budget: Budget | None = None, trace: Trace | None = None) -> None:
+        self.budget = Budget() if budget is None else budget
+        self.trace = Trace() if trace is None else trace
+        self.untried: list[str] = []
+
+    @property
+    def over(self) -> bool:
+        """Whether the searches have to end."""
+        return self.budget.out_of_time or self.budget.spent
+
+    @property
+    def share_done(self) -> float:
+        """Share of the search that is done, 0 to 1: a guess, unless its time is bounded."""
+        steps = len(self.trace.steps) + self.trace.left_out
+        # The number of steps is unknown: each one advances by a fixed part of the remainder.
+        done = 1.0 - 0.98**steps
+        if not self.budget.seconds:
+            return done
+        return min(max(done, self.budget.elapsed / (0.8 * self.budget.seconds)), 1.0)
+
+    def begin(self, stage: str, problem: Problem) -> None:
+        """Search a problem next; steps that follow belong to ``stage``."""
+        self.budget.add(problem)
+        self.trace.stage = stage
+
+    def step(
+        self,
+        problem: Problem,
+        move: str,
+        decision: Decision,
+        reason: str,
+        proposed: Hypothesis = EMPTY,
+        score: float | None = None,
+        best: Hypothesis = EMPTY,
+        best_score: float | None = None,
+    ) -> None:
+        """Record a step; arguments as :class:`~pytest_twin.diagnosis.trace.Step` has them."""
+        joints = problem.joints
+        self.trace.add(
+            Step(
+                self.trace.stage,
+                move,
+                named(joints, proposed.terms),
+                score,
+                named(joints, best.terms),
+                best_score,
+                decision,
+                reason,
+                self.budget.work,
+                self.budget.elapsed,
+            )
+        )
+
+    def attempt(self, what: str, work: Callable[[], Result], otherwise: Result) -> Result:
+        """The result of some work, or ``otherwise`` where time or simulations do not last.
+
+        Args:
+            what: the work in words, for the reader.
+            work: what is done.
+            otherwise: the best so far.
+        """
+        if self.over:
+            self.skip(what)
+            return otherwise
+        try:
+            return work()
+        except OutOfTime:
+            self.skip(f"{what} (begun, not finished)")
+            return otherwise
+
+    def skip(self, what: str) -> None:
+        """Note that something was not tried, once."""
+        if what not in self.untried:
+            self.untried.append(what)
+
+
+def not_tried(run: Run) -> list[str]:
+    """Notes of what a diagnosis left out, and what more time could change; empty if nothing."""
+    if not run.untried:
+        return []
+    budget = run.budget
+    if budget.stopped:
+        why, more = "it was stopped", "Without the interruption"
+    elif budget.seconds and budget.out_of_time:
+        why, more = f"its {budget.seconds:g} s were over", "With more time (--seconds)"
+    else:
+        why = f"its {budget.simulations:g} simulations of all data were used"
+        more = "With more recordings or a smaller model"
+    return [
+        f"the search ended early, because {why}. Not tried: {'; '.join(run.untried)}. {more} "
+        "further effects could be found, and effects could give way to better alternatives"
+    ]

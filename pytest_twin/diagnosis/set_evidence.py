@@ -1,0 +1,119 @@
+"""Evidence for whole sets of effects, with the error of the model counted.
+
+It differs from the score of the search in three ways: residuals at the level of noise count as
+equal, efforts agree within one time step, and model error does not average out in a recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.effort_stamps import within_a_step
+from pytest_twin.diagnosis.evidence import NOISE_FLOORS, effective_samples, log_likelihood, tempered
+from pytest_twin.diagnosis.first_order.polish import slopes_along
+from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.screen import price
+from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.rivals import Rival
+
+# Floors below which what a parameter changes is none.
+_IDLE = 0.5
+
+
+def misfit(residual: FloatArray, floor: FloatArray) -> float:
+    """Sum over signals of the log mean square, not below the level of noise."""
+    mean_square = np.nan_to_num(np.mean(residual**2, axis=0), nan=np.inf)
+    return float(np.log(np.maximum(mean_square, (NOISE_FLOORS * floor) ** 2)).sum())
+
+
+def set_price(contest: Contest, h: Hypothesis, samples: FloatArray, idle: int = 0) -> float:
+    """What the parameters and the effects of a set cost, without those that change nothing."""
+    return float(price(samples) * (h.free - idle) + contest.name_price * len(h.terms))
+
+
+def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]) -> list[int]:
+    """How many switches of each set are neutral to within the noise: the set predicts the same
+    without them, so they are no parameters of it. Each effect keeps one.
+    """
+    out = []
+    for h, slope in zip(sets, slopes_along(linear, sets), strict=True):
+        moves = np.sqrt(np.mean(slope**2, axis=0)) / problem.signal_floor[:, None]
+        count = 0
+        for t in h.terms:
+            place = h.slice_of(t)
+            theta = h.theta[place]
+            own = [k for k in t.switches(theta) if t.movable(theta)[k]]
+            off = [abs(theta[k] - float(t.parameters[k].neutral or 0.0)) for k in own]
+            idle = sum(
+                bool((moves[:, place.start + k] * by < _IDLE).all())
+                for k, by in zip(own, off, strict=True)
+            )
+            count += min(idle, max(len(own) - 1, 0))
+        out.append(count)
+    return out
+
+
+def recordings_of(problem: Problem, *, fitted: bool) -> int:
+    """How many recordings are fitted, or are not."""
+    which = problem.fit if fitted else problem.held_out
+    return len({problem.simulator.segments[s].trial for s in which})
+
+
+def set_evidence(
+    contest: Contest, rivals: Sequence[Rival], idle: Sequence[int]
+) -> tuple[FloatArray, float]:
+    """Penalized log-likelihood of sets on fitted and validation recordings, with model error
+    counted by :func:`~pytest_twin.diagnosis.evidence.tempered`; and the share of the effective
+    samples that remains.
+
+    Args:
+        contest: of the problem.
+        rivals: the sets.
+        idle: parameters of each that cost nothing.
+    """
+    problem, sets = contest.problem, [r.hypothesis for r in rivals]
+    residuals = [
+        within_a_step(problem, r.hypothesis, r.fitted.residual, problem.fit) for r in rivals
+    ]
+    values, whole, kept = evidence_on(
+        contest, sets, residuals, problem.lengths(problem.fit), fitted=True, idle=idle
+    )
+    if contest.has_held:
+        residuals = [
+            within_a_step(problem, r.hypothesis, r.held_residual, problem.held_out) for r in rivals
+        ]
+        held = evidence_on(
+            contest, sets, residuals, problem.lengths(problem.held_out), fitted=False
+        )
+        values, whole, kept = values + held[0], whole + held[1], kept + held[2]
+    return values, kept / max(whole, 1e-300)
+
+
+def evidence_on(
+    contest: Contest,
+    sets: Sequence[Hypothesis],
+    residuals: Sequence[FloatArray],
+    lengths: Sequence[int],
+    *,
+    fitted: bool,
+    idle: Sequence[int] = (),
+) -> tuple[FloatArray, float, float]:
+    """Log-likelihood of sets on some recordings, less their price where these are fitted; effective
+    samples, and those that remain with model error counted.
+    """
+    problem, floor = contest.problem, contest.problem.signal_floor
+    closest = min(residuals, key=lambda r: misfit(r, floor))
+    effective = effective_samples(np.nan_to_num(closest), lengths)
+    samples = tempered(
+        effective, np.mean(closest**2, axis=0), floor, recordings_of(problem, fitted=fitted)
+    )
+    values = np.array([log_likelihood(r, NOISE_FLOORS * floor, samples) for r in residuals])
+    if fitted:
+        idle = idle or [0] * len(sets)
+        values -= [set_price(contest, h, samples, n) for h, n in zip(sets, idle, strict=True)]
+    return values, float(effective.sum()), float(samples.sum())

@@ -1,0 +1,99 @@
+"""Corrections that are statistically sure and of no consequence.
+
+Such a correction belongs into the patched model, but it is no missing physics: 0.4 ms of delay in
+recordings with 4 ms between samples, 1 % of a gain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.restraint import longest_shift
+from pytest_twin.diagnosis.totals import totals
+from pytest_twin.diagnosis.verdict import AT_FLOOR
+
+# Share of the error of the nominal model at a joint below which the change of a prediction is of no
+# consequence: 1 % of the squared error.
+_OF_MISMATCH = 0.1
+# Share of the sampling interval below which a shift in time is: stamps do not tell more.
+_OF_SAMPLE = 0.25
+# Share of the model's own value within which friction, armature and spring stiffness are usually
+# known (Janot et al. 2019 repeat identifications within 5 to 10 %); relative errors of gains and
+# motor constants, and of masses and inertias, within which data sheets and CAD models are.
+_OF_OWN, _OF_GAIN, _OF_BODY = 0.1, 0.02, 0.03
+_USUAL = "it is within the accuracy to which such parameters are usually known"
+
+
+def small_corrections(
+    problem: Problem, hypothesis: Hypothesis, changes: FloatArray, before: FloatArray
+) -> dict[Term, str]:
+    """Terms that are corrections of no consequence, and why.
+
+    A term is one if its parameters are within the accuracy to which such parameters are usually
+    known, or if it changes no prediction by a tenth of the error of the nominal model while other
+    terms explain that error.
+
+    Args:
+        problem: what was explained.
+        hypothesis: all effects.
+        changes: (terms, joints) RMS change of the predicted positions without each.
+        before: (joints,) RMS error of the nominal model.
+    """
+    floor = problem.floor
+    mismatch = np.sqrt(np.maximum(before**2 - floor**2, 0.0))
+    limit = np.maximum(_OF_MISMATCH * mismatch, np.where(mismatch > AT_FLOOR * floor, 0.0, floor))
+    out: dict[Term, str] = {}
+    for term in hypothesis.terms:
+        why = _usual(problem, hypothesis, term)
+        if why:
+            out[term] = why
+    rest = [t for t in hypothesis.terms if t not in out]
+    slight = [
+        t for t in rest
+        if np.isfinite(row := changes[hypothesis.terms.index(t)]).all()
+        and row.any() and (row <= limit).all()
+    ]  # fmt: skip
+    if len(slight) < len(rest):
+        why = f"it changes predictions by less than {_OF_MISMATCH:g} of the model's error"
+        out.update(dict.fromkeys(slight, why))
+    return out
+
+
+def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
+    """Why a correction is within the usual accuracy of a model; empty if it is not."""
+    shift = longest_shift(problem, hypothesis, term)
+    if shift > 0.0:
+        intervals = [np.median(np.diff(s.time)) for s in problem.simulator.segments]
+        interval = float(np.median(intervals))
+        if shift < _OF_SAMPLE * interval:
+            return f"it is less than {_OF_SAMPLE:g} of the time between samples"
+        return ""
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    has = term.law.has(theta)
+    switches = [k for k in term.switches(theta) if has[k]]
+    own = {
+        at: total.own
+        for total in totals(problem, hypothesis)
+        for t, at, _ in total.parts
+        if t == term
+    }
+    start = hypothesis.slice_of(term).start
+    for k in switches:
+        p = term.parameters[k]
+        value = abs(float(theta[k]) * problem.scales.value(p, term.joint))
+        if start + k in own:
+            within = value <= _OF_OWN * own[start + k]
+        elif p.relation == "relative" and term.law.family == "rigid_body":
+            within = value <= _OF_BODY
+        elif p.relation == "relative" and term.law.family == "actuation":
+            within = value <= _OF_GAIN
+        else:
+            within = False
+        if not within:
+            return ""
+    return (
+        "it is within the accuracy to which such parameters are usually known" if switches else ""
+    )

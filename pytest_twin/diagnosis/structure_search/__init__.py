@@ -1,0 +1,1 @@
+"""Model selection: which effects, at which joints, explain the recordings."""

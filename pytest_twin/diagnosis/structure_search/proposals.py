@@ -1,0 +1,147 @@
+"""Models that one step proposes: effects added, removed, and exchanged for others.
+
+All proposals come from one linearization of the incumbent along the measured motion. A set of terms
+is removed (none, one, two of a joint, all of a joint), and a beam search looks for what best
+explains the residual then. Rewritings that mean the same physics (two terms as one law, a law as
+its special case, one law of the whole robot for several joints) are proposals like all others.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.polish import Polished, polish
+from pytest_twin.diagnosis.first_order.screen import Lens, Search, View
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.search.fewer import (
+    in_like_forms,
+    in_other_forms,
+    in_parts,
+    merged,
+    of_the_robot,
+    simpler,
+)
+from pytest_twin.diagnosis.search.foremost import evidence_along
+from pytest_twin.diagnosis.search.look import Look
+from pytest_twin.diagnosis.structure_search.score import Scorer
+from pytest_twin.diagnosis.structure_search.settings import Settings
+
+_ITERATIONS = 3
+"""Of a fit along the motion."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A model that may replace the incumbent.
+
+    Attributes:
+        hypothesis: fitted along the measured motion.
+        gain: predicted log-likelihood ratio over the incumbent, prices paid.
+    """
+
+    hypothesis: Hypothesis
+    gain: float
+
+
+def proposals(scorer: Scorer, look: Look, settings: Settings) -> list[Proposal]:
+    """Proposals around the incumbent, most promising first.
+
+    Args:
+        scorer: of the problem.
+        look: the incumbent, linearized, with the responses of all candidates.
+        settings: of the search.
+    """
+    own = look.around.hypothesis
+    pool: dict[tuple[frozenset[Term], bytes], Hypothesis] = {}
+    for hypothesis in itertools.chain(_exchanged(scorer, look, settings), _rewritten(scorer, own)):
+        form = np.array([m for t in sorted(hypothesis.terms)
+                         for m in t.movable(hypothesis.theta[hypothesis.slice_of(t)])])  # fmt: skip
+        pool.setdefault((frozenset(hypothesis.terms), form.tobytes()), hypothesis)
+    starts = list(pool.values())
+    if look.linear is None:
+        return [Proposal(h, 0.0) for h in starts]
+    fitted = polish(look.linear, look.view, starts, _ITERATIONS)
+    incumbent = Polished(own, look.view.residual)
+    worth = evidence_along(look.view, [incumbent, *fitted], scorer.name_price)
+    gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
+    found = [Proposal(p.hypothesis, float(g)) for p, g in zip(fitted, gains, strict=True)]
+    return sorted(found, key=lambda p: -p.gain)
+
+
+def _exchanged(scorer: Scorer, look: Look, settings: Settings) -> Iterable[Hypothesis]:
+    """The incumbent with terms removed and others added."""
+    own, view = look.around.hypothesis, look.view
+    removed = removals(own)
+    rests = [own.without(*gone) for gone in removed]
+    lefts = _residuals(scorer, look, removed, rests)
+
+    def search(most: int, width: int) -> Search:
+        return Search(
+            width, most, settings.earns,
+            lambda before, after: bool((after < before).any()),
+        )  # fmt: skip
+
+    for gone, rest, left in zip(removed, rests, lefts, strict=True):
+        if gone:
+            yield rest
+        slope = view.jacobian[:, :, own.parameters_without(*gone)]
+        lens = Lens(View(left, slope, view.floor, view.lengths), look.answers)
+        most = settings.added if not gone else min(len(gone) + 1, 2)
+        width = settings.beam if not gone else settings.beam // 2
+        for level in search(most, width).levels(lens):
+            for structure in level[:width]:
+                yield rest.with_terms(structure.starts)
+
+
+def removals(own: Hypothesis) -> list[tuple[Term, ...]]:
+    """Sets of terms that are taken away: none, each, pairs of a joint, all of a joint."""
+    found: dict[tuple[Term, ...], None] = {(): None}
+    found.update(dict.fromkeys((t,) for t in own.terms))
+    for joint in sorted({t.joint for t in own.terms}):
+        mine = [t for t in own.terms if t.joint in (joint, -1)]
+        found.update(dict.fromkeys(itertools.combinations(mine, 2)))
+        if len(mine) > 1:
+            found[tuple(mine)] = None
+    return list(found)
+
+
+def _residuals(
+    scorer: Scorer,
+    look: Look,
+    removed: Sequence[tuple[Term, ...]],
+    rests: Sequence[Hypothesis],
+) -> list[FloatArray]:
+    """(bins, signals) residual of each rest; simulated where the motion then differs widely."""
+    problem, view = scorer.problem, look.view
+    out: dict[int, FloatArray] = {}
+    if look.linear is not None:
+        for k, d in enumerate(look.linear.differences(rests)):
+            left = view.residual - d
+            separates = any(t.law.overrides("separates") for t in removed[k])
+            if np.isfinite(left).all() and not separates:
+                out[k] = left
+    missing = [k for k in range(len(rests)) if k not in out]
+    if missing:
+        binned = bins(problem, problem.fit)
+        found = problem.residuals([rests[k] for k in missing], problem.fit)
+        out |= {k: np.nan_to_num(binned.mean(r)) for k, r in zip(missing, found, strict=True)}
+    return [out[k] for k in range(len(rests))]
+
+
+def _rewritten(scorer: Scorer, own: Hypothesis) -> list[Hypothesis]:
+    """The same physics in other words."""
+    problem = scorer.problem
+    return [
+        *merged(problem, own),
+        *of_the_robot(problem, own),
+        *simpler(problem, own),
+        *in_parts(problem, own),
+        *in_other_forms(problem, own),
+        *in_like_forms(own),
+    ]

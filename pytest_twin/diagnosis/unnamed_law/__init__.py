@@ -1,0 +1,1 @@
+"""A free law where no effect with a name explains the residual: which variable, what curve."""

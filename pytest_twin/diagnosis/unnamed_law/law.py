@@ -1,0 +1,129 @@
+"""A free law that was found, and its entry in ``diagnosis.json``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.unnamed_law.shape import Curve, in_words
+from pytest_twin.effects.unnamed_law import UnnamedLaw
+
+_KNOWN_SHAPE = "its shape is that of {}: inspect the joint for that cause"
+_NEXT_TEST = (
+    "repeat the motion at other times and through other values of {}: a force that depends on it "
+    "comes back at the same values"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another variable over which a table explains something.
+
+    Attributes:
+        variable: its name.
+        against_motion: whether the table is a level of friction.
+        confidence: share of the evidence.
+    """
+
+    variable: str
+    against_motion: bool
+    confidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class FreeLaw:
+    """A force, or a level of friction, that no effect with a name explains.
+
+    Attributes:
+        joint: name.
+        term: effect and joint in the problem's numbering.
+        curve: the table with its band.
+        resembles: id of a known effect of this shape, or None.
+        removed: share of the squared error of recordings that it was not fitted to, by
+            cross-validation over whole recordings.
+        confidence: share of the evidence of this variable against the others.
+        rivals: other variables, most likely first.
+        where: when the residual occurs.
+    """
+
+    joint: str
+    term: Term
+    curve: Curve
+    resembles: str | None
+    removed: float
+    confidence: float
+    rivals: tuple[Rival, ...]
+    where: Where
+
+    @property
+    def words(self) -> str:
+        """The curve in one phrase, with units."""
+        return in_words(self.curve)
+
+
+def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
+    """The finding as an object of ``diagnosis.json``.
+
+    Args:
+        law: the law.
+        held_out_gain: share of the squared held-out error that it removes.
+    """
+    curve = law.curve
+    unit, force_unit = curve.units
+    k = curve.peak
+    value, half = float(curve.values[k]), float(curve.half_width[k])
+    return {
+        "effect": UnnamedLaw.id,
+        "joint": law.joint,
+        "path": law.term.law.path,
+        "confidence": round(law.confidence, 4),
+        "parameters": {
+            "peak_friction" if curve.against_motion else "peak_force": {
+                "value": value, "unit": force_unit, "ci95": [value - half, value + half],
+            },
+        },
+        "where": {"summary": law.words, "windows": dict(law.where.windows)},
+        "held_out_gain": round(held_out_gain, 5),
+        "alternatives": [
+            {
+                "effect": UnnamedLaw.id, "joint": law.joint, "confidence": round(r.confidence, 4),
+                "variable": r.variable, "acts": _acts(r.against_motion),
+            }
+            for r in law.rivals
+        ],
+        "next_test": _next_test(law),
+        "law": {
+            "words": law.words,
+            "acts": _acts(curve.against_motion),
+            "variable": curve.variable.name,
+            "unit": unit,
+            "force_unit": force_unit,
+            "knots": curve.knots.tolist(),
+            "values": curve.values.tolist(),
+            "band": [
+                [float(v - h), float(v + h)]
+                for v, h in zip(curve.values, curve.half_width, strict=True)
+            ],
+            "range": list(curve.valid),
+            "outside": "no force",
+            "samples": curve.occupancy.tolist(),
+            "resembles": law.resembles,
+            "cross_validated_gain": round(law.removed, 5),
+        },
+    }  # fmt: skip
+
+
+def _acts(against_motion: bool) -> str:
+    return "against motion" if against_motion else "as a force"
+
+
+def _next_test(law: FreeLaw) -> str:
+    text = _NEXT_TEST.format(law.curve.variable.name)
+    if law.resembles is None:
+        return text
+    return f"{text}; {_KNOWN_SHAPE.format(law.resembles.replace('_', ' '))}"
+
+
+__all__ = ["FreeLaw", "Rival", "law_json"]

@@ -1,0 +1,170 @@
+"""Tables fitted and cross-validated by simulation.
+
+The force along the measured motion gives the first values. From there the fit goes on with what
+simulations leave (Gauss-Newton); the same steps without one recording predict that recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.unnamed_law.covariates import STILL, Covariate
+from pytest_twin.diagnosis.unnamed_law.regression import Regression
+from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data
+from pytest_twin.effects.unnamed_law import TABLES, UnnamedFriction
+
+_STEPS, _HALVINGS = 4, 3
+# Share of the objective below which another step is not worth its simulations.
+_ENOUGH = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """Tables after simulation.
+
+    Attributes:
+        hypothesis: the given one with the tables.
+        coefficients: (p,) N*m or N, of the tables in their order.
+        before, errors: (recordings,) weighted squared error of each without the tables, and with
+            tables that were fitted to the other recordings; both simulated.
+        left_out: (recordings, p) coefficients without each recording.
+        covariance: (p, p) of the coefficients, (N*m)^2 or N^2.
+    """
+
+    hypothesis: Hypothesis
+    coefficients: FloatArray
+    before: FloatArray
+    errors: FloatArray
+    left_out: FloatArray
+    covariance: FloatArray
+
+
+def with_tables(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    joint: int,
+    tables: Sequence[Covariate],
+    coefficients: FloatArray,
+) -> Hypothesis:
+    """A hypothesis with tables, in the place of those that it has at the joint."""
+    gone = [t for t in hypothesis.terms if t.joint == joint and not t.law.candidate]
+    out = hypothesis.without(*gone)
+    for table, values in zip(tables, np.split(coefficients, len(tables)), strict=True):
+        term = Term(table.effect, joint)
+        law, others = TABLES[table.effect], {}
+        if isinstance(law, UnnamedFriction):
+            others["still"] = STILL * float(problem.scales.of["velocity"][joint])
+        given = law.parameters_of(
+            table.variable, (table.low, table.high), table.valid, values, **others
+        )
+        theta = [given[p.name] / problem.scales.value(p, joint) for p in term.parameters]
+        out = out.with_term(term, np.array(theta))
+    return out
+
+
+def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data) -> Fitted | None:
+    """Tables fitted by simulation; None where no simulation with them is finite.
+
+    Args:
+        problem: what to explain.
+        hypothesis: the findings.
+        chosen: the tables and their first values.
+        data: around the hypothesis.
+    """
+    values, regression = chosen.coefficients, chosen.regression
+    linear = data.linear
+    penal = regression.normal(chosen.strength) - regression.gram.sum(axis=0)
+
+    def at(c: FloatArray) -> Hypothesis:
+        return with_tables(problem, hypothesis, data.joint, chosen.tables, c)
+
+    def left(c: FloatArray) -> FloatArray:
+        return linear.bins.mean(problem.residuals([at(c)], linear.segments)[0])
+
+    def objective(residual: FloatArray, c: FloatArray) -> float:
+        return float(np.sum((residual * data.weights) ** 2) + c @ penal @ c)
+
+    # Where the whole force is too much for the linearized motion, a part of it is closer.
+    for share in (1.0, 0.5, 0.25):
+        residual = left(share * values)
+        if np.isfinite(best := objective(residual, share * values)):
+            values = share * values
+            break
+    else:
+        return None
+    for _ in range(_STEPS):
+        local = _around(problem, at(values), data, chosen.tables, residual, values)
+        step = local.fitted(chosen.strength) - values
+        for _ in range(_HALVINGS):
+            tried = values + step
+            there = left(tried)
+            size = objective(there, tried)
+            if size < best:
+                break
+            step = 0.5 * step
+        else:
+            break
+        gained, values, residual, best = best - size, tried, there, size
+        if gained < _ENOUGH * best:
+            break
+    recordings = np.unique(data.recording)
+    # What a recording does to the values, as the last step has it.
+    whole = local.fitted(chosen.strength)
+    left_out = np.array([
+        values + local.fitted(chosen.strength, r) - whole for r in range(len(recordings))
+    ])  # fmt: skip
+    errors = np.array([
+        _error(problem, at(c), data, r) for c, r in zip(left_out, recordings, strict=True)
+    ])  # fmt: skip
+    before = np.array([_error(problem, hypothesis, data, r) for r in recordings])
+    return Fitted(
+        at(values), values, before, errors, left_out, _covariance(local, chosen.strength, values)
+    )
+
+
+def _around(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    data: Data,
+    tables: Sequence[Covariate],
+    residual: FloatArray,
+    values: FloatArray,
+) -> Regression:
+    """The sums of a step from ``values``, as if the tables were fitted afresh."""
+    linear = Linear(problem, hypothesis, data.linear.segments)
+    columns = [c for t in tables for c in t.moved_to(linear, data.joint).columns(data.joint)]
+    changes = linear.readings.of(columns)
+    responses = np.stack(changes, axis=-1) * data.weights[:, None]
+    flat = responses.reshape(-1, len(changes)).astype(float)
+    whole = residual + (flat @ values).reshape(residual.shape) / data.weights
+    return data.regression(tables, flat, whole)
+
+
+def _error(problem: Problem, hypothesis: Hypothesis, data: Data, recording: int) -> float:
+    """Weighted squared error of one recording, simulated."""
+    linear, bins = data.linear, data.linear.bins
+    owner = np.repeat(np.arange(len(bins.lengths)), bins.lengths)
+    mine = np.unique(owner[data.recording == recording])
+    segments = linear.segments[mine]
+    residual = problem.residuals([hypothesis], segments)[0]
+    counts = bins.counts[np.isin(owner, mine)]
+    edges = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    mean = np.add.reduceat(residual, edges, axis=0) / counts[:, None]
+    return float(np.sum((mean * data.weights) ** 2))
+
+
+def _covariance(local: Regression, strength: float, values: FloatArray) -> FloatArray:
+    """Of the coefficients: a sandwich of the scores of recordings (Liang, Zeger 1986)."""
+    inverse = np.linalg.inv(local.normal(strength))
+    scores = local.moment - local.gram @ values
+    count = len(scores)
+    middle = scores.T @ scores * (count / max(count - 1, 1))
+    clustered: FloatArray = inverse @ middle @ inverse
+    return clustered

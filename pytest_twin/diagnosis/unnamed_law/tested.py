@@ -1,0 +1,153 @@
+"""Free laws in a diagnosis: fitted before the test recordings are opened, then tested on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhere, pose
+from pytest_twin.diagnosis.unexplained import unexplained
+from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
+from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json
+from pytest_twin.diagnosis.windows import WINDOW
+
+_EARLY = 0.5
+"""Largest confidence where known effects were not all tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class TestedLaws:
+    """Free laws that the test recordings confirm.
+
+    Attributes:
+        laws: with the share of the squared test error that each removes.
+        hypothesis: the findings and the laws, in the numbering of the fitted problem.
+        tested: the diagnosis on the test recordings, with errors after the laws; its verdict and
+            findings are those of effects with a name.
+        notes: one line each.
+    """
+
+    laws: tuple[tuple[FreeLaw, float], ...]
+    hypothesis: Hypothesis
+    tested: Searched
+    notes: tuple[str, ...]
+
+    @property
+    def findings_json(self) -> list[dict[str, Any]]:
+        """Entries of ``diagnosis.json``, below every effect with a name."""
+        return [law_json(law, gain) for law, gain in self.laws]
+
+    def removed(self, joint: str) -> float | None:
+        """Share of the squared test error that the laws at a joint remove; None without one."""
+        gains = [gain for law, gain in self.laws if law.joint == joint]
+        return max(gains, default=None)
+
+
+def laws_left(given: Given, found: Searched, near: float | None) -> FreeLaws:
+    """Free laws for what a search leaves unexplained.
+
+    Args:
+        given: the model, and how it is stepped.
+        found: the search with its final parameters; all its recordings may be used.
+        near: window length, s, in which the residual is located; None for the problem itself.
+    """
+    hypothesis = found.explained.hypothesis
+    if found.verdict not in ("improved", "unexplained"):
+        return FreeLaws((), hypothesis, ())
+    prepared, trials = found.prepared, found.trials
+    if not all(s.amid for s in prepared.problem.simulator.segments):
+        # In short windows the measured motion and the simulated one stay close.
+        scales = prepared.problem.scales
+        prepared, trials = pose(given, trials, [], window=near or WINDOW, scales=scales)
+    left = unexplained(found, prepared, trials)
+    where = {joint: item.where for joint, item in left.items()}
+    return free_laws(prepared, hypothesis, where, prepared.problem.fit)
+
+
+def on_test(
+    found: FreeLaws, fitted: Problem, tested: Searched, *, searched_all: bool = True
+) -> TestedLaws:
+    """Predict the test recordings with the laws; those that they do not confirm are dropped.
+
+    Args:
+        found: the laws.
+        fitted: the problem whose numbering they have.
+        tested: the diagnosis on the test recordings.
+        searched_all: whether the search over effects with a name came to its end; confidence is at
+            most 50 % where it did not.
+    """
+    problem, named = tested.prepared.problem, tested.explained.hypothesis
+    laws = found.laws if tested.verdict in ("improved", "unexplained") else ()
+    column = {fitted.joints.index(j): k for k, j in enumerate(problem.joints)}
+    kept, notes = [], list(found.notes)
+    for law in laws:
+        if law.term.joint not in column:
+            notes.append(f"no free law at joint {law.joint}: no test recording shows this joint")
+            continue
+        kept.append(law)
+    while kept:
+        terms = {law.term: _moved(law.term, column) for law in kept}
+        everything = _with(named, found.hypothesis, terms)
+        after = left_everywhere(problem, everything)
+        whole = _squared(problem, after)
+        gains = []
+        for law in kept:
+            without = everything.without(terms[law.term])
+            gains.append(_gain(_squared(problem, left_everywhere(problem, without)), whole))
+        worst = int(np.argmin(gains))
+        if gains[worst] >= WORTH:
+            if not searched_all:
+                kept = [replace(law, confidence=min(law.confidence, _EARLY)) for law in kept]
+                notes.append(
+                    "the search over known effects ended early: a known effect may explain what "
+                    "the fitted law does"
+                )
+            errors = joint_errors(tested.prepared, tested.before, after)
+            gone = [law.term for law in found.laws if law.term not in terms]
+            return TestedLaws(
+                tuple(zip(kept, gains, strict=True)),
+                found.hypothesis.without(*gone),
+                replace(tested, after=after, errors=errors),
+                tuple(notes),
+            )
+        law = kept.pop(worst)
+        notes.append(
+            f"no free law at joint {law.joint}: {law.words} removes "
+            f"{100 * law.removed:.0f} % of the squared error in cross-validation, but "
+            f"{100 * gains[worst]:.0f} % on the test recordings ({100 * WORTH:.0f} % required)"
+        )
+    free = found.hypothesis.without(*(law.term for law in found.laws))
+    return TestedLaws((), free, tested, tuple(notes))
+
+
+def _moved(term: Term, column: Mapping[int, int]) -> Term:
+    return Term(term.effect, column[term.joint])
+
+
+def _with(named: Hypothesis, laws: Hypothesis, terms: Mapping[Term, Term]) -> Hypothesis:
+    """Findings with laws, whose terms are renumbered."""
+    out = named
+    for term, here in terms.items():
+        out = out.with_term(here, laws.theta[laws.slice_of(term)])
+    return out
+
+
+def _squared(problem: Problem, residual: FloatArray) -> float:
+    """Squared error of the test recordings, in floors."""
+    return float(np.sum((residual[problem.in_test] / problem.signal_floor) ** 2))
+
+
+def _gain(without: float, with_it: float) -> float:
+    """Share of a squared error that is gone; 1 where the simulation diverges without."""
+    if not np.isfinite(with_it):
+        return -1.0
+    if not np.isfinite(without):
+        return 1.0
+    return float(np.clip((without - with_it) / without, -1.0, 1.0)) if without > 0.0 else 0.0

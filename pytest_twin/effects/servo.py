@@ -1,0 +1,287 @@
+"""Servo effects: what a digital servo does besides its proportional and derivative terms.
+
+Each is a shift of the setpoint in the control law, so that the drive's limits act on the sum. The
+engine integrates the servo's damping implicitly. That leaves an error proportional to the step,
+which the diagnosis extrapolates away with the step's other errors (Richardson).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import Effect, Parameter, Values, World
+from pytest_twin.effects.within import within
+
+_SERVOS = ("position", "velocity")
+
+
+def _per_gain(effort: FloatArray, world: World) -> FloatArray:
+    """Shift of the setpoint that adds an effort to the control law; 0 without a drive."""
+    driven = world.gain != 0.0
+    shift: FloatArray = np.where(driven, effort / np.where(driven, world.gain, 1.0), 0.0)
+    return shift
+
+
+class VelocityFilter(Effect):
+    """The servo's derivative term acts on a low-pass filtered velocity."""
+
+    id = "velocity_filter"
+    family = "actuation"
+    law = (
+        "effort = gain setpoint - stiffness q - damping filtered; "
+        "time_constant d(filtered)/dt = v - filtered"
+    )
+    source = "derivative filter; Astrom, Murray, Feedback Systems (2008), sec. 10.5"
+    parameters = (
+        Parameter(
+            "time_constant", "time", 0.0, 0.0, 0.2, (0.005, 0.02),
+            meaning="time constant of the velocity filter",
+        ),
+    )  # fmt: skip
+    modes = _SERVOS
+    remembers = True
+    confused_with: ClassVar = {
+        "controller_gain": "record slow and fast motions: a filter reduces the damping of fast "
+        "motions only",
+        "armature": "move the joint with the drive off: only armature remains",
+        "actuator_lag": "command a step with the joint held: only a lag of the effort delays the "
+        "rise",
+        "control_period": "record a chirp: a filter delays the damping only, a control period the "
+        "stiffness too",
+    }
+
+    def servo(self, world: World, values: Values) -> None:
+        lag = values["time_constant"]
+        now = world.motor_velocity
+        known: tuple[FloatArray, FloatArray] | None = world.state.get(self.id)
+        if known is None:
+            filtered = now
+        else:
+            # Exact for a velocity that changes linearly over the step.
+            before, filtered = known
+            behind = (now - before) * lag / world.timestep
+            keep = np.exp(-world.timestep / np.maximum(lag, 1e-9))
+            filtered = now - behind + (filtered - before + behind) * keep
+        world.state[self.id] = (now.copy(), filtered)
+        missing = np.where(lag > 0.0, world.damping * (now - filtered), 0.0)
+        world.setpoint = world.setpoint + _per_gain(missing, world)
+
+
+class VelocityFeedforward(Effect):
+    """The servo adds an effort proportional to the rate of its setpoint."""
+
+    id = "velocity_feedforward"
+    family = "actuation"
+    law = "effort = gain (setpoint - q) - damping v + feedforward d(setpoint)/dt"
+    source = (
+        "Feedforward 1st Gain, ROBOTIS e-Manual, X series; Siciliano et al., Robotics (2009), "
+        "sec. 8.3"
+    )
+    parameters = (
+        Parameter(
+            "feedforward", "damping", 0.0, -5.0, 50.0, (0.2,), "damping",
+            meaning="velocity feed-forward gain",
+        ),
+    )  # fmt: skip
+    modes = ("position",)
+    remembers = True
+    confused_with: ClassVar = {
+        "controller_gain": "push the joint at a constant setpoint: a feed-forward does not change "
+        "its damping",
+        "viscous_friction": "push the joint at a constant setpoint: a feed-forward does not change "
+        "its damping",
+        "command_delay": "command a ramp from rest: a delay leaves a dead time, a feed-forward "
+        "acts at once",
+    }
+
+    def command(self, world: World, values: Values) -> None:
+        before = world.state.get(self.id, (world.setpoint,))[0]
+        rate = (world.setpoint - before) / world.timestep
+        world.state[self.id] = (world.setpoint.copy(), rate)
+
+    def servo(self, world: World, values: Values) -> None:
+        rate = world.state[self.id][1]
+        world.setpoint = world.setpoint + _per_gain(values["feedforward"] * rate, world)
+
+
+class IntegralGain(Effect):
+    """The servo has an integral term; it stops where the drive is at its limit.
+
+    Before a recording begins the term has settled: it carries the load of the joint at rest.
+    """
+
+    id = "integral_gain"
+    family = "actuation"
+    law = (
+        "effort = gain (error + integral) - damping v; "
+        "integral_time d(integral)/dt = error, 0 while the drive is at its limit; "
+        "error: setpoint - q of a position servo, setpoint - v of a velocity servo"
+    )
+    source = "PID with conditional integration; Astrom, Murray, Feedback Systems (2008), sec. 10.4"
+    parameters = (
+        # Absent at infinity: the parameter is the reciprocal of the time.
+        Parameter(
+            "inverse_integral_time", "one", 0.0, 0.0, 100.0, (0.7, 4.0), "one",
+            ("integral_time", "time"), meaning="integral time (gain divided by integral gain)",
+        ),
+    )  # fmt: skip
+    modes = _SERVOS
+    remembers = True
+    reads_load = True
+    confused_with: ClassVar = {
+        "controller_gain": "hold a load for a second: only an integral term removes the error at "
+        "rest",
+        "coulomb_friction": "hold a load for a second: only an integral term removes the error at "
+        "rest",
+        "payload": "hold a load for a second: only an integral term removes the error at rest",
+    }
+
+    def servo(self, world: World, values: Values) -> None:
+        rate = values["inverse_integral_time"]
+        state = np.where(world.servo == "velocity", world.motor_velocity, world.motor_position)
+        error = world.setpoint - state
+        integral = world.state.get(self.id)
+        if integral is None:
+            at_rest = world.asked(world.motor_position, np.zeros_like(world.motor_velocity))
+            settled = _per_gain(world.load - at_rest, world)
+            # Later in a recording the joint moves: its effort does not show the term.
+            begins = world.time[:, None] <= world.timestep
+            integral = np.where(begins & (rate > 0.0), settled, 0.0)
+        effort = world.asked(world.motor_position, world.motor_velocity) + world.gain * integral
+        saturated = ((effort > world.upper) & (error > 0.0)) | (
+            (effort < world.lower) & (error < 0.0)
+        )
+        grown = integral + np.where(saturated, 0.0, rate * error * world.timestep)
+        world.state[self.id] = grown
+        world.setpoint = world.setpoint + np.where(rate > 0.0, 0.5 * (integral + grown), 0.0)
+
+
+class ControlPeriod(Effect):
+    """A sampled servo: it reads its encoder once per period and holds its effort until the next.
+
+    The velocity is the difference of two readings divided by the period. When a recording begins
+    within a period is unknown. The law is therefore the mean over all phases: a recording shows
+    the delay that sampling adds, not the steps of the effort.
+    """
+
+    id = "control_period"
+    family = "actuation"
+    law = (
+        "effort(t) = mean over s of gain setpoint(s) - stiffness q(s) "
+        "- damping (q(s) - q(s - period)) / period; "
+        "t - (1 + computing_delay) period <= s <= t - computing_delay period"
+    )
+    source = "zero-order hold; Franklin, Powell, Workman, Digital Control (1998), ch. 4 and 5"
+    parameters = (
+        Parameter("period", "time", 0.0, 0.0, 0.04, (0.005, 0.015), meaning="control period"),
+        Parameter(
+            "computing_delay", "one", None, 0.0, 2.0, (0.0, 1.0),
+            meaning="computing delay in control periods",
+        ),
+    )  # fmt: skip
+    modes = _SERVOS
+    remembers = True
+    # It samples the setpoint after all other effects have changed it.
+    hook_order = 9
+    confused_with: ClassVar = {
+        "command_delay": "push the robot by hand: a control period takes damping away, a delay of "
+        "the command does not",
+        "controller_gain": "record slow and fast motions: a control period takes damping away from "
+        "fast motions only",
+        "actuator_lag": "log the effort at 1 kHz or more: a control period shows steps, a lag is "
+        "smooth",
+        "velocity_filter": "record a chirp: a control period delays the stiffness too",
+    }
+
+    def servo(self, world: World, values: Values) -> None:
+        period = values["period"]
+        acts = (period > 0.0) & (world.gain != 0.0)
+        period = np.where(acts, period, 1.0)
+        delay = values["computing_delay"] * period
+        past: _Past | None = world.state.get(self.id)
+        if past is None:
+            longest = float(np.where(acts, delay + 2.0 * period, 0.0).max())
+            past = world.state[self.id] = _Past.at(world, longest)
+        past.add(world)
+        now, one, two = (past.position(delay + k * period) for k in range(3))
+        setpoint = past.setpoint(delay) - past.setpoint(delay + period)
+        position, change = now - one, now - 2.0 * one + two
+        effort = (
+            world.offset
+            + (world.gain * setpoint - world.stiffness * position - world.damping * change / period)
+            / period
+        )
+        effort = within(effort, world.lower, world.upper)
+        # The control law at the present state asks for the effort that is held.
+        more = effort - world.asked(world.motor_position, world.motor_velocity)
+        world.setpoint = np.where(acts, world.setpoint + _per_gain(more, world), world.setpoint)
+
+
+@dataclass(slots=True)
+class _Past:
+    """Integrals of positions and setpoints over time, for the last steps.
+
+    Attributes:
+        timestep: s.
+        count: steps so far.
+        positions, setpoints: (steps, rows, joints), step ``k`` at ``k % steps``.
+        areas, sums: their integrals up to the beginning of each step.
+    """
+
+    timestep: float
+    count: int
+    positions: FloatArray
+    setpoints: FloatArray
+    areas: FloatArray
+    sums: FloatArray
+
+    @classmethod
+    def at(cls, world: World, longest: float) -> _Past:
+        """A past of ``longest`` s in which the joints moved evenly under the same setpoint."""
+        step = world.timestep
+        steps = int(np.ceil(longest / step)) + 3
+        ago = step * (steps - np.arange(steps, dtype=np.float64))[:, None, None]
+        position, velocity = world.motor_position, world.motor_velocity
+        return cls(
+            step, 0, position - ago * velocity, np.tile(world.setpoint, (steps, 1, 1)),
+            0.5 * ago**2 * velocity - ago * position, -ago * world.setpoint,
+        )  # fmt: skip
+
+    def add(self, world: World) -> None:
+        """Add the present step."""
+        steps, step = len(self.positions), self.timestep
+        at, last = self.count % steps, (self.count - 1) % steps
+        position = world.motor_position
+        self.areas[at] = self.areas[last] + 0.5 * step * (self.positions[last] + position)
+        self.sums[at] = self.sums[last] + step * self.setpoints[last]
+        self.positions[at], self.setpoints[at] = position, world.setpoint
+        self.count += 1
+
+    def position(self, ago: FloatArray) -> FloatArray:
+        """(rows, joints) integral of the position until so long ago, s."""
+        whole = np.ceil(ago / self.timestep).astype(np.int64)
+        since = whole * self.timestep - ago
+        before = self._of(self.positions, whole)
+        rise = self._of(self.positions, np.maximum(whole - 1, 0)) - before
+        inside = before + 0.5 * rise * since / self.timestep
+        return self._of(self.areas, whole) + inside * since
+
+    def setpoint(self, ago: FloatArray) -> FloatArray:
+        """(rows, joints) integral of the setpoint until so long ago, s.
+
+        The engine holds the setpoint of a step from half a step before to half a step after.
+        """
+        back = ago - 0.5 * self.timestep
+        whole = np.maximum(np.ceil(back / self.timestep), 0.0).astype(np.int64)
+        since = whole * self.timestep - back
+        return self._of(self.sums, whole) + self._of(self.setpoints, whole) * since
+
+    def _of(self, kept: FloatArray, back: NDArray[np.int64]) -> FloatArray:
+        at = (self.count - 1 - back) % len(kept)
+        found: FloatArray = np.take_along_axis(kept, at[None], axis=0)[0]
+        return found

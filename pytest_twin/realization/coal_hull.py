@@ -1,0 +1,63 @@
+"""Convex hulls as coal takes them: a vertex may have at most 255 neighbours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import coal
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+Vector = NDArray[np.float64]
+Faces = NDArray[np.integer[Any]]
+
+_DIRECTIONS = (4000, 1000, 250)
+"""Directions whose farthest vertices make a coarser hull. With 4000 it lies within 2e-4 of the
+size of the shape, with 250 within 3e-3."""
+_GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+
+
+def convex(vertices: Vector, faces: Faces) -> coal.Convex:
+    """A hull, or a coarser one where a vertex has more neighbours than coal counts.
+
+    Args:
+        vertices: (n, 3) m, all on the hull.
+        faces: (m, 3) indices, counterclockwise seen from outside.
+    """
+    try:
+        return _convex(vertices, faces)
+    except RuntimeError:
+        for count in _DIRECTIONS:
+            kept = vertices[np.unique((vertices @ _sphere(count).T).argmax(axis=0))]
+            try:
+                return _convex(kept, outward_faces(ConvexHull(kept), kept))
+            except RuntimeError:
+                continue
+        raise
+
+
+def outward_faces(hull: ConvexHull, points: Vector) -> Faces:
+    """(m, 3) faces of the hull of ``points``, counterclockwise seen from outside."""
+    faces = hull.simplices.copy()
+    first, second, third = (points[faces[:, i]] for i in range(3))
+    normals = np.cross(second - first, third - first)
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    return np.asarray(faces)
+
+
+def _convex(vertices: Vector, faces: Faces) -> coal.Convex:
+    corners = coal.StdVec_Vec3s()
+    corners.extend(list(vertices))
+    triangles = coal.StdVec_Triangle()
+    triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
+    return coal.Convex(corners, triangles)
+
+
+def _sphere(count: int) -> Vector:
+    """(count, 3) unit vectors, evenly over the sphere (Fibonacci lattice)."""
+    turn = np.arange(count) * _GOLDEN_ANGLE
+    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    radius = np.sqrt(1.0 - height**2)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)

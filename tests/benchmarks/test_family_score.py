@@ -1,0 +1,124 @@
+"""What counts as right, background or false in families with a background, and their figures."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "concealed"))
+
+import family_score
+from family_score import Answer
+
+
+def _finding(
+    effect: str, joint: str | None, confidence: float = 0.95, value: float = 1.0,
+    alternatives: list[dict[str, Any]] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    parameters = {"size": {"value": value, "ci95": [0.9 * value, 1.1 * value]}}
+    return {"effect": effect, "joint": joint, "confidence": confidence, "parameters": parameters,
+            "alternatives": alternatives or []}  # fmt: skip
+
+
+def _answer(findings: list[dict[str, Any]], **truth: Any) -> Answer:
+    hidden = {"effect": "command_delay", "joint": "a", "parameters": {"size": 1.0},
+              "visibility": 20.0, "equivalents": [["sensor_delay", None]]}  # fmt: skip
+    background = [
+        {"effect": "viscous_friction", "joint": "a", "parameters": {"size": -0.01}},
+        {"effect": "control_period", "joint": None, "parameters": {"period": 0.002}},
+    ]
+    case = {"case": "cell1", "family": "cell", "kind": "one", "joints": ["a"], "contact": False,
+            "seconds": 10.0, "effects": [hidden], "outside": None, "background": background,
+            **truth}  # fmt: skip
+    said = {
+        "verdict": "explained", "findings": findings, "unexplained": {},
+        "held_out": {"a": {"rms_before": 10.0, "rms_after": 2.0, "floor": 1.0}},
+        "cost": {"million_steps": 5.0},
+    }  # fmt: skip
+    return Answer(case, {"seconds": 30.0, "status": 0}, said)
+
+
+def test_a_hidden_effect_is_right_on_its_joint_only() -> None:
+    assert family_score.first_right(_answer([_finding("command_delay", "a")]))
+    assert not family_score.first_right(_answer([_finding("command_delay", "b")]))
+    assert not family_score.first_right(_answer([]))
+
+
+@pytest.mark.parametrize(("share", "right"), [(0.5, True), (0.3, True), (0.02, False)])
+def test_another_name_for_the_same_is_right_where_it_shares_its_confidence(
+    share: float, right: bool
+) -> None:
+    rival = [{"effect": "command_delay", "confidence": share}]
+    answer = _answer([_finding("sensor_delay", None, 0.5, alternatives=rival)])
+    assert family_score.first_right(answer) is right
+
+
+def test_a_background_difference_is_known_by_its_sign_and_its_size() -> None:
+    def kind(value: float) -> str:
+        answer = _answer([])
+        return family_score.kind_of(_finding("viscous_friction", "a", value=value), answer.truth)
+
+    assert kind(-0.012) == "background"
+    assert kind(-0.11) == "false"  # ten times what differs: it compensates for something else
+    assert kind(0.025) == "false"
+
+
+def test_a_fact_of_all_servos_may_be_named_at_any_joint() -> None:
+    finding = _finding("control_period", "a")
+    finding["parameters"] = {"period": {"value": 0.0021}}
+    assert family_score.kind_of(finding, _answer([]).truth) == "background"
+
+
+def test_a_law_without_a_name_is_neither_right_nor_false() -> None:
+    assert _answer([_finding("unnamed_law", "a")]).findings == []
+
+
+def test_names_below_nine_tenths_are_not_sure() -> None:
+    answer = _answer([_finding("backlash", "a", 0.89), _finding("cogging", "a", 0.9)])
+    assert [f["effect"] for f in family_score.sure(answer, "false")] == ["cogging"]
+
+
+def test_confidence_is_counted_in_bands() -> None:
+    answer = _answer(
+        [_finding("command_delay", "a", 1.0), _finding("backlash", "a", 0.8),
+         _finding("cogging", "a", 0.9)]
+    )  # fmt: skip
+    assert family_score.calibration([answer]) == [(0, 0), (0, 1), (1, 2)]
+
+
+def test_simulations_are_counted_in_whole_data() -> None:
+    # 5 million steps of 1 ms are 5000 s, of data of 50 s.
+    assert family_score.simulations(_answer([])) == pytest.approx(100.0)
+
+
+def test_a_force_in_no_catalogue_is_right_where_its_joint_is_left_unexplained() -> None:
+    answer = _answer([], effects=[], kind="outside", outside={"joint": "a"})
+    assert answer.said is not None
+    answer.said.update(verdict="unexplained", unexplained={"a": {"fraction": 0.9}})
+    assert family_score.unexplained_right(answer)
+    answer.said["findings"] = [_finding("backlash", "a")]
+    assert not family_score.unexplained_right(answer)
+
+
+def test_tables_have_a_column_for_each_folder_and_the_cases_of_all(tmp_path: Path) -> None:
+    answer = _answer([_finding("command_delay", "a")])
+    (tmp_path / "truth").mkdir()
+    for case in ("cell1", "cell2"):
+        truth = {**answer.truth, "case": case}
+        (tmp_path / "truth" / f"{case}.json").write_text(json.dumps(truth))
+    for column, cases in (("before", ("cell1", "cell2")), ("after", ("cell1",))):
+        for case in cases:
+            folder = tmp_path / column / case
+            folder.mkdir(parents=True)
+            (folder / "diagnosis.json").write_text(json.dumps(answer.said))
+            run = tmp_path / column / f"{case}.run.json"
+            run.write_text(json.dumps({**answer.run, "case": case}))
+    columns = {c: family_score.load(tmp_path / "truth", tmp_path / c) for c in ("before", "after")}
+    lines = family_score.table(columns)
+    assert lines[0] == "| figure | goal | before | after |"
+    assert lines[2] == "| cases with a result |  | 1 of 1 | 1 of 1 |"
+    assert any("removed" in line and "97.0% of 1" in line for line in lines)

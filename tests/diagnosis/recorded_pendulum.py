@@ -1,0 +1,201 @@
+"""Reality for the tests: one pendulum with a servo, and a logger that does what loggers do.
+
+Nothing here comes from the package but the writer of recordings. The equation is integrated at
+10 kHz; the model that is diagnosed steps at 1 ms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from pytest_twin.formats.mcap import JointSeries, write_recording
+
+STEP = 1e-4
+MASS, LENGTH, INERTIA, ARMATURE = 0.9, 0.175, 0.0095, 0.02
+KP, KV, DAMPING, DRY, GRAVITY = 60.0, 2.0, 0.1, 0.1, 9.81
+MODEL = f"""
+<mujoco model="pendulum"><compiler angle="radian"/>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody><body name="link">
+    <inertial pos="0 0 {LENGTH}" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} 0.0007"/>
+    <joint name="j1" axis="0 1 0" armature="{ARMATURE}" damping="{DAMPING}" frictionloss="{DRY}"/>
+  </body></worldbody>
+  <actuator>{{actuator}}</actuator>
+</mujoco>
+"""
+SERVO = f'<position name="a1" joint="j1" kp="{KP}" kv="{KV}"/>'
+MOTOR = '<motor name="a1" joint="j1"/>'
+
+
+@dataclass(frozen=True)
+class Reality:
+    """What the cell does; by default what the model says.
+
+    Attributes:
+        between: what the controller does between two logged commands.
+        command_period, state_period: s, of the log.
+        delay, lag: s, of the command and of the torque.
+        stiffness, damping, dry: of the servo and the joint, times the model's.
+        play: rad, half the dead zone of the servo's error.
+        effort: what the log has as effort: nothing, the torque that a sensor measures, or the one
+            that the controller demands.
+        effort_late: s by which the logged effort is older than its stamp.
+        velocity: the sensor's, differences of the logged positions, or these through a filter.
+        filtered: s, time constant of that filter.
+    """
+
+    between: Literal["held", "interpolated", "ramped"] = "held"
+    command_period: float = 0.004
+    state_period: float = 0.004
+    delay: float = 0.0
+    lag: float = 0.0
+    stiffness: float = 1.0
+    damping: float = 1.0
+    viscous: float = 0.0
+    dry: float = 1.0
+    play: float = 0.0
+    effort: Literal["none", "measured", "demanded"] = "none"
+    effort_late: float = 0.0
+    velocity: Literal["none", "sensor", "differenced"] = "none"
+    filtered: float = 0.0
+    noise: float = 1e-4
+    driven: bool = False
+
+
+def wanted(seed: int, time: np.ndarray) -> np.ndarray:
+    """(n,) rad: four sines, or moves at 3 rad/s between rests where the seed is odd."""
+    rng = np.random.default_rng(seed)
+    if seed % 2:
+        begins = np.arange(0.2, time[-1], 0.6)
+        levels = rng.uniform(-0.6, 0.6, len(begins))
+        corners, values, last = [0.0], [0.0], 0.0
+        for begin, level in zip(begins, levels, strict=True):
+            corners += [begin, begin + max(abs(level - last) / 3.0, 0.02)]
+            values += [last, level]
+            last = level
+        return np.interp(time, corners, values)
+    rate, phase = np.array([0.4, 0.9, 1.9, 3.3]), rng.uniform(0.0, 2.0 * np.pi, 4)
+    size = np.array([0.4, 0.2, 0.1, 0.05])
+    waves = size[:, None] * np.sin(2.0 * np.pi * rate[:, None] * time + phase[:, None])
+    return waves.sum(axis=0) * np.minimum(time / 0.3, 1.0)
+
+
+def commanded(seed: int, reality: Reality, time: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Stamps and values of the logged commands, and what the controller follows at each time."""
+    period = reality.command_period
+    stamps = np.arange(0.0, time[-1] + period, period)
+    values = wanted(seed, stamps)
+    if reality.driven:
+        values = 4.0 * values
+    index = np.searchsorted(stamps, time + 1e-9, side="right") - 1
+    if reality.between == "held":
+        follows = values[index]
+    elif reality.between == "interpolated":
+        follows = np.interp(time, stamps, values)
+    else:
+        before = values[np.maximum(index - 1, 0)]
+        follows = before + (values[index] - before) * (time - stamps[index]) / period
+    return stamps, values, follows
+
+
+def swing(seed: int, reality: Reality, seconds: float) -> dict[str, np.ndarray]:
+    """The motion at every step: time, position, velocity, demand and torque."""
+    time = np.arange(0.0, seconds, STEP)
+    stamps, values, follows = commanded(seed, reality, time)
+    late = round(reality.delay / STEP)
+    follows = np.concatenate([np.full(late, follows[0]), follows])[: len(time)]
+    inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
+    keep = np.exp(-STEP / reality.lag) if reality.lag else 0.0
+    kp, kv = KP * reality.stiffness, KV * reality.damping
+    q = v = torque = 0.0
+    out = np.empty((4, len(time)))
+    for k, u in enumerate(follows):
+        if reality.driven:
+            demand = u
+        else:
+            error = u - q
+            error -= np.clip(error, -reality.play, reality.play)
+            demand = kp * error - kv * v
+        torque = keep * torque + (1.0 - keep) * demand
+        out[:, k] = q, v, kp * (u - q) - kv * v if not reality.driven else u, torque
+        pull = torque + MASS * GRAVITY * LENGTH * np.sin(q) - (DAMPING + reality.viscous) * v
+        level = DRY * reality.dry
+        moved = v + STEP * pull / inertia
+        # Dry friction stops the joint, and never turns it round.
+        v = np.sign(moved) * max(abs(moved) - STEP * level / inertia, 0.0)
+        q += STEP * v
+    return {
+        "time": time, "position": out[0], "velocity": out[1], "demand": out[2], "torque": out[3],
+        "stamps": stamps, "values": values,
+    }  # fmt: skip
+
+
+def record(
+    path: Path, seed: int, reality: Reality, *, role: str = "fit", seconds: float = 4.0,
+    late_stamp_ns: int = 0,
+) -> Path:  # fmt: skip
+    """Write a recording.
+
+    Args:
+        path: of the MCAP file.
+        seed: of motion and noise.
+        reality: what the cell does.
+        role: of the recording.
+        seconds: of motion.
+        late_stamp_ns: by how much one command stamp in the middle is late.
+    """
+    motion = swing(seed, reality, seconds)
+    rng = np.random.default_rng(1000 + seed)
+    # A sample in the middle of a period meets no command on its way.
+    first = 0.37 * reality.state_period
+    stamp = np.arange(first, seconds - 2 * STEP, reality.state_period)
+
+    def at(signal: str, late: float = 0.0) -> np.ndarray:
+        return np.interp(stamp - late, motion["time"], motion[signal])
+
+    position = at("position") + reality.noise * rng.standard_normal(len(stamp))
+    velocity = effort = None
+    if reality.velocity == "sensor":
+        velocity = at("velocity") + 0.002 * rng.standard_normal(len(stamp))
+    elif reality.velocity == "differenced":
+        velocity = np.diff(position, prepend=position[0]) / reality.state_period
+        keep = np.exp(-reality.state_period / reality.filtered) if reality.filtered else 0.0
+        for k in range(1, len(velocity)):
+            velocity[k] = keep * velocity[k - 1] + (1.0 - keep) * velocity[k]
+    if reality.effort != "none":
+        of = "torque" if reality.effort == "measured" else "demand"
+        effort = at(of, reality.effort_late) + 0.01 * rng.standard_normal(len(stamp))
+    start = 1_700_000_000_000_000_000
+    command_stamp = start + np.rint(motion["stamps"] * 1e9).astype(np.int64)
+    command_stamp[len(command_stamp) // 2] += late_stamp_ns
+    sent = motion["values"][:, None]
+    state_stamp = start + np.rint(stamp * 1e9).astype(np.int64)
+    states = JointSeries(
+        "/joint_states", ("j1",), state_stamp, state_stamp, position[:, None],
+        None if velocity is None else velocity[:, None],
+        None if effort is None else effort[:, None],
+    )  # fmt: skip
+    commands = JointSeries(
+        "/joint_commands", ("j1",), command_stamp, command_stamp,
+        None if reality.driven else sent, None, sent if reality.driven else None,
+    )  # fmt: skip
+    write_recording(path, [states, commands], metadata={"role": role})
+    return path
+
+
+def cell(
+    folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3), seconds: float = 2.5
+) -> tuple[Path, list[Path]]:
+    """The model and recordings, the last of them held out."""
+    folder.mkdir(parents=True, exist_ok=True)
+    model = folder / "model.xml"
+    model.write_text(MODEL.format(actuator=MOTOR if reality.driven else SERVO), "utf-8")
+    roles = ["fit"] * (len(seeds) - 1) + ["held_out"]
+    return model, [
+        record(folder / f"r{seed}.mcap", seed, reality, role=role, seconds=seconds)
+        for seed, role in zip(seeds, roles, strict=True)
+    ]

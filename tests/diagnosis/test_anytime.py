@@ -1,0 +1,78 @@
+"""A diagnosis answers at any time: first within seconds, at the end of its time, on Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from two_pendulums import JOINTS, case
+
+from pytest_twin import cli
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.first_answer import first_answer
+from pytest_twin.diagnosis.trials import read_trials
+
+LEFT = JOINTS[:1]
+PROGRAM = str(Path(sys.executable).with_name("pytest-twin"))
+
+
+def said(folder: Path) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text())
+    return loaded
+
+
+def test_ctrl_c_ends_the_search_and_writes_the_best_so_far(tmp_path: Path) -> None:
+    words = case(tmp_path, joints=LEFT, viscous=0.1)
+    command = [PROGRAM, "diagnose", *words, "--seconds", "1000", "--out", str(tmp_path / "out")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        first = process.stderr.readline()
+        assert first.startswith("first answer, from one recording: ")
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+    assert "stopping: the best result so far is written; Ctrl-C again aborts" in rest
+    assert process.returncode in (0, 1)
+    found = said(tmp_path)
+    assert any("because it was stopped. Not tried: " in note for note in found["notes"])
+    assert found["held_out"]["left"]["rms_before"] > 0.0
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert (tmp_path / "out" / "realization" / "model.xml").is_file()
+
+
+def test_when_its_time_is_over_it_says_what_was_not_tried(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = case(tmp_path, joints=LEFT, viscous=0.1)
+    out = str(tmp_path / "out")
+    assert cli.main(["diagnose", *words, "--seconds", "0.1", "--out", out]) in (0, 1)
+    (note,) = [n for n in said(tmp_path)["notes"] if n.startswith("the search ended early")]
+    assert "because its 0.1 s were over. Not tried: " in note
+    assert "With more time (--seconds) further effects could be found" in note
+    assert note in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seconds", ["-1", "soon", "nan", "1e9"])
+def test_a_time_that_is_none_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: str
+) -> None:
+    words = ["diagnose", "model.xml", "a.mcap", f"--seconds={seconds}", "--out", str(tmp_path)]
+    with pytest.raises(SystemExit) as refused:
+        cli.main(words)
+    assert refused.value.code == 2
+    assert f"got '{seconds}', expected a time in s, 0 to 14400" in capsys.readouterr().err
+
+
+def test_the_first_answer_is_of_the_recording_that_is_off_most(tmp_path: Path) -> None:
+    words = case(tmp_path, joints=LEFT, viscous=0.3)
+    loaded = load_model(Path(words[0]))
+    trials = read_trials([Path(w) for w in words[1:]], [], loaded.topics,
+                         loaded.realization.structure)  # fmt: skip
+    seen = first_answer(loaded.realization, trials.fit, None, seconds=600.0)
+    assert seen is not None
+    assert [s.place for s in seen.suspects] == [("viscous_friction", ("left",))]
+    assert first_answer(loaded.realization, trials.fit, None, seconds=1e-6) is None

@@ -1,0 +1,136 @@
+"""One budget for a whole diagnosis: when it is spent, the best so far is the result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import JOINTS, mjcf, record
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.budget import RESERVED, Budget
+from pytest_twin.diagnosis.deadline import OutOfTime, check
+from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.run import Run, not_tried
+from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.trace import MOST_STEPS, Step, Trace
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.realization import Realization
+
+LEFT = JOINTS[:1]
+
+
+class Clock:
+    """Time that goes on by one second whenever it is read."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        self.now += 1.0
+        return self.now
+
+
+@pytest.fixture
+def braked(tmp_path: Path) -> tuple[Realization, TrialSet]:
+    """One joint with more viscous friction than its model."""
+    (tmp_path / "model.xml").write_text(mjcf(LEFT))
+    files = [record(tmp_path / f"{seed}.mcap", seed, joints=LEFT, viscous=0.1) for seed in range(3)]
+    loaded = load_model(tmp_path / "model.xml")
+    trials = read_trials(files[:2], files[2:], loaded.topics, loaded.realization.structure)
+    return loaded.realization, trials
+
+
+@pytest.mark.parametrize("accepted", [0, 1], ids=["before its first step", "after an effect"])
+def test_a_search_that_is_stopped_ends_with_the_best_so_far(
+    braked: tuple[Realization, TrialSet], accepted: int
+) -> None:
+    """Effects whose alternatives were not simulated are no surer than 80 %."""
+    budget = Budget()
+    run = Run(budget, Trace(lambda step: budget.stop() if step.decision == "accepted" else None))
+    if not accepted:
+        budget.stop()
+    found = diagnose(*braked, threads=1, run=run)
+    assert found.verdict in ("unexplained", "improved", "explained")
+    assert set(found.errors) == {"left"}
+    (note,) = [n for n in found.notes if n.startswith("the search ended early")]
+    assert "because it was stopped. Not tried: " in note
+    assert bool(found.explained.findings) is bool(accepted)
+    assert all(f.confidence <= 0.8 for f in found.explained.findings)
+    assert all(f.parameters and f.held_out_gain > 0.5 for f in found.explained.findings)
+
+
+def test_the_search_ends_a_fifth_before_the_time_is_over() -> None:
+    clock = Clock()
+    budget = Budget(seconds=100.0, clock=clock)
+    clock.now = 100.0 * (1.0 - RESERVED) - 2.0
+    with budget.searching():
+        check()
+        clock.now += 5.0
+        with pytest.raises(OutOfTime):
+            check()
+        with budget.reserved():
+            check()
+    check()
+
+
+def test_no_bound_of_time_is_for_as_long_as_it_takes() -> None:
+    clock = Clock()
+    budget = Budget(seconds=0.0, clock=clock)
+    clock.now = 1e9
+    assert not budget.out_of_time
+    assert budget.left == np.inf
+
+
+def test_time_that_other_programs_take_is_not_counted_if_asked() -> None:
+    """Up to five times the time by the clock on the wall."""
+    clock = Clock()
+    strict, lenient = (Budget(100.0, clock=clock, own_time=own) for own in (False, True))
+    clock.now += 200.0
+    assert strict.out_of_time
+    assert not lenient.out_of_time
+    clock.now += 300.0
+    assert lenient.out_of_time
+
+
+def test_work_is_shared_by_all_searches(braked: tuple[Realization, TrialSet]) -> None:
+    realization, trials = braked
+    problem = prepare(realization, trials.fit, (), threads=1).problem
+    run = Run(Budget(simulations=20.0))
+    run.budget.add(problem)
+    run.budget.add(problem)
+    first = Contest(problem, run)
+    assert not first.spent([])
+    while run.budget.work <= 20.0:
+        problem.residuals([first.nominal.hypothesis] * 10, problem.fit)
+    assert Contest(problem, run).spent([]), "a second search has no budget of its own"
+    assert run.attempt("more", lambda: "more", "the best so far") == "the best so far"
+    (note,) = not_tried(run)
+    assert "its 20 simulations of all data were used. Not tried: more" in note
+
+
+def test_simulations_are_counted_in_the_result(braked: tuple[Realization, TrialSet]) -> None:
+    found = diagnose(*braked, threads=1)
+    assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
+    said = found.to_json(realization="realization/")
+    assert 10.0 < said["cost"]["simulations"] < 1200.0
+    steps = said["search_trace"]["steps"]
+    assert said["search_trace"]["left_out"] == 0
+    taken = [s for s in steps if s["decision"] == "accepted"]
+    assert taken
+    assert taken[-1]["proposed"] == ["viscous_friction at left"]
+    assert all(s["reason"] for s in steps)
+    assert [s["simulations"] for s in steps] == sorted(s["simulations"] for s in steps)
+    gains = [s["score"] - s["best_score"] for s in taken if s["move"] == "addition"]
+    assert min(gains) > 5.0
+
+
+def test_a_trace_is_bounded_and_says_what_it_leaves_out() -> None:
+    trace = Trace()
+    step = Step("stage", "addition", (), None, (), None, "rejected", "why", 0.0, 0.0)
+    for _ in range(MOST_STEPS + 7):
+        trace.add(step)
+    assert len(trace.to_json()["steps"]) == MOST_STEPS
+    assert trace.to_json()["left_out"] == 7

@@ -1,0 +1,93 @@
+"""The findings do not depend on how recordings are written down."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import STEP, mjcf, reference, swing, write
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.formats.mcap import read_recording
+from pytest_twin.trial import make_trial
+
+DRY, NOISE, SEEDS = 0.06, 1e-4, (1, 2, 3)
+
+
+def recorded(
+    folder: Path, joints: tuple[str, ...], sign: float = 1.0, later: float = 0.0
+) -> list[Path]:
+    """Recordings of pendulums of which the first joint has dry friction.
+
+    Args:
+        sign: of all readings and commands: that of the joint's axis.
+        later: s, added to all stamps.
+    """
+    folder.mkdir(parents=True)
+    text = mjcf(joints)
+    if sign < 0.0:
+        text, count = re.subn(r'axis="0 1 0"', 'axis="0 -1 0"', text)
+        assert count == len(joints)
+    (folder / "model.xml").write_text(text)
+    sent, seen = np.arange(0, 22000, 100), np.arange(0, 22000, 50)
+    out = []
+    for seed in SEEDS:
+        # Each joint has the same motion and noise wherever it stands in a message.
+        wanted = reference(seed, 2.2, 2)[:, : len(joints)]
+        moved = swing(wanted, dry=DRY)
+        noise = NOISE * np.random.default_rng([seed, 1]).standard_normal((len(seen), 2))
+        measured = moved[seen] + noise[:, : len(joints)]
+        path = folder / f"{seed}.mcap"
+        write(path, joints, sent * STEP + later, sign * wanted[sent], seen * STEP + later,
+              sign * measured, None)  # fmt: skip
+        out.append(path)
+    return out
+
+
+def findings(paths: Sequence[Path]) -> Diagnosis:
+    """The diagnosis of recordings beside their model, the last one held out."""
+    realization = load_model(paths[0].with_name("model.xml")).realization
+    trials = [make_trial(read_recording(p), realization.structure) for p in paths]
+    return diagnose(realization, TrialSet(tuple(trials[:-1]), (trials[-1],), ()), threads=1)
+
+
+def same(a: Diagnosis, b: Diagnosis, tolerance: float) -> None:
+    """Fail unless both name the same effects at the same joints, with the same parameters."""
+    assert a.verdict == b.verdict
+    first, second = a.explained.findings, b.explained.findings
+    assert [(f.effect, f.joint) for f in first] == [(f.effect, f.joint) for f in second]
+    for one, other in zip(first, second, strict=True):
+        assert other.confidence == pytest.approx(one.confidence, abs=0.02)
+        for name, fitted in one.parameters.items():
+            width = fitted.high - fitted.low
+            assert other.parameters[name].value == pytest.approx(
+                fitted.value, abs=tolerance * max(width, 1e-12)
+            ), name
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Diagnosis]:
+    paths = recorded(tmp_path_factory.mktemp("usual") / "case", ("left",))
+    found = findings(paths)
+    assert [(f.effect, f.joint) for f in found.explained.findings] == [("coulomb_friction", "left")]
+    return paths, found
+
+
+def test_recordings_in_another_order_at_another_time_give_the_same(
+    usual: tuple[list[Path], Diagnosis], tmp_path: Path
+) -> None:
+    paths = recorded(tmp_path / "case", ("left",), later=86_400.0)
+    first, second, held_out = paths
+    same(usual[1], findings([second, first, held_out]), 0.1)
+
+
+def test_a_joint_that_turns_the_other_way_has_the_same_findings(
+    usual: tuple[list[Path], Diagnosis], tmp_path: Path
+) -> None:
+    # Gravity and both joints' motion are mirrored with the axis: nothing but signs changes.
+    same(usual[1], findings(recorded(tmp_path / "case", ("left",), sign=-1.0)), 0.1)

@@ -1,0 +1,72 @@
+"""Recordings of a simulation, told with the effects that were found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.formats.mcap import JointSeries, write_recording
+
+MORE = 0.8
+"""N*m*s/rad that the joint has more than its model."""
+PENDULUM = """
+<mujoco model="pendulum"><compiler angle="radian"/>
+  <option timestep="{step}" integrator="implicitfast"/>
+  <worldbody><body pos="0 0 0.5">
+    <joint name="j1" axis="0 1 0" damping="{damping}"/>
+    <inertial pos="0 0 -0.15" mass="1" diaginertia="0.0035 0.0035 0.0005"/>
+  </body></worldbody>
+  <actuator><position name="j1" joint="j1" kp="40" kv="2"/></actuator>
+</mujoco>
+"""
+
+
+def recorded(path: Path, seed: int, step: float, noise: float = 1e-4) -> Path:
+    """What a user logs: set the control, step for 10 ms, log position and command."""
+    model = mujoco.MjModel.from_xml_string(PENDULUM.format(step=step, damping=0.3 + MORE))
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(seed)
+    rate, size = rng.uniform(2.0, 12.0, 4), rng.uniform(0.1, 0.3, 4)
+    stamp = np.arange(300) * 10_000_000
+    position, command = np.zeros((300, 1)), np.zeros((300, 1))
+    for k in range(300):
+        position[k] = data.qpos + noise * rng.standard_normal()
+        command[k] = data.ctrl[0] = float(size @ np.sin(rate * 0.01 * k))
+        mujoco.mj_step(model, data, nstep=round(0.01 / step))
+    stamp += 1_700_000_000_000_000_000
+    write_recording(
+        path,
+        [
+            JointSeries("/joint_states", ("j1",), stamp, stamp, position, None, None),
+            JointSeries("/joint_commands", ("j1",), stamp, stamp, command, None, None),
+        ],
+        metadata={"command_between": "held"},
+    )
+    return path
+
+
+def diagnosed(folder: Path, step: float) -> Diagnosis:
+    model = folder / "model.xml"
+    model.write_text(PENDULUM.format(step=0.002, damping=0.3), "utf-8")
+    recordings = [recorded(folder / f"r{i}.mcap", i, step) for i in range(3)]
+    loaded = load_model(find_model(model))
+    trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
+    return diagnose(loaded.realization, trials, threads=1)
+
+
+@pytest.mark.parametrize("step", [0.002, 0.0001], ids=["the model's step", "hardly any step"])
+def test_damping_is_right_whatever_step_made_the_recordings(tmp_path: Path, step: float) -> None:
+    found = diagnosed(tmp_path, step)
+    (finding,) = found.explained.findings
+    assert finding.effect == "viscous_friction"
+    estimate = finding.parameters["coefficient"]
+    assert estimate.low <= MORE <= estimate.high
+    assert estimate.high - estimate.low < 0.05
+    said = any("the recordings come from a simulation" in note for note in found.notes)
+    assert said is (step == 0.002)

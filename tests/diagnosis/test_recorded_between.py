@@ -1,0 +1,201 @@
+"""What commands do between their stamps, found from recordings that do not say it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_pendulum import Reality, cell
+
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.recorded import settle, with_doubt
+from pytest_twin.diagnosis.recorded.command_between import Between, Left, decide
+from pytest_twin.diagnosis.recorded.fact import Fact, unknown
+from pytest_twin.diagnosis.recorded.settle import Settled
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
+
+NOISE = np.array([1e-4])
+
+
+def asked(folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3)) -> Between:
+    """The answer for recordings of a cell."""
+    model, recordings = cell(folder / "cell", reality, seeds)
+    loaded = load_model(find_model(model))
+    trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
+    (between,) = settle(Given.of(loaded.realization, None, 1), trials).between
+    return between
+
+
+@pytest.mark.parametrize(
+    "reality",
+    [
+        Reality(between="interpolated"),
+        Reality(between="interpolated", lag=0.012),
+        Reality(between="interpolated", stiffness=0.6, damping=0.8),
+        Reality(between="interpolated", command_period=0.02),
+    ],
+    ids=["alone", "with a lag", "with another gain", "at 50 Hz"],
+)
+def test_a_setpoint_that_moves_between_stamps_is_found_whatever_else_is_wrong(
+    tmp_path: Path, reality: Reality
+) -> None:
+    found = asked(tmp_path, reality)
+    assert found.fact.value == "interpolated", found.fact.evidence
+    assert found.fact.confidence > 0.95
+    assert found.later("held") == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "reality",
+    [
+        Reality(lag=0.012),
+        Reality(stiffness=0.6, damping=0.8),
+        Reality(play=0.01),
+        Reality(delay=0.008),
+        Reality(dry=3.0, viscous=0.4),
+        Reality(command_period=0.001, state_period=0.004),
+    ],
+    ids=["lag", "gain", "dead zone", "delay", "friction", "1 kHz"],
+)
+def test_commands_that_are_held_are_never_taken_for_others(
+    tmp_path: Path, reality: Reality
+) -> None:
+    found = asked(tmp_path, reality)
+    assert found.fact.value in (None, "held"), found.fact.evidence
+    assert "held" in found.possible
+
+
+def test_at_a_low_rate_the_shape_of_held_commands_tells(tmp_path: Path) -> None:
+    found = asked(tmp_path, Reality(command_period=0.04, delay=0.01))
+    assert found.fact.value == "held", found.fact.evidence
+
+
+def left(rms: float, *, nominal: float = 1.0, delay: float = 0.0, seed: int = 0) -> Left:
+    noise = np.random.default_rng(seed).standard_normal((2000, 1))
+    return Left(1e-4 * rms * noise, np.array([1e-4 * nominal]), True, np.array([delay]))
+
+
+def decided(**each: Left) -> Between:
+    return decide(each, [1000, 1000], [0, 1], NOISE, 0.004)  # type: ignore[arg-type]
+
+
+def test_what_two_assumptions_explain_alike_is_not_answered() -> None:
+    found = decided(held=left(1.0, nominal=9.0), interpolated=left(1.02, nominal=9.0))
+    assert found.fact.value is None
+    assert found.fact.confidence == 0.0
+    assert set(found.possible) == {"held", "interpolated"}
+    assert found.later("held") == (0.0, 0.002)
+
+
+def test_where_both_explain_alike_the_one_that_needs_no_correction_is_right() -> None:
+    found = decided(held=left(1.0, nominal=1.05), interpolated=left(1.0, nominal=9.0))
+    assert (found.fact.value, found.fact.confidence) == ("held", 0.9)
+
+
+def of_two(left_nominal: float, right_nominal: float) -> Left:
+    one = left(1.0)
+    residual = np.repeat(one.residual, 2, axis=1)
+    nominal = 1e-4 * np.array([left_nominal, right_nominal])
+    return Left(residual, nominal, True, np.zeros(2))
+
+
+def test_a_joint_that_the_model_lacks_nothing_of_tells_for_the_others() -> None:
+    found = decide(
+        {"held": of_two(1.0, 50.0), "interpolated": of_two(9.0, 60.0)},
+        [1000, 1000], [0, 1], np.array([1e-4, 1e-4]), 0.01,
+    )  # fmt: skip
+    assert found.fact.value == "held"
+    differing = decide(
+        {"held": of_two(1.0, 50.0), "interpolated": of_two(9.0, 1.0)},
+        [1000, 1000], [0, 1], np.array([1e-4, 1e-4]), 0.01,
+    )  # fmt: skip
+    assert differing.fact.value is None
+
+
+def test_a_recording_that_contradicts_the_others_leaves_it_open() -> None:
+    best, other = left(1.0, nominal=9.0), left(3.0, nominal=9.0)
+    best.residual[1000:] *= 1.2
+    other.residual[1000:] /= 3.0
+    assert decided(interpolated=best, held=other).fact.value is None
+
+
+def test_a_little_less_of_a_large_residual_says_nothing() -> None:
+    found = decided(interpolated=left(8.0, nominal=9.0), held=left(10.0, nominal=11.0))
+    assert found.fact.value is None
+
+
+def test_a_delay_halfway_to_the_alternative_leaves_it_open() -> None:
+    clear = decided(interpolated=left(1.0, nominal=9.0), held=left(1.5, nominal=9.0))
+    halfway = decided(
+        interpolated=left(1.0, nominal=9.0, delay=0.0015), held=left(1.5, nominal=9.0)
+    )
+    assert clear.fact.value == "interpolated"
+    assert halfway.fact.value is None
+
+
+def delay_of(value: float) -> Explained:
+    estimate = Estimate(value, "s", value - 2e-4, value + 2e-4)
+    finding = Finding(
+        "command_delay", "j1", 0.99, {"delay": estimate}, Where("", {}), 0.5, 9.0, (), "a test", (),
+        Term("command_delay", 0),
+    )  # fmt: skip
+    return Explained((finding,), EMPTY)
+
+
+def open_between(*possible: str) -> Between:
+    return Between(unknown("no motion"), possible, 0.004)  # type: ignore[arg-type]
+
+
+def test_a_delay_has_an_interval_for_every_possible_setpoint() -> None:
+    (found,) = with_doubt(delay_of(0.016), open_between("held", "interpolated")).findings
+    assert found.parameters["delay"].low == pytest.approx(0.0158)
+    assert found.parameters["delay"].high == pytest.approx(0.0182)
+    assert found.confidence == 0.99
+
+
+def test_a_delay_of_half_a_period_is_not_sure_where_commands_may_ramp() -> None:
+    (found,) = with_doubt(delay_of(0.002), open_between("held", "ramped")).findings
+    assert found.parameters["delay"].low == 0.0
+    assert found.confidence == 0.5
+    assert "command_between" in found.next_test
+
+
+def test_where_commands_are_known_findings_stay() -> None:
+    known = delay_of(0.002)
+    assert with_doubt(known, None) is known
+
+
+def test_what_is_declared_is_not_asked(tmp_path: Path) -> None:
+    model, recordings = cell(tmp_path / "cell", Reality(between="interpolated"), (2,))
+    loaded = load_model(find_model(model))
+    options = loaded.options.from_json({"command_between": "held"})
+    trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure, options)
+    settled = settle(Given.of(loaded.realization, None, 1), trials)
+    assert settled.between == ()
+    said = settled.to_json(trials.fit)["r2.mcap"]
+    assert said["command_between"]["value"] == "held"
+    assert said["command_between"]["source"] == "option"
+
+
+def test_recordings_say_what_was_found_of_them(tmp_path: Path) -> None:
+    model, recordings = cell(tmp_path / "cell", Reality(), (2,))
+    loaded = load_model(find_model(model))
+    trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
+    answer = Between(Fact("interpolated", 0.99, "data", "so it is"), ("interpolated",), 0.004)
+    settled = Settled((answer,))
+    used = settled.applied(trials)
+    assert [t.command_between for t in used.fit] == ["interpolated"]
+    assert not any("assumed" in n for n in used.notes)
+    assert any("r2.mcap: commands are interpolated between their stamps" in n for n in used.notes)
+    said = json.loads(json.dumps(settled.to_json(used.fit)))
+    assert said["r2.mcap"]["joints"]["j1"]["command_between"]["confidence"] == 0.99
+
+
+def test_without_recordings_nothing_is_asked() -> None:
+    assert Settled().applied(TrialSet((), (), ("a note",))).notes == ("a note",)

@@ -1,0 +1,152 @@
+"""What logged velocities and efforts are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_pendulum import Reality, cell
+
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.recorded import Settled, settle
+from pytest_twin.diagnosis.recorded.effort import Law, Signals, effort_fact, is_the_command
+from pytest_twin.diagnosis.recorded.velocity import velocity_fact, velocity_signal
+from pytest_twin.diagnosis.trials import read_trials
+
+PERIOD = 0.004
+TIME = np.arange(0.0, 4.0, PERIOD)
+RATE = np.array([3.0, 7.0, 13.0])
+SIZE = np.array([0.4, 0.1, 0.03])
+
+
+def position(late: float = 0.0) -> np.ndarray:
+    return (SIZE[:, None] * np.sin(RATE[:, None] * (TIME - late))).sum(axis=0)
+
+
+def speed(late: float = 0.0) -> np.ndarray:
+    return ((SIZE * RATE)[:, None] * np.cos(RATE[:, None] * (TIME - late))).sum(axis=0)
+
+
+def noisy(values: np.ndarray, deviation: float, seed: int = 1) -> np.ndarray:
+    return values + deviation * np.random.default_rng(seed).standard_normal(len(values))
+
+
+def test_a_velocity_of_its_own_sensor_is_as_old_as_the_position() -> None:
+    fact = velocity_fact(TIME, noisy(position(), 1e-4), noisy(speed(), 2e-3, 2))
+    assert fact.value == "sensor"
+    assert abs(fact.numbers["lag"][0]) < 2e-4
+
+
+@pytest.mark.parametrize("late", [0.003, -0.003, 0.02])
+def test_a_velocity_of_another_instant_is_found_with_its_age(late: float) -> None:
+    fact = velocity_fact(TIME, noisy(position(), 1e-4), noisy(speed(late), 2e-3, 2))
+    assert fact.value == "late"
+    assert fact.numbers["lag"][0] == pytest.approx(late, abs=max(3e-4, 0.05 * abs(late)))
+
+
+def test_differences_of_the_logged_positions_are_half_a_sample_old() -> None:
+    q = noisy(position(), 1e-4)
+    found = velocity_signal(TIME, q, np.diff(q, prepend=q[0]) / PERIOD)
+    assert found is not None
+    assert found.kind == "differenced"
+    assert found.lag == pytest.approx(PERIOD / 2, rel=0.02)
+
+
+def test_central_differences_are_not_old() -> None:
+    q = noisy(position(), 1e-4)
+    found = velocity_signal(TIME, q, np.gradient(q, TIME))
+    assert found is not None
+    assert (found.kind, found.lag) == ("differenced", 0.0)
+
+
+def test_a_filter_behind_the_differences_is_found_with_its_bandwidth() -> None:
+    q = noisy(position(), 1e-4)
+    v = np.diff(q, prepend=q[0]) / PERIOD
+    keep = np.exp(-PERIOD / 0.01)
+    for k in range(1, len(v)):
+        v[k] = keep * v[k - 1] + (1.0 - keep) * v[k]
+    found = velocity_signal(TIME, q, v)
+    assert found is not None
+    assert found.kind == "filtered"
+    assert found.bandwidth == pytest.approx(1.0 / (2.0 * np.pi * 0.01), rel=0.02)
+
+
+def test_a_joint_at_rest_tells_nothing_of_its_velocity() -> None:
+    assert velocity_fact(TIME, np.zeros(len(TIME)), np.zeros(len(TIME))).value is None
+
+
+def settled(folder: Path, reality: Reality) -> tuple[Settled, tuple]:
+    model, recordings = cell(folder / "cell", reality)
+    loaded = load_model(find_model(model))
+    trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
+    found = settle(Given.of(loaded.realization, None, 1), trials)
+    return found, found.applied(trials).fit
+
+
+@pytest.mark.parametrize("hidden", [{"lag": 0.012}, {"play": 0.01}], ids=["lag", "dead zone"])
+def test_an_effort_that_shows_nothing_of_the_drive_is_demanded(
+    tmp_path: Path, hidden: dict[str, float]
+) -> None:
+    found, used = settled(tmp_path, Reality(effort="demanded", velocity="sensor", **hidden))
+    assert found.effort["j1"].value == "demanded", found.effort["j1"].evidence
+    assert used[0].effort is None
+
+
+@pytest.mark.parametrize("hidden", [{"lag": 0.012}, {"play": 0.01}], ids=["lag", "dead zone"])
+def test_an_effort_that_shows_the_drive_is_measured(
+    tmp_path: Path, hidden: dict[str, float]
+) -> None:
+    found, used = settled(tmp_path, Reality(effort="measured", velocity="sensor", **hidden))
+    assert found.effort["j1"].value == "measured", found.effort["j1"].evidence
+    assert used[0].effort is not None
+
+
+def test_behind_a_perfect_drive_both_are_the_same_and_nothing_is_claimed(tmp_path: Path) -> None:
+    found, used = settled(tmp_path, Reality(effort="measured", velocity="sensor"))
+    assert found.effort["j1"].value is None
+    assert used[0].effort is not None
+
+
+def test_an_effort_that_is_older_than_its_stamp_is_no_sensors_evidence(tmp_path: Path) -> None:
+    reality = Reality(effort="measured", effort_late=0.003, velocity="sensor")
+    found, used = settled(tmp_path, reality)
+    assert found.effort["j1"].numbers["lag"][0] == pytest.approx(0.003, abs=5e-4)
+    assert used[0].effort is None
+
+
+def test_a_velocity_that_the_driver_made_is_no_initial_velocity(tmp_path: Path) -> None:
+    found, used = settled(tmp_path, Reality(velocity="differenced", filtered=0.01))
+    assert found.velocity["j1"].value == "filtered"
+    assert used[0].velocity is None
+
+
+def test_an_offset_that_one_possible_setpoint_does_not_need_is_not_claimed() -> None:
+    needs, does_not = Law(0.0100, 0.002, 0.05), Law(0.0105, 0.0, 0.0105)
+    assert effort_fact(1.0, [needs, does_not], [], PERIOD).numbers["lag"][0] == 0.0
+    assert effort_fact(1.0, [needs], [], PERIOD).numbers["lag"][0] == 0.002
+
+
+def test_efforts_that_no_law_explains_tell_nothing() -> None:
+    fact = effort_fact(1.0, [Law(0.5, 0.0, 0.5)], [Law(0.6, 0.0, 0.6)], PERIOD)
+    assert fact.value is None
+    assert "does not explain" in fact.evidence
+
+
+@pytest.mark.parametrize(
+    ("gain", "offset", "lag", "repeats"),
+    [
+        (1.0, 0.0, 0.0, True),
+        (0.86, 0.0, 0.0, False),
+        (1.0, 0.2, 0.0, False),
+        (1.0, 0.0, 0.02, False),
+    ],
+)
+def test_efforts_equal_to_an_effort_drives_commands_are_no_sensors_evidence(
+    gain: float, offset: float, lag: float, repeats: bool
+) -> None:
+    grid = np.arange(TIME[0], TIME[-1], PERIOD / 20)
+    sent = np.interp(grid, TIME, position())
+    effort = noisy(gain * np.interp(TIME - lag, grid, sent) + offset, 5e-3)
+    assert is_the_command(Signals(TIME, effort, grid, sent, None)) is repeats

@@ -1,0 +1,77 @@
+"""The search that proposes, races and accepts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import mjcf, record
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.structure_search.proposals import removals
+from pytest_twin.diagnosis.structure_search.search import StructureSearch
+from pytest_twin.diagnosis.trials import read_trials
+
+
+def problem_of(folder: Path, **hidden: float) -> Problem:
+    """One pendulum in which something is hidden."""
+    model = folder / "model.xml"
+    model.write_text(mjcf(("left",)))
+    loaded = load_model(model)
+    realization = loaded.realization
+    paths = [
+        record(folder / f"{seed}.mcap", seed, joints=("left",), role="fit", **hidden)
+        for seed in (1, 2)
+    ]
+    trials = read_trials(paths, [], loaded.topics, realization.structure)
+    return prepare(realization, trials.fit, (), threads=1).problem
+
+
+@pytest.mark.parametrize(
+    ("hidden", "names"),
+    [
+        ({"viscous": 0.03}, {"viscous_friction"}),
+        ({"viscous": 0.03, "delay": 0.02}, {"viscous_friction", "command_delay"}),
+        ({}, set()),
+    ],
+    ids=["one effect", "two effects", "nothing"],
+)
+def test_what_is_hidden_is_named_alone_and_cheaply(
+    tmp_path: Path, hidden: dict[str, float], names: set[str]
+) -> None:
+    problem = problem_of(tmp_path, **hidden)
+    before = problem.stepped
+    run = Run()
+    result = StructureSearch(problem, run).run()
+    found = {t.effect for t in result.model.hypothesis.terms}
+    # One joint cannot tell a late command from a late sensor.
+    assert {"command_delay" if e == "sensor_delay" else e for e in found} == names
+    assert (problem.stepped - before) / problem.simulator.steps.sum() < 150
+    left = np.sqrt(result.model.mean_square) / problem.signal_floor
+    assert left.max() < 2.0
+    accepted = [s for s in run.trace.steps if s.decision == "accepted"]
+    assert bool(accepted) is bool(names)
+
+
+def test_a_search_from_a_wrong_start_gives_its_effects_up(tmp_path: Path) -> None:
+    problem = problem_of(tmp_path, viscous=0.03)
+    search = StructureSearch(problem)
+    wrong = next(t for t in search.candidates if t.effect == "quadratic_drag")
+    start = EMPTY.with_term(wrong, np.array([p.starts[0] for p in wrong.parameters]))
+    found = search.run(start).model.hypothesis
+    assert {t.effect for t in found.terms} == {"viscous_friction"}
+
+
+def test_removals_are_none_each_pairs_and_all_of_a_joint(tmp_path: Path) -> None:
+    terms = StructureSearch(problem_of(tmp_path)).candidates[:3]
+    own = EMPTY
+    for term in terms:
+        own = own.with_term(term, np.array([p.starts[0] for p in term.parameters]))
+    sizes = sorted(len(gone) for gone in removals(own))
+    assert sizes[0] == 0
+    assert sizes[-1] == len([t for t in terms if t.joint in (terms[0].joint, -1)])

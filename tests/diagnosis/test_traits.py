@@ -1,0 +1,135 @@
+"""The search treats an effect as its traits say, never by its id or its number of starts."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import case
+
+import pytest_twin.diagnosis
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.first_order.responses import Response, grid
+from pytest_twin.diagnosis.first_order.screen import candidates
+from pytest_twin.diagnosis.first_order.sharpen import _is_lone_limit
+from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.search.limits import beyond
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.effects import catalogue
+from pytest_twin.formats.mcap import TOPICS
+
+ROOM = Path(pytest_twin.diagnosis.__file__).parent
+OTHER_WORDS = {
+    # A key of a trial's metadata and of twin.yaml, and an attribute of MJCF joints.
+    ("windows.py", "payload"),
+    ("roles.py", "payload"),
+    ("native.py", "payload"),
+    ("native.py", "armature"),
+    # What a note calls the total of a joint's rotor inertia.
+    ("totals.py", "armature"),
+}
+
+
+def literals(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+@pytest.mark.parametrize("path", sorted(ROOM.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOM)))
+def test_no_module_of_the_diagnosis_names_an_effect(path: Path) -> None:
+    named = {text for text in literals(path) if text in catalogue()}
+    named = {text for text in named if (path.name, text) not in OTHER_WORDS}
+    assert not named, "declare a trait in effects/base.py and read that"
+
+
+BRUSH = """
+from pytest_twin.effects import Effect, Parameter
+
+
+class Brush(Effect):
+    id = "effort_cogging"
+    family = "friction"
+    law = "effort = -coefficient v"
+    source = "a test"
+    parameters = (
+        Parameter("coefficient", "damping", 0.0, 0.0, 99.0, (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)),
+    )
+
+    def force(self, world, values):
+        world.applied -= values["coefficient"] * world.velocity
+
+
+class Ceiling(Brush):
+    id = "ceiling"
+    is_limit = True
+    parameters = (Parameter("coefficient", "damping", 0.0, 0.0, 99.0, (0.1, 0.2)),)
+
+
+class Ripple(Brush):
+    id = "ripple"
+    periodic = True
+    needs_effort_sensor = True
+"""
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A package that brings three effects is installed."""
+    told = tmp_path / "brushes-1.0.dist-info"
+    told.mkdir()
+    (tmp_path / "brushes.py").write_text(BRUSH)
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: brushes\nVersion: 1.0\n")
+    (told / "entry_points.txt").write_text(
+        "[pytest_twin.effects]\neffort_cogging = brushes:Brush\nceiling = brushes:Ceiling\n"
+        "ripple = brushes:Ripple\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    catalogue.cache_clear()
+    yield
+    monkeypatch.undo()
+    catalogue.cache_clear()
+
+
+def first(term: Term) -> Response:
+    start, switches = grid(term)[0]
+    return Response(term, start, switches, np.zeros((1, 1, 1)))
+
+
+@pytest.mark.usefixtures("installed")
+def test_six_starting_sizes_make_no_limit() -> None:
+    term = Term("effort_cogging", 0)
+    assert len(term.parameters[0].starts) == 6
+    assert beyond(term) == []
+    assert not _is_lone_limit(first(term))
+    assert term.dry_level is None
+    assert not term.law.nearly_linear
+
+
+@pytest.mark.usefixtures("installed")
+def test_two_starting_sizes_are_enough_for_a_declared_limit() -> None:
+    term = Term("ceiling", 0)
+    assert _is_lone_limit(first(term))
+    sizes = [float(s[0]) for s in beyond(term)]
+    assert sizes == pytest.approx([0.2 * 2.0**k for k in range(1, 9)])
+    assert max(sizes) <= 99.0
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("measured", [False, True], ids=["no effort sensor", "effort sensor"])
+def test_candidates_are_effects_that_the_recordings_can_show(
+    measured: bool, tmp_path: Path
+) -> None:
+    words = case(tmp_path / "case")
+    realization = load_model(Path(words[0])).realization
+    trials = read_trials([Path(w) for w in words[1:]], [], TOPICS, realization.structure)
+    problem = prepare(realization, trials.fit, trials.held_out, threads=1).problem
+    problem.effort_floor = np.ones(2) if measured else None
+    problem.simulator.layout.slides = np.array([False, True])
+    found = candidates(problem)
+    assert [t.joint for t in found if t.effect == "effort_cogging"] == [0, 1]
+    assert [t.joint for t in found if t.effect == "ripple"] == ([0] if measured else [])
