@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from test_simulated import ARM, HIDDEN, STEP, recorded
+from test_simulated import ARM, STEP, recorded
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
@@ -13,15 +13,17 @@ from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 
 NAMES = ("shoulder", "elbow")
+HIDDEN = 3.0
+"""N*m*s/rad that the elbow has more than its model: the shoulder is off by six of its floors."""
 
 
 def with_stuck_elbow(path: Path, role: str) -> Path:
-    """The same recording from an elbow that reads one angle."""
+    """The same recording from an elbow whose encoder reads where it started."""
     series = read_recording(path).series
     state, command = series["state"], series["command"]
     assert state.position is not None
     assert command.position is not None
-    stuck = np.stack([state.position[:, 0], np.full(len(state.stamp), 0.1)], axis=1)
+    stuck = np.stack([state.position[:, 0], np.full(len(state.stamp), 0.0)], axis=1)
     out = path.with_name(f"stuck_{path.name}")
     write_recording(
         out,
@@ -46,8 +48,10 @@ def test_what_other_joints_feel_alone_is_no_sure_name(tmp_path: Path) -> None:
     found = diagnose(loaded.realization, trials, threads=1)
     assert set(found.errors) == {"shoulder"}
     there = [f for f in found.explained.findings if f.joint == "elbow"]
-    assert there
+    assert [f.effect for f in there] == ["viscous_friction"]
     assert all(f.confidence <= 0.5 for f in there)
+    estimate = there[0].parameters["coefficient"]
+    assert estimate.low < HIDDEN < estimate.high
     said = [n for n in found.notes if "the encoder of this joint gives no information" in n]
     assert len(said) == len(there)
     assert not any("shoulder" in n for n in said)

@@ -17,6 +17,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import derivatives
+from pytest_twin.diagnosis.verdict import UNSEEN
 
 _GRID = 0.005
 """s between samples of the motion, at most."""
@@ -92,9 +93,12 @@ def along(
     starts = np.array([simulator.segments[s].start for s in segments])
     time = starts[:, None] + interval * np.arange(samples)
     shift = np.zeros((3, *q.shape))
+    stuck = problem.floor[:joints] >= UNSEEN
     for i, (s, predicted) in enumerate(zip(segments, predictions, strict=True)):
         stamps = simulator.segments[s].time
         off = np.nan_to_num(simulator.segments[s].position - predicted.position)
+        # An encoder that is stuck measured no motion: its joint moves as predicted.
+        off[:, stuck] = 0.0
         for order, d in enumerate(derivatives(stamps, off, _SMOOTH)):
             for j in range(joints):
                 shift[order, i, :, j] = np.interp(time[i], stamps, d[:, j])
