@@ -57,6 +57,7 @@ class Budget:
         self._clock = clock
         self._start, self._start_computing = clock(), computing_seconds()
         self._apart = 0.0
+        self._most = simulations
 
     def add(self, problem: Problem) -> None:
         """Count the work of one more problem."""
@@ -95,8 +96,22 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Whether all searches together have used their simulations."""
-        return self._stepped - self._apart > self.simulations
+        """Whether all searches together have used their simulations, or those of :meth:`part`."""
+        return self._searched > self._most
+
+    @contextmanager
+    def part(self, share: float) -> Iterator[None]:
+        """Searches inside may take a share of the simulations that are left."""
+        most = self._most
+        self._most = self._searched + share * max(most - self._searched, 0.0)
+        try:
+            yield
+        finally:
+            self._most = most
+
+    @property
+    def _searched(self) -> float:
+        return self._stepped - self._apart
 
     @property
     def _stepped(self) -> float:

@@ -61,6 +61,8 @@ from pytest_twin.trial import Trial
 # Share of the squared mismatch that may be left along the motion where a law of the catalogue is
 # worth a search in windows.
 _CLEAR = 0.1
+_OF_WHOLE = 0.5
+"""Share of the simulations for whole recordings of a motion that windows may follow better."""
 _CONTACT = "contact"
 _IN_WINDOWS = (
     f"all errors are of predictions over windows of {WINDOW:g} s that start from measured states: "
@@ -337,7 +339,8 @@ def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _So
                 "contact effects in addition", lambda: _with_contact(problem, clear, run), clear
             )
     run.begin(_stage(problem), problem)
-    given, found = searched_so(given, prepared, trials, run, start)
+    with run.budget.part(_share_of_whole(problem)):
+        given, found = searched_so(given, prepared, trials, run, start)
     if found.astray and contact.world.size:
         found = run.attempt("contact effects once more", partial(_once_more, found, run), found)
     elif found.far_from and not contact.world.size:
@@ -408,6 +411,14 @@ def _posed_away(
         return pose(given, trials, [], window=WINDOW, contact=contact)
     except RecordingError:
         return None
+
+
+def _share_of_whole(problem: Problem) -> float:
+    """Share of the simulations that are left for a search over whole recordings: half where the
+    model as it came departs from them as far as they move, for windows are searched then as well.
+    """
+    near = stays_near(problem, left_everywhere(problem, EMPTY))
+    return 1.0 if near else _OF_WHOLE
 
 
 def _stage(problem: Problem) -> str:

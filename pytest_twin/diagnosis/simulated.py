@@ -42,6 +42,8 @@ leave of the error is in the floor."""
 # Share of what stands above the noise that may be left where recordings were simulated, and to
 # first order for a search to be worth its time.
 _LEFT, _FAR_LESS = 0.5, 0.25
+# Of a joint's travel, up to which the step's error is taken for one of first order.
+_SMALL = 0.05
 # rad or m, of what neither moves nor has noise.
 _LEAST = 1e-9
 
@@ -84,6 +86,8 @@ def stepped_otherwise(found: Searched, given: Given) -> Given | None:
     if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
         return None
     if (discretization(problem) < STANDS_OUT * noise).all():
+        return None
+    if not _error_stays_small(problem):
         return None
     span = _Span(problem, best)
     before = span.left(problem, noise)
@@ -151,6 +155,15 @@ def _noise(prepared: Prepared) -> FloatArray:
     noise = np.hypot(parts[NOISE], STEP_LEFT_IN * parts[STEP])
     known: FloatArray = np.where(floor >= UNSEEN, floor, np.maximum(noise, _LEAST))
     return known
+
+
+def _error_stays_small(problem: Problem) -> bool:
+    """Whether the step's error stays small against the motion. Where it grows (a hunting servo, a
+    falling arm) it is not of first order, and whole recordings tell nothing of it; windows do.
+    """
+    travel = np.array([np.ptp(s.position, axis=0) for s in problem.simulator.segments])
+    size = _SMALL * np.sqrt(np.mean(travel**2, axis=0))
+    return bool((discretization(problem) <= np.maximum(size, _LEAST)).all())
 
 
 def _measured(problem: Problem, hypothesis: Hypothesis) -> bool:
