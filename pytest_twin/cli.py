@@ -21,6 +21,7 @@ COMMANDS: tuple[str, ...] = (
     "realize",
     "replay",
     "diagnose",
+    "calibrate",
     "convert",
     "show",
     "effects",

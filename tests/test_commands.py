@@ -143,12 +143,12 @@ JSON_COMMANDS = {
     "show": (["{golden}/recordings/moves.mcap"], "recordings"),
     "effects": ([], "viscous_friction"),
 }
-"""What each command is called with, and a field of its result; ``diagnose`` and ``verify`` have
-tests of their own beside the others of the command."""
+"""What each command is called with, and a field of its result; ``diagnose``, ``calibrate`` and
+``verify`` have tests of their own beside the others of the command."""
 
 
 def test_every_command_that_writes_json_is_tested() -> None:
-    assert {*JSON_COMMANDS, "diagnose", "verify", "completion"} == set(cli.COMMANDS)
+    assert {*JSON_COMMANDS, "diagnose", "calibrate", "verify", "completion"} == set(cli.COMMANDS)
 
 
 @pytest.mark.parametrize("name", JSON_COMMANDS)

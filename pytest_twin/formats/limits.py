@@ -93,6 +93,16 @@ class CsvLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class ObservationLimits:
+    """Bounds on the observations of a calibration: a row for each pose, not for each sample."""
+
+    file_bytes: int = 64 * 2**20
+    rows_count: int = 20_000
+    columns_count: int = 2048
+    name_chars: int = 256
+
+
+@dataclass(frozen=True, slots=True)
 class ParquetLimits:
     """Bounds on a data set in Parquet: a file's content, images included, and how many files."""
 
@@ -113,5 +123,6 @@ XML = XmlLimits()
 TRACE = TraceLimits()
 MCAP = McapLimits()
 CSV = CsvLimits()
+OBSERVATIONS = ObservationLimits()
 PARQUET = ParquetLimits()
 HASH = HashLimits()

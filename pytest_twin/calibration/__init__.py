@@ -1,0 +1,1 @@
+"""Calibration: joint zeros, link geometry and the frames around a robot, with held-out error."""

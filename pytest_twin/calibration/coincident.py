@@ -1,0 +1,89 @@
+"""Markers that a tracker reports in one place: one was lost and filled in with the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from pytest_twin.calibration.observations import Observations
+
+COINCIDENT_M = 1e-4
+"""Markers nearer to each other are one: the smallest markers that are sold measure 1.5 mm."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A measurement that is not used.
+
+    Attributes:
+        id: of the observation, or ``point.NAME`` for all of a marker's.
+        why: in words.
+    """
+
+    id: str
+    why: str
+
+    def to_json(self) -> dict[str, str]:
+        """As ``calibration.json`` has it."""
+        return {"id": self.id, "why": self.why}
+
+
+def without_coincident(observations: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
+    """The observations without markers that stand where another one stands.
+
+    Where two markers coincide in every row, the first is kept. Where they coincide in some rows
+    only, the one is kept whose distances to the other markers are as in the other rows; where
+    that cannot be said, neither is.
+    """
+    points = {name: values.copy() for name, values in observations.points.items()}
+    left_out: list[LeftOut] = []
+    for first, second in combinations(tuple(points), 2):
+        gap = np.linalg.norm(points[first] - points[second], axis=1)
+        both = np.isfinite(gap)
+        same = both & (gap < COINCIDENT_M)
+        if not same.any():
+            continue
+        if (same | ~both).all():
+            points[second][same] = np.nan
+            left_out.append(
+                LeftOut(
+                    f"point.{second}",
+                    f"markers {first} and {second} stand in the same place in all "
+                    f"{int(same.sum())} rows: one was lost and filled in; counted once, as "
+                    f"{first}",
+                )
+            )
+            continue
+        for row in np.flatnonzero(same):
+            wrong = _wrong(points, first, second, int(row), same)
+            for name in wrong:
+                points[name][row] = np.nan
+            who = f"marker {wrong[0]} is" if len(wrong) == 1 else "both are"
+            left_out.append(
+                LeftOut(
+                    observations.ids[row],
+                    f"markers {first} and {second} stand in the same place "
+                    f"({1e3 * gap[row]:.3f} mm apart): {who} left out of this row",
+                )
+            )
+    return replace(observations, points=points), tuple(left_out)
+
+
+def _wrong(
+    points: dict[str, np.ndarray], first: str, second: str, row: int, same: np.ndarray
+) -> tuple[str, ...]:
+    """Which of two coincident markers is not where it is on the body."""
+    others = [name for name in points if name not in (first, second)]
+    error = {first: 0.0, second: 0.0}
+    for name in others:
+        for mine in (first, second):
+            gap = np.linalg.norm(points[mine] - points[name], axis=1)
+            usual = float(np.nanmedian(gap[~same])) if np.isfinite(gap[~same]).any() else np.nan
+            if np.isfinite(usual) and np.isfinite(gap[row]):
+                error[mine] += abs(float(gap[row]) - usual)
+    smaller, larger = sorted(error.values())
+    if larger < 10.0 * max(smaller, COINCIDENT_M):
+        return first, second
+    return (first,) if error[first] > error[second] else (second,)

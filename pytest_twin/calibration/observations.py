@@ -1,0 +1,189 @@
+"""Observations of a calibration, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.plan import QUATERNION_TOLERANCE
+from pytest_twin.errors import FormatError
+from pytest_twin.formats.observations import ObservationTable, read_observations
+
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_POSES = ("flange", "camera_from_target")
+_MEANING = (
+    "id, time, joint.NAME, flange.x y z qw qx qy qz, camera_from_target.x y z qw qx qy qz, "
+    "image, point.NAME.x y z, pivot"
+)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Rows of observations; NaN where a row does not have a value.
+
+    Attributes:
+        ids: of each row.
+        time: (rows,) s, or None.
+        joints: joint -> (rows,) rad or m.
+        flange: (rows, 4, 4) ``transform_base_to_flange``, m, or None.
+        camera_from_target: (rows, 4, 4) takes the target's coordinates to the camera's, m, or None.
+        points: marker -> (rows, 3) in the frame of what measures it, m.
+        images: relative path of each row's image, or None.
+        pivots: name of the fixed point that the tool's tip stands in, ``""`` where it stands in
+            none; or None.
+        notes: columns that were left out.
+    """
+
+    ids: tuple[str, ...]
+    time: FloatArray | None = None
+    joints: Mapping[str, FloatArray] = field(default_factory=dict)
+    flange: FloatArray | None = None
+    camera_from_target: FloatArray | None = None
+    points: Mapping[str, FloatArray] = field(default_factory=dict)
+    images: tuple[str, ...] | None = None
+    pivots: tuple[str, ...] | None = None
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def rows(self, chosen: Sequence[int] | np.ndarray) -> Observations:
+        """The observations of some rows, in that order."""
+        at = np.asarray(chosen, dtype=int)
+
+        def cut(array: FloatArray | None) -> FloatArray | None:
+            return None if array is None else array[at]
+
+        return replace(
+            self,
+            ids=tuple(self.ids[i] for i in at),
+            time=cut(self.time),
+            joints={name: values[at] for name, values in self.joints.items()},
+            flange=cut(self.flange),
+            camera_from_target=cut(self.camera_from_target),
+            points={name: values[at] for name, values in self.points.items()},
+            images=None if self.images is None else tuple(self.images[i] for i in at),
+            pivots=None if self.pivots is None else tuple(self.pivots[i] for i in at),
+        )
+
+
+def load_observations(path: Path) -> Observations:
+    """Read ``observations.csv``.
+
+    Raises:
+        PathError, LimitError: as :func:`pytest_twin.formats.observations.read_observations`.
+        FormatError: an unusable cell, half a pose, or an id twice; with line and column.
+    """
+    return from_table(read_observations(path))
+
+
+def from_table(table: ObservationTable) -> Observations:
+    """The observations that a table holds."""
+    names = set(table.header)
+    ids = table.cells.get("id") or tuple(str(i) for i in range(len(table)))
+    seen: dict[str, int] = {}
+    for row, name in enumerate(ids):
+        if name in seen or not name:
+            raise table.error(
+                row,
+                "id",
+                "an id occurs twice" if name else "no id",
+                value=name or None,
+                expected="an id of its own for each observation",
+            )
+        seen[name] = row
+    joints = {
+        name.removeprefix("joint."): table.numbers(name)
+        for name in table.header
+        if name.startswith("joint.")
+    }
+    markers = list(
+        dict.fromkeys(
+            name.removeprefix("point.").rpartition(".")[0]
+            for name in table.header
+            if name.startswith("point.")
+        )
+    )
+    points = {}
+    for marker in markers:
+        _complete(table, f"point.{marker}", ("x", "y", "z"))
+        points[marker] = np.stack([table.numbers(f"point.{marker}.{a}") for a in "xyz"], axis=1)
+    poses = {name: _poses(table, name) for name in _POSES if any(_of(names, name))}
+    known = {"id", "time", "image", "pivot"}
+    left_out = [
+        name
+        for name in table.header
+        if name not in known and name.partition(".")[0] not in ("joint", "point", *_POSES)
+    ]
+    found = Observations(
+        ids=ids,
+        time=table.numbers("time") if "time" in names else None,
+        joints=joints,
+        points=points,
+        flange=poses.get("flange"),
+        camera_from_target=poses.get("camera_from_target"),
+        images=table.cells.get("image"),
+        pivots=table.cells.get("pivot"),
+        notes=(f"columns without a meaning are left out: {', '.join(left_out)}",)
+        if left_out
+        else (),
+    )
+    if not joints and found.flange is None:
+        raise FormatError(
+            "no column of a joint or of the flange",
+            path=table.path,
+            line=1,
+            value=", ".join(table.header),
+            expected=_MEANING,
+        )
+    return found
+
+
+def _of(names: set[str], prefix: str) -> list[str]:
+    return [name for name in names if name.startswith(prefix + ".")]
+
+
+def _complete(table: ObservationTable, prefix: str, parts: Sequence[str]) -> None:
+    missing = [f"{prefix}.{part}" for part in parts if f"{prefix}.{part}" not in table.header]
+    if missing:
+        raise FormatError(
+            "a column is missing",
+            path=table.path,
+            line=1,
+            where=prefix,
+            value=", ".join(missing),
+            expected=", ".join(f"{prefix}.{part}" for part in parts),
+        )
+
+
+def _poses(table: ObservationTable, prefix: str) -> FloatArray:
+    _complete(table, prefix, _POSE)
+    columns = np.stack([table.numbers(f"{prefix}.{part}") for part in _POSE], axis=1)
+    there = np.isfinite(columns)
+    for row in np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)):
+        missing = _POSE[int(np.flatnonzero(~there[row])[0])]
+        raise table.error(
+            int(row), f"{prefix}.{missing}", "half a pose", expected="seven numbers, or none"
+        )
+    poses = np.full((len(table), 4, 4), np.nan)
+    full = there.all(axis=1)
+    lengths = np.linalg.norm(columns[:, 3:], axis=1)
+    for row in np.flatnonzero(full & (np.abs(lengths - 1.0) > QUATERNION_TOLERANCE)):
+        raise table.error(
+            int(row),
+            f"{prefix}.qw",
+            "a quaternion that is not of unit length",
+            value=f"length {lengths[row]:.4g}",
+            expected="qw qx qy qz of length 1",
+        )
+    poses[full] = np.eye(4)
+    if full.any():
+        quaternions = np.roll(columns[full, 3:], -1, axis=1)
+        poses[full, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
+        poses[full, :3, 3] = columns[full, :3]
+    return poses

@@ -1,0 +1,206 @@
+"""The unknowns of a calibration: which there are, their values, and their places in one vector."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.chain import ChainParameters, LinkParameter
+from pytest_twin.calibration.tangent import Moving, left_jacobian
+
+POSE_LABELS = ("x", "y", "z", "rx", "ry", "rz")
+"""Order of a pose's six parameters: its position along the parent's axes (m), then its rotation
+about its own axes (rad): ``R = R0 exp([rx, ry, rz])``, a right perturbation."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Values of everything that the prediction of an observation needs.
+
+    Attributes:
+        poses: name -> (4, 4).
+        points: name -> (3,), m.
+        zeros: (joints,) added to the readings, rad or m.
+        links: (deviations,) m or rad.
+    """
+
+    poses: Mapping[str, FloatArray]
+    points: Mapping[str, FloatArray]
+    zeros: FloatArray
+    links: FloatArray
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown.
+
+    Attributes:
+        block: ``pose:NAME``, ``point:NAME``, ``joint_zeros`` or ``geometry``.
+        label: coordinate, joint, or deviation of a link.
+        unit: ``rad`` or ``m``.
+        prior: standard deviation about the nominal value, None for none.
+    """
+
+    block: str
+    label: str
+    unit: str
+    prior: float | None = None
+
+    @property
+    def name(self) -> str:
+        """``block.label``."""
+        return f"{self.block}.{self.label}"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The order of the unknowns.
+
+    Attributes:
+        poses, points: names of those that are free.
+        zeros: indices of the joints whose zero is free.
+        joints: names of all joints.
+        revolute: whether each turns.
+        links: deviations of links that are free.
+        zero_prior, offset_prior, tilt_prior: standard deviations, rad or m.
+    """
+
+    poses: tuple[str, ...]
+    points: tuple[str, ...]
+    zeros: tuple[int, ...] = ()
+    joints: tuple[str, ...] = ()
+    revolute: tuple[bool, ...] = ()
+    links: tuple[LinkParameter, ...] = ()
+    zero_prior: float | None = None
+    offset_prior: float = 0.0
+    tilt_prior: float = 0.0
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Each unknown, in order."""
+        found = [
+            Parameter(f"pose:{name}", label, "m" if at < 3 else "rad")
+            for name in self.poses
+            for at, label in enumerate(POSE_LABELS)
+        ]
+        found += [Parameter(f"point:{name}", axis, "m") for name in self.points for axis in "xyz"]
+        found += [
+            Parameter(
+                "joint_zeros",
+                self.joints[at],
+                "rad" if self.revolute[at] else "m",
+                self.zero_prior,
+            )
+            for at in self.zeros
+        ]
+        found += [
+            Parameter(
+                "geometry",
+                link.label,
+                link.unit,
+                self.tilt_prior if link.rotation else self.offset_prior,
+            )
+            for link in self.links
+        ]
+        return tuple(found)
+
+    @property
+    def count(self) -> int:
+        """How many unknowns there are."""
+        return len(self.parameters)
+
+    @cached_property
+    def blocks(self) -> Mapping[str, slice]:
+        """Block -> its place in the vector."""
+        found: dict[str, slice] = {}
+        for at, parameter in enumerate(self.parameters):
+            start = found.get(parameter.block, slice(at, at)).start
+            found[parameter.block] = slice(start, at + 1)
+        return found
+
+    def without_zeros(self, held: set[int]) -> Layout:
+        """The same with the zeros of some joints held."""
+        return replace(self, zeros=tuple(at for at in self.zeros if at not in held))
+
+    def moved(self, state: State, step: FloatArray) -> State:
+        """The state after a step in all unknowns."""
+        poses = dict(state.poses)
+        points = dict(state.points)
+        for name in self.poses:
+            change = step[self.blocks[f"pose:{name}"]]
+            pose = poses[name].copy()
+            pose[:3, 3] += change[:3]
+            pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(change[3:]).as_matrix()
+            poses[name] = pose
+        for name in self.points:
+            points[name] = points[name] + step[self.blocks[f"point:{name}"]]
+        zeros, links = state.zeros.copy(), state.links
+        if self.zeros:
+            zeros[list(self.zeros)] += step[self.blocks["joint_zeros"]]
+        if self.links:
+            links = links + step[self.blocks["geometry"]]
+        return State(poses, points, zeros, links)
+
+
+@dataclass(frozen=True)
+class Variables:
+    """A state and a step from it, as transforms and points with derivatives by the step."""
+
+    layout: Layout
+    state: State
+    step: FloatArray
+
+    @cached_property
+    def now(self) -> State:
+        """The state after the step."""
+        return self.layout.moved(self.state, self.step)
+
+    def pose(self, name: str, rows: int) -> Moving:
+        """A named transform, once for each row."""
+        pose = self.now.poses[name]
+        turn = np.zeros((3, self.layout.count))
+        shift = np.zeros((3, self.layout.count))
+        if name in self.layout.poses:
+            place = self.layout.blocks[f"pose:{name}"]
+            vector = self.step[place][3:]
+            shift[:, place.start : place.start + 3] = np.eye(3)
+            turn[:, place.start + 3 : place.stop] = self.state.poses[name][:3, :3] @ left_jacobian(
+                vector
+            )
+        return Moving(
+            np.tile(pose[:3, :3], (rows, 1, 1)),
+            np.tile(pose[:3, 3], (rows, 1)),
+            np.tile(turn, (rows, 1, 1)),
+            np.tile(shift, (rows, 1, 1)),
+        )
+
+    def point(self, name: str, rows: int) -> tuple[FloatArray, FloatArray]:
+        """A named point, (rows, 3), and its derivatives, (rows, 3, count)."""
+        slope = np.zeros((3, self.layout.count))
+        if name in self.layout.points:
+            slope[:, self.layout.blocks[f"point:{name}"]] = np.eye(3)
+        return np.tile(self.now.points[name], (rows, 1)), np.tile(slope, (rows, 1, 1))
+
+    def chain(self) -> ChainParameters:
+        """Joint zeros and deviations of links."""
+        columns = [-1] * len(self.layout.joints)
+        if self.layout.zeros:
+            start = self.layout.blocks["joint_zeros"].start
+            for offset, joint in enumerate(self.layout.zeros):
+                columns[joint] = start + offset
+        if not self.layout.links:
+            return ChainParameters(self.layout.count, self.now.zeros, tuple(columns))
+        place = self.layout.blocks["geometry"]
+        return ChainParameters(
+            self.layout.count,
+            self.now.zeros,
+            tuple(columns),
+            self.layout.links,
+            self.now.links,
+            tuple(range(place.start, place.stop)),
+        )

@@ -1,0 +1,314 @@
+"""A plan and its observations as one least-squares problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.chain import LinkParameter, forward, link_parameters
+from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.parameters import Layout, State, Variables
+from pytest_twin.calibration.plan import Mount, Plan
+from pytest_twin.calibration.tangent import Moving
+from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm, Term
+from pytest_twin.errors import FormatError
+from pytest_twin.realization.serial_chain import SerialChain
+
+MOUNTED, WORLD = "mounted", "world"
+"""The two poses of a measurement: of what the flange carries, in the flange; of what stands still,
+in the base."""
+
+# Ranges of drawn joint positions, wide enough that no structure is hidden.
+_DRAWN_RAD, _DRAWN_M = 2.0, 0.3
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Terms, unknowns and the robot that connects them.
+
+    Attributes:
+        plan: what was asked.
+        observations: the rows that the terms index.
+        chain: of the robot, None where flange poses are given.
+        terms: what is compared.
+        layout: the unknowns.
+        fixed: values of what is held.
+        notes: what was assumed, for people.
+    """
+
+    plan: Plan
+    observations: Observations
+    chain: SerialChain | None
+    terms: tuple[Term, ...]
+    layout: Layout
+    fixed: State
+    notes: tuple[str, ...] = ()
+
+    def flange(self, variables: Variables) -> Moving:
+        """``transform_base_to_flange`` of all rows, with derivatives."""
+        if self.chain is not None:
+            return forward(self.chain, self.readings, variables.chain())
+        assert self.observations.flange is not None
+        count = len(self.observations)
+        nothing = np.zeros((count, 3, variables.layout.count))
+        poses = self.observations.flange
+        return Moving(poses[:, :3, :3], poses[:, :3, 3], nothing, nothing)
+
+    @property
+    def readings(self) -> FloatArray:
+        """(rows, joints) rad or m."""
+        assert self.chain is not None
+        joints = [self.observations.joints[name] for name in self.chain.joints]
+        return np.stack(joints, axis=1) if joints else np.zeros((len(self.observations), 0))
+
+    def residuals(self, state: State, step: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Of each term: residuals (m, columns) and derivatives (m, columns, count)."""
+        variables = Variables(self.layout, state, step)
+        flange = self.flange(variables)
+        return [term.residuals(flange, variables) for term in self.terms]
+
+    def on_rows(self, chosen: Sequence[int] | np.ndarray) -> Problem:
+        """The same problem on some rows of the observations."""
+        observations = self.observations.rows(chosen)
+        terms = _terms(self.plan, observations, self.chain is not None)
+        return replace(self, observations=observations, terms=terms)
+
+
+def make_problem(plan: Plan, observations: Observations, chain: SerialChain | None) -> Problem:
+    """The problem that a plan states.
+
+    Raises:
+        SpecError: the plan asks for what the observations do not carry.
+        FormatError: a joint's column is missing, or a row without a value of it.
+    """
+    if chain is not None:
+        _check_joints(plan, observations, chain)
+    terms = _terms(plan, observations, chain is not None)
+    if not terms:
+        raise plan.error(
+            "observations",
+            "no observation that could be compared with the robot",
+            expected="camera_from_target.x y z qw qx qy qz, point.NAME.x y z, or estimate: [tcp] "
+            "for a pivoting tool",
+        )
+    needs_chain = [name for name in ("joint_zeros", "geometry") if name in plan.estimate]
+    if needs_chain and chain is None:
+        raise plan.error(
+            "estimate",
+            f"{needs_chain[0]} without a robot",
+            expected="robot: a URDF, MJCF or twin.yaml, and joint.NAME columns",
+        )
+    poses: dict[str, FloatArray] = {}
+    points: dict[str, FloatArray] = {}
+    free_poses: list[str] = []
+    free_points: list[str] = []
+    notes: list[str] = list(observations.notes)
+    for term in terms:
+        match term:
+            case PoseTerm():
+                for role, name in ((WORLD, term.world), (MOUNTED, term.mounted)):
+                    _add_pose(plan, name, role, poses, free_poses, notes)
+            case PointTerm():
+                _add_pose(plan, term.world, WORLD, poses, free_poses, notes)
+                if term.mounted is not None:
+                    _add_pose(plan, term.mounted, MOUNTED, poses, free_poses, notes)
+                    points[term.point] = plan.points[term.point]
+                elif term.point not in points:
+                    points[term.point] = np.zeros(3)
+                    free_points.append(term.point)
+            case PivotTerm():
+                for name in (term.tip, term.pivot):
+                    if name not in points:
+                        points[name] = np.zeros(3)
+                        free_points.append(name)
+    zeros: tuple[int, ...] = ()
+    joints: tuple[str, ...] = ()
+    links: tuple[LinkParameter, ...] = ()
+    if chain is not None:
+        joints = chain.joints
+        zeros = tuple(range(len(joints))) if "joint_zeros" in plan.estimate else ()
+        if "geometry" in plan.estimate:
+            base_is_free = any(name.endswith(WORLD) for name in free_poses) or bool(
+                [name for name in free_points if name.startswith("pivot.")]
+            )
+            links = link_parameters(chain, 1 if base_is_free else 0)
+    layout = Layout(
+        tuple(free_poses),
+        tuple(free_points),
+        zeros,
+        joints,
+        () if chain is None else tuple(bool(one) for one in chain.revolute),
+        links,
+        plan.priors.joint_zeros,
+        plan.priors.geometry_translation,
+        plan.priors.geometry_rotation,
+    )
+    fixed = State(poses, points, np.zeros(len(joints)), np.zeros(len(links)))
+    return Problem(plan, observations, chain, terms, layout, fixed, tuple(dict.fromkeys(notes)))
+
+
+def _check_joints(plan: Plan, observations: Observations, chain: SerialChain) -> None:
+    for name in chain.joints:
+        values = observations.joints.get(name)
+        path = plan.observations[0] if plan.observations else plan.path
+        if values is None:
+            raise FormatError(
+                f"no column of joint {name!r}, which moves {chain.frame!r}",
+                path=path,
+                where=f"joint.{name}",
+                value=", ".join(observations.joints) or None,
+                expected=f"a column joint.{name} with its position in rad (m where it slides)",
+            )
+        empty = np.flatnonzero(np.isnan(values))
+        if len(empty):
+            raise FormatError(
+                "an observation without a joint's position",
+                path=path,
+                where=f"joint.{name}",
+                value=f"id {observations.ids[int(empty[0])]}",
+                expected="a position of every joint between base and flange in every row",
+            )
+
+
+def _terms(plan: Plan, observations: Observations, has_chain: bool) -> tuple[Term, ...]:
+    usable = np.ones(len(observations), dtype=bool)
+    if not has_chain:
+        if observations.flange is None:
+            raise plan.error(
+                "robot",
+                "neither a robot nor flange poses",
+                expected="robot: a URDF, or columns flange.x y z qw qx qy qz",
+            )
+        usable = np.asarray(np.isfinite(observations.flange).all(axis=(1, 2)))
+    found: list[Term] = []
+    measured = np.zeros(len(observations), dtype=bool)
+    poses = observations.camera_from_target
+    if poses is not None:
+        there = usable & np.isfinite(poses).all(axis=(1, 2))
+        measured |= there
+        rows = np.flatnonzero(there)
+        if len(rows):
+            found.append(PoseTerm(rows, poses[rows], plan.mount))
+    known = set(plan.points) & set(observations.points)
+    for name, values in observations.points.items():
+        there = usable & np.isfinite(values).all(axis=1)
+        measured |= there
+        rows = np.flatnonzero(there)
+        if len(rows):
+            mounted = "tracker.mounted" if name in known else None
+            found.append(PointTerm(rows, values[rows], name, mounted))
+    if "tcp" in plan.estimate:
+        # A row that measures nothing else says that the tip stands in a fixed point.
+        names = observations.pivots or ("",) * len(observations)
+        only_pivots = not measured.any()
+        for pivot in dict.fromkeys(names):
+            if not pivot and not only_pivots:
+                continue
+            same = np.array([name == pivot for name in names])
+            rows = np.flatnonzero(usable & ~measured & same)
+            if len(rows):
+                found.append(PivotTerm(rows, f"pivot.{pivot or 'point'}"))
+    return tuple(found)
+
+
+def records_of(role: str, family: str, mount: Mount) -> tuple[str, ...]:
+    """Names of the records that one pose of the chain is reported as."""
+    if family == "camera" and mount == "world":
+        return ("tcp",) if role == MOUNTED else ("hand_eye", "base_world", "robot_world")
+    if role == MOUNTED:
+        return ("hand_eye",) if family == "camera" else ("tcp",)
+    return ("base_world", "robot_world", "fixture")
+
+
+INVERTED_RECORDS = frozenset({"base_world"})
+"""Records of the base in the world; all others are of something in the base or the flange."""
+
+_WORDS = {
+    ("camera", "hand", MOUNTED): "the camera on the flange",
+    ("camera", "hand", WORLD): "the target in the base",
+    ("camera", "world", MOUNTED): "the target on the flange",
+    ("camera", "world", WORLD): "the camera in the base",
+    ("tracker", "hand", MOUNTED): "the tool on the flange",
+    ("tracker", "hand", WORLD): "the measuring frame in the base",
+}
+
+
+def words_of(name: str, mount: Mount) -> str:
+    """What a pose of the chain is, in words."""
+    family, _, role = name.partition(".")
+    return _WORDS[family, mount if family == "camera" else "hand", role]
+
+
+def _add_pose(
+    plan: Plan,
+    name: str,
+    role: str,
+    poses: dict[str, FloatArray],
+    free: list[str],
+    notes: list[str],
+) -> None:
+    if name in poses:
+        return
+    names = records_of(role, name.partition(".")[0], plan.mount)
+    for record in names:
+        if record in plan.given:
+            transform = plan.given[record]
+            inverted = record in INVERTED_RECORDS
+            poses[name] = inverse(transform) if inverted else transform
+            return
+    poses[name] = np.eye(4)
+    free.append(name)
+    if not set(names) & set(plan.estimate):
+        notes.append(
+            f"the pose of {words_of(name, plan.mount)} is neither given nor in estimate; it is "
+            f"estimated with the rest (to hold it: given: {{{names[0]}: ...}})"
+        )
+
+
+def predicted_poses(problem: Problem, state: State) -> FloatArray:
+    """(rows, 4, 4) ``transform_base_to_flange`` at a state, m."""
+    nothing = np.zeros(problem.layout.count)
+    flange = problem.flange(Variables(problem.layout, state, nothing))
+    poses = np.tile(np.eye(4), (len(flange.position), 1, 1))
+    poses[:, :3, :3] = flange.rotation
+    poses[:, :3, 3] = flange.position
+    return poses
+
+
+def random_rows(problem: Problem, state: State, count: int, seed: int) -> Problem:
+    """The same problem at drawn joint positions with measurements that ``state`` predicts.
+
+    What it determines is what the structure determines, whatever the poses.
+    """
+    assert problem.chain is not None
+    draw = np.random.default_rng(seed)
+    at = np.arange(count) % len(problem.observations)
+    spread = np.where(problem.chain.revolute, _DRAWN_RAD, _DRAWN_M)
+    readings = draw.uniform(-spread, spread, (count, len(problem.chain.joints)))
+    observations = replace(
+        problem.observations.rows(at),
+        ids=tuple(str(i) for i in range(count)),
+        joints=dict(zip(problem.chain.joints, readings.T, strict=True)),
+    )
+    if observations.camera_from_target is not None:
+        identity = np.tile(np.eye(4), (count, 1, 1))
+        observations = replace(observations, camera_from_target=identity)
+    points = {name: np.zeros((count, 3)) for name in observations.points}
+    observations = replace(observations, points=points)
+    drawn = replace(problem, observations=observations)
+    terms = _terms(problem.plan, observations, True)
+    variables = Variables(problem.layout, state, np.zeros(problem.layout.count))
+    flange = drawn.flange(variables)
+    return replace(
+        drawn,
+        terms=tuple(
+            replace(term, measured=term.predicted(flange, variables))
+            if isinstance(term, PoseTerm | PointTerm)
+            else term
+            for term in terms
+        ),
+    )

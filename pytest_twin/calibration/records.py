@@ -1,0 +1,264 @@
+"""Estimates as ``calibration.json`` states them: values, covariance, 95 % intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.calibration.observability import Direction, affected
+from pytest_twin.calibration.parameters import POSE_LABELS
+from pytest_twin.calibration.problem import INVERTED_RECORDS, records_of
+from pytest_twin.calibration.solve import Fit
+from pytest_twin.calibration.tangent import skew
+from pytest_twin.metrics.pose import quaternion_of
+
+_NOT_ASKED = {
+    ("camera", "hand", "mounted"): "camera",
+    ("camera", "hand", "world"): "target",
+    ("camera", "world", "mounted"): "target",
+    ("camera", "world", "world"): "camera",
+    ("tracker", "hand", "mounted"): "tool",
+    ("tracker", "hand", "world"): "tracker",
+}
+"""Name of a pose that had to be estimated with the rest and was not asked for."""
+
+HELD_BY_PRIOR = 0.7
+"""A deviation whose standard deviation is more than this part of its prior's is the design's
+value rather than a measurement: the data carry less information than the drawing."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fit and how sure it is.
+
+    Attributes:
+        fit: the solution.
+        covariance: (count, count) of the unknowns, m and rad; zero along ``directions``.
+        quantile: half width of a 95 % interval in standard deviations.
+        lost: (count,) True for unknowns that the observations do not determine.
+        directions: that they do not determine.
+    """
+
+    fit: Fit
+    covariance: FloatArray
+    quantile: float
+    lost: np.ndarray
+    directions: tuple[Direction, ...]
+
+
+def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
+    """Covariance and intervals of a fit.
+
+    The noise is estimated from the residuals, so that intervals use Student's distribution.
+    """
+    layout = fit.problem.layout
+    _, singular, right = np.linalg.svd(fit.jacobian, full_matrices=False)
+    sure = singular > 1e-12 * max(singular.max(initial=0.0), 1e-300)
+    half = right[sure] / singular[sure, None]
+    covariance = half.T @ half
+    quantile = float(student.ppf(0.975, max(fit.degrees, 1.0)))
+    return Estimate(fit, covariance, quantile, affected(layout, directions), directions)
+
+
+def records(found: Estimate) -> dict[str, Any]:
+    """The records that the plan asks for, and what had to be estimated with them."""
+    plan, layout = found.fit.problem.plan, found.fit.problem.layout
+    made: dict[str, Any] = {}
+    for name in layout.poses:
+        place = layout.blocks[f"pose:{name}"]
+        if found.lost[place].any():
+            continue
+        family, _, role = name.partition(".")
+        mount = plan.mount if family == "camera" else "hand"
+        asked = [one for one in records_of(role, family, mount) if one in plan.estimate]
+        for record in asked or [_NOT_ASKED[family, mount, role]]:
+            made[record] = _pose_record(found, name, record, asked=bool(asked))
+    made |= _points(found)
+    for block, scalars in (("joint_zeros", _zeros), ("geometry", _geometry)):
+        if block in layout.blocks and (values := scalars(found)):
+            made[block] = values
+    order = [name for name in plan.estimate if name in made]
+    return {name: made[name] for name in [*order, *(n for n in made if n not in order)]}
+
+
+def _frames(found: Estimate, name: str, record: str) -> tuple[str, str]:
+    problem = found.fit.problem
+    base = "base" if problem.chain is None else problem.chain.base
+    role = name.rpartition(".")[2]
+    if record == "base_world":
+        return "world", base if base != "world" else "base"
+    parent = problem.plan.flange if role == "mounted" else base
+    child = {
+        "hand_eye": "camera",
+        "camera": "camera",
+        "robot_world": "world",
+        "fixture": "fixture",
+        "tracker": "tracker",
+        "target": "target",
+        "tool": "tool",
+        "tcp": "tcp",
+    }[record]
+    return parent, child
+
+
+def _pose_record(found: Estimate, name: str, record: str, *, asked: bool) -> dict[str, Any]:
+    layout = found.fit.problem.layout
+    place = layout.blocks[f"pose:{name}"]
+    pose = found.fit.state.poses[name]
+    covariance = found.covariance[place, place]
+    if record in INVERTED_RECORDS:
+        pose, covariance = inverse_with_covariance(pose, covariance)
+    parent, child = _frames(found, name, record)
+    spread = found.quantile * np.sqrt(np.diag(covariance))
+    middle = [*pose[:3, 3], 0.0, 0.0, 0.0]
+    made: dict[str, Any] = {
+        "parent": parent,
+        "child": child,
+        "transform": {
+            "xyz": [float(value) for value in pose[:3, 3]],
+            "quaternion_wxyz": [float(value) for value in quaternion_of(pose[:3, :3])],
+        },
+        "covariance": covariance.tolist(),
+        "covariance_of": list(POSE_LABELS),
+        "perturbation": "x y z along the parent's axes [m]; rx ry rz a rotation vector about the "
+        "child's axes [rad]: R exp(r), so that its intervals are about 0",
+        "ci95": {
+            label: [float(value - width), float(value + width)]
+            for label, value, width in zip(POSE_LABELS, middle, spread, strict=True)
+        },
+    }
+    if not asked:
+        made["asked"] = False
+    return made
+
+
+def inverse_with_covariance(
+    pose: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The inverse of a (4, 4) pose, and the (6, 6) covariance of the same kind."""
+    back = inverse(pose)
+    change = np.zeros((6, 6))
+    change[:3, :3] = -back[:3, :3]
+    change[:3, 3:] = skew(back[:3, 3])
+    change[3:, 3:] = -pose[:3, :3]
+    return back, change @ covariance @ change.T
+
+
+def _points(found: Estimate) -> dict[str, Any]:
+    problem, layout = found.fit.problem, found.fit.problem.layout
+    markers = [name for name in layout.points if name != "tip" and not name.startswith("pivot.")]
+    made: dict[str, Any] = {}
+    tip = "tip" if "tip" in layout.points else None
+    if tip is None and "tcp" in problem.plan.estimate and len(markers) == 1:
+        tip = markers[0]
+    if tip is not None and not found.lost[layout.blocks[f"point:{tip}"]].any():
+        place = layout.blocks[f"point:{tip}"]
+        xyz = found.fit.state.points[tip]
+        covariance = found.covariance[place, place]
+        spread = found.quantile * np.sqrt(np.diag(covariance))
+        made["tcp"] = {
+            "parent": problem.plan.flange,
+            "child": "tcp",
+            "transform": {"xyz": xyz.tolist(), "quaternion_wxyz": None},
+            "orientation": "not determined by a point; None is given",
+            "covariance": covariance.tolist(),
+            "covariance_of": ["x", "y", "z"],
+            "ci95": {
+                axis: [float(value - width), float(value + width)]
+                for axis, value, width in zip("xyz", xyz, spread, strict=True)
+            },
+        }
+    values = {}
+    for name in layout.points:
+        place = layout.blocks[f"point:{name}"]
+        if name == tip or found.lost[place].any():
+            continue
+        xyz = found.fit.state.points[name]
+        covariance = found.covariance[place, place]
+        spread = found.quantile * np.sqrt(np.diag(covariance))
+        base = "base" if problem.chain is None else problem.chain.base
+        values[name] = {
+            "parent": base if name.startswith("pivot.") else problem.plan.flange,
+            "xyz": xyz.tolist(),
+            "unit": "m",
+            "covariance": covariance.tolist(),
+            "ci95": [[float(v - w), float(v + w)] for v, w in zip(xyz, spread, strict=True)],
+        }
+    if values:
+        made["points"] = {"values": values, "asked": False}
+    return made
+
+
+def _scalars(found: Estimate, block: str) -> list[tuple[int, float]]:
+    """Column and standard deviation of each unknown of a block that is determined."""
+    place = found.fit.problem.layout.blocks[block]
+    spread = np.sqrt(np.diag(found.covariance))
+    return [(at, float(spread[at])) for at in range(place.start, place.stop) if not found.lost[at]]
+
+
+def _zeros(found: Estimate) -> dict[str, Any]:
+    layout, chain = found.fit.problem.layout, found.fit.problem.chain
+    assert chain is not None
+    place = layout.blocks["joint_zeros"]
+    values = {}
+    kept = _scalars(found, "joint_zeros")
+    for at, spread in kept:
+        joint = layout.zeros[at - place.start]
+        # Together with what twin.yaml already adds to the reading.
+        value = float(found.fit.state.zeros[joint] + chain.offsets[joint])
+        width = found.quantile * spread
+        values[layout.joints[joint]] = {
+            "value": value,
+            "unit": layout.parameters[at].unit,
+            "std": spread,
+            "ci95": [value - width, value + width],
+        }
+    if not values:
+        return {}
+    columns = [at for at, _ in kept]
+    return {
+        "values": values,
+        "meaning": "model position = sign * encoder reading + value",
+        "covariance": found.covariance[np.ix_(columns, columns)].tolist(),
+        "covariance_of": list(values),
+    }
+
+
+def _geometry(found: Estimate) -> dict[str, Any]:
+    layout = found.fit.problem.layout
+    place = layout.blocks["geometry"]
+    values = {}
+    for at, spread in _scalars(found, "geometry"):
+        link = layout.links[at - place.start]
+        parameter = layout.parameters[at]
+        value = float(found.fit.state.links[at - place.start])
+        width = found.quantile * spread
+        prior = float(parameter.prior or np.inf)
+        values[link.label] = {
+            "value": value,
+            "unit": parameter.unit,
+            "std": spread,
+            "ci95": [value - width, value + width],
+            "joint": layout.joints[link.joint],
+            "kind": "rotation" if link.rotation else "translation",
+            "direction": link.direction.tolist(),
+            "prior_std": prior,
+            "determined_by": "prior" if spread > HELD_BY_PRIOR * prior else "data",
+        }
+    return {"values": values, "frame": "of each joint, at position 0"} if values else {}
+
+
+def full_covariance(found: Estimate) -> Mapping[str, Any]:
+    """Covariance of all unknowns together, as the fit has them."""
+    names = [parameter.name for parameter in found.fit.problem.layout.parameters]
+    kept = np.flatnonzero(~found.lost)
+    return {
+        "of": [names[at] for at in kept],
+        "matrix": found.covariance[np.ix_(kept, kept)].tolist(),
+    }

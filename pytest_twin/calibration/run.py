@@ -1,0 +1,266 @@
+"""One calibration from its files to ``calibration.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin import __version__
+from pytest_twin.calibration.coincident import LeftOut, without_coincident
+from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermined
+from pytest_twin.calibration.observations import Observations, load_observations
+from pytest_twin.calibration.parameters import State
+from pytest_twin.calibration.plan import Plan, load_plan
+from pytest_twin.calibration.problem import Problem, make_problem
+from pytest_twin.calibration.records import Estimate, estimate, full_covariance, records
+from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of
+from pytest_twin.calibration.solve import Fit, robust_cost, solve
+from pytest_twin.calibration.split import split
+from pytest_twin.calibration.starts import is_subset, starts
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
+
+GROSS_RATIO = 6.0
+"""A held-out observation is left out only where it is this many times as far off as the median of
+the held-out ones: a target that was not seen says nothing of the calibration. Poor predictions
+raise the median too and stay in."""
+
+MOST_GROSS = 0.2
+"""Part of the held-out observations that may be left out in this way."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A problem solved on the observations to fit.
+
+    Attributes:
+        estimate: with covariance and directions that are not determined.
+        gauges: zeros that were held.
+        candidates: algebraic solver -> its state.
+    """
+
+    estimate: Estimate
+    gauges: tuple[Gauge, ...]
+    candidates: Mapping[str, State]
+
+
+def calibrate_file(plan: str, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
+    """The content of ``calibration.json`` for the plan in a file.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
+    told = progress or (lambda fraction: None)
+    found = load_plan(Path(plan))
+    if not found.observations:
+        raise found.error(
+            "observations", "no observations", expected="observations: observations.csv"
+        )
+    if len(found.observations) > 1:
+        raise SpecError(
+            "more than one file of observations",
+            path=found.path,
+            where="observations",
+            expected="one CSV file; append the rows of the others",
+        )
+    observations = load_observations(found.observations[0])
+    chain = None
+    if found.robot is not None and observations.joints:
+        chain = load_serial_chain(found.robot, found.flange)
+    told(0.1)
+    document = calibrate(found, observations, chain, told)
+    document["inputs"] = {
+        str(
+            path.relative_to(found.path.parent) if path.is_relative_to(found.path.parent) else path
+        ): {"sha256": file_sha256(path)}
+        for path in (found.path, *found.observations, *([found.robot] if found.robot else []))
+    }
+    return document
+
+
+def calibrate(
+    plan: Plan,
+    observations: Observations,
+    chain: SerialChain | None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> dict[str, Any]:
+    """The content of ``calibration.json`` for observations in memory.
+
+    Raises:
+        TwinError: observations that cannot be used.
+    """
+    observations, left_out = without_coincident(observations)
+    problem = make_problem(plan, observations, chain)
+    fit_rows, held_rows = split(plan, observations)
+    solved = solve_problem(problem.on_rows(fit_rows))
+    progress(0.7)
+    fit = solved.estimate.fit
+    problem = replace(problem, layout=fit.problem.layout)
+    held = problem.on_rows(held_rows)
+    document: dict[str, Any] = {
+        "schema": 1,
+        "calibration": plan.id,
+        "verdict": "degenerate",
+        "records": records(solved.estimate),
+    }
+    errors, gross = held_out_errors(held, fit.state)
+    fitted = errors_of(fit.problem, fit.state, fit.kept)
+    degenerate = bool(solved.estimate.directions)
+    document["held_out"] = _errors_json(errors)
+    document["fitted"] = fitted.summary()
+    document["fitted"]["noise"] = dict(fit.noise)
+    document["fitted"]["leave_one_out"] = leave_one_out(fit)
+    document["solvers"] = _solvers(held, solved, errors)
+    document["excluded"] = [one.to_json() for one in (*left_out, *_outliers(fit), *gross)]
+    document["unobservable"] = [
+        *(direction.words for direction in solved.estimate.directions),
+        *(gauge.words for gauge in solved.gauges),
+    ]
+    reasons = accepted(errors.summary(), asdict(plan.accept))
+    document["verdict"] = "degenerate" if degenerate else "rejected" if reasons else "accepted"
+    document["reasons"] = list(document["unobservable"][: len(solved.estimate.directions)]) + (
+        [] if degenerate else reasons
+    )
+    document["notes"] = [*problem.notes, *_notes(plan, held)]
+    document["covariance"] = full_covariance(solved.estimate)
+    document["software"] = {"pytest-twin": __version__}
+    progress(1.0)
+    return document
+
+
+def solve_problem(problem: Problem) -> Solved:
+    """The best solution of a problem, from all starts.
+
+    Raises:
+        SpecError: too few observations for any start.
+    """
+    candidates = starts(problem)
+    if not candidates:
+        # Too few poses for an algebraic solver: the directions then say what is missing.
+        candidates = {"nominal": problem.fixed}
+    cost = {name: robust_cost(problem, state) for name, state in candidates.items()}
+    best = candidates[min(cost, key=lambda name: cost[name])]
+    problem, gauges = hold_gauges(problem, best)
+    fit = solve(problem, best)
+    found = estimate(fit, undetermined(fit))
+    kept = {name: state for name, state in candidates.items() if not is_subset(name)}
+    return Solved(found, gauges, kept)
+
+
+def held_out_errors(held: Problem, state: State) -> tuple[Errors, tuple[LeftOut, ...]]:
+    """Errors on held-out observations, without those that measured something else."""
+    errors = errors_of(held, state)
+    if len(errors.ids) < 4:
+        return errors, ()
+    sizes = [errors.distance / max(float(np.median(errors.distance)), 1e-12)]
+    angles = np.linalg.norm(errors.rotation, axis=1)
+    if np.isfinite(angles).all():
+        sizes.append(angles / max(float(np.median(angles)), 1e-12))
+    gross = np.max(sizes, axis=0) > GROSS_RATIO
+    if not gross.any() or gross.mean() > MOST_GROSS:
+        return errors, ()
+    left_out = tuple(
+        LeftOut(
+            errors.ids[at],
+            f"held out; {1e3 * errors.distance[at]:.3g} mm off, more than {GROSS_RATIO:.0f} times "
+            "the median of the held-out observations",
+        )
+        for at in np.flatnonzero(gross)
+    )
+    keep = ~gross
+    return (
+        Errors(
+            tuple(name for name, kept in zip(errors.ids, keep, strict=True) if kept),
+            errors.rows[keep],
+            errors.translation[keep],
+            errors.rotation[keep],
+            errors.reach[keep],
+        ),
+        left_out,
+    )
+
+
+def leave_one_out(fit: Fit) -> dict[str, float]:
+    """Root mean square of each kind of error when its observation is left out of the fit.
+
+    From the leverages, without fitting again: ``e = (I - H)^-1 r`` for each measurement, exact for
+    a linear problem.
+    """
+    left, singular, _ = np.linalg.svd(fit.jacobian, full_matrices=False)
+    left = left[:, singular > 1e-10 * max(singular.max(initial=0.0), 1e-300)]
+    at = 0
+    squares: dict[str, list[float]] = {}
+    for term, kept, residual in zip(fit.problem.terms, fit.kept, fit.residuals, strict=True):
+        size = np.array([fit.noise[name] for name in term.noise])
+        width = len(size)
+        for row in range(len(term.rows)):
+            block = left[at : at + width]
+            at += width
+            if not kept[row]:
+                continue
+            free = np.eye(width) - block @ block.T
+            error = np.linalg.pinv(free) @ (residual[row] / size) * size
+            for column, name in enumerate(term.noise):
+                squares.setdefault(f"{name}_rms", []).append(float(error[column] ** 2))
+    return {name: float(np.sqrt(np.mean(values))) for name, values in squares.items()}
+
+
+def _errors_json(errors: Errors) -> dict[str, Any]:
+    found = errors.summary()
+    if errors.ids:
+        found["worst"] = errors.worst()
+        found["regions"] = errors.regions()
+        found["pattern"] = errors.pattern()
+    return found
+
+
+def _solvers(held: Problem, solved: Solved, errors: Errors) -> dict[str, Any]:
+    found = {}
+    kept = ("translation_rms", "rotation_rms")
+    chosen = set(errors.ids)
+    for name, state in solved.candidates.items():
+        each = errors_of(held, state)
+        inside = np.array([one in chosen for one in each.ids], dtype=bool)
+        each = Errors(
+            tuple(one for one in each.ids if one in chosen),
+            each.rows[inside],
+            each.translation[inside],
+            each.rotation[inside],
+            each.reach[inside],
+        )
+        found[name] = {k: v for k, v in each.summary().items() if k in kept}
+    found["least_squares"] = {k: v for k, v in errors.summary().items() if k in kept}
+    return found
+
+
+def _outliers(fit: Fit) -> list[LeftOut]:
+    found = []
+    for term, kept, residual in zip(fit.problem.terms, fit.kept, fit.residuals, strict=True):
+        for at in np.flatnonzero(~kept):
+            off = f"{1e3 * np.linalg.norm(residual[at, :3]):.3g} mm"
+            usual = 1e3 * fit.noise[term.noise[0]]
+            words = f"{term.name} is {off}"
+            if len(term.noise) == 6:
+                words += f" and {1e3 * np.linalg.norm(residual[at, 3:]):.3g} mrad"
+            found.append(
+                LeftOut(
+                    fit.problem.observations.ids[term.rows[at]],
+                    f"outlier: {words} from what all others say (their standard deviation: "
+                    f"{usual:.3g} mm)",
+                )
+            )
+    return found
+
+
+def _notes(plan: Plan, held: Problem) -> list[str]:
+    found = []
+    if len(held.observations) == 0:
+        found.append("no observation is held out: nothing says how well the result predicts")
+    if plan.accept.translation is None and plan.accept.rotation is None:
+        found.append("the plan accepts any error (accept: {translation: ..., rotation: ...})")
+    return found

@@ -1,0 +1,288 @@
+"""The least squares: weights from the noise that is found, outliers left out with their reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.parameters import State
+from pytest_twin.calibration.problem import Problem
+
+STUDENT_DEGREES = 4.0
+"""Of the Student distribution whose weights the robust iterations use: at 4 an outlier counts
+little and good observations lose few per cent of their weight (Lange, Little, Taylor, 1989)."""
+
+OUTLIER_PROBABILITY = 0.01
+"""Probability with which one good observation among all is left out (Bonferroni)."""
+
+OUTLIER_RATIO = 3.0
+"""A measurement is left out only where it is this many times as far off as the 60th percentile.
+Errors of a real robot have heavier tails than the normal distribution, whose bound alone would
+leave out one pose in six of a good data set and keep only those that suit the model."""
+
+MOST_OUTLIERS = 0.4
+"""Part of the measurements beyond which nothing is left out: who is right is then unknown."""
+
+NOISE_FLOOR = {"translation": 1e-9, "rotation": 1e-9, "point": 1e-9, "pixel": 1e-6}
+"""Smallest standard deviation that residuals are divided by, m, rad, m and px: exact synthetic
+data have none."""
+
+_ROBUST_ITERATIONS = 20
+_ROBUST_STEPS = 4
+_FINAL_STEPS = 60
+_EXCLUDING_ITERATIONS = 12
+_NORMAL_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A solution.
+
+    Attributes:
+        problem: that was solved.
+        state: the solution.
+        noise: name of the noise -> standard deviation, m, rad or px.
+        kept: for each term, (m,) True where the measurement was fitted.
+        residuals: for each term, (m, columns), of all measurements.
+        jacobian: (rows, count) of the kept residuals and the priors, each divided by its
+            standard deviation.
+        degrees: residuals minus unknowns that the data determine.
+    """
+
+    problem: Problem
+    state: State
+    noise: Mapping[str, float]
+    kept: tuple[np.ndarray, ...]
+    residuals: tuple[FloatArray, ...]
+    jacobian: FloatArray
+    degrees: float
+
+    def distances(self) -> list[FloatArray]:
+        """Of each term: (m,) squared residuals in units of the noise, summed over the columns."""
+        return _distances(self.problem, self.residuals, self.noise)
+
+
+def robust_cost(problem: Problem, state: State) -> float:
+    """Median size of the residuals at a state; for comparing starts.
+
+    Each kind of noise is divided by a fixed size (1 mm, 1 mrad, 1 px), so that states are
+    comparable before the noise is known.
+    """
+    total = 0.0
+    found = problem.residuals(state, np.zeros(problem.layout.count))
+    for term, (residual, _) in zip(problem.terms, found, strict=True):
+        sizes = np.array([1.0 if name == "pixel" else 1e-3 for name in term.noise])
+        total += float(np.median(np.linalg.norm(residual / sizes, axis=1)))
+    return total
+
+
+def solve(problem: Problem, start: State) -> Fit:
+    """The weighted least-squares solution from a start, without outliers."""
+    everything = tuple(np.ones(len(term.rows), dtype=bool) for term in problem.terms)
+    state = start
+    residuals, _ = _residuals(problem, state)
+    noise = _spread(problem, residuals, everything)
+    # Robust: every measurement counts, those far from the others little.
+    for _ in range(_ROBUST_ITERATIONS):
+        weights = [
+            np.sqrt((STUDENT_DEGREES + len(term.noise)) / (STUDENT_DEGREES + distance))
+            for term, distance in zip(
+                problem.terms, _distances(problem, residuals, noise), strict=True
+            )
+        ]
+        state = _least_squares(problem, state, noise, weights, _ROBUST_STEPS)
+        residuals, _ = _residuals(problem, state)
+        before, noise = noise, _spread(problem, residuals, everything)
+        if all(abs(noise[name] / before[name] - 1.0) < 0.02 for name in noise):
+            break
+    kept = everything
+    for _ in range(_EXCLUDING_ITERATIONS):
+        chosen = _inliers(problem, _distances(problem, residuals, noise))
+        same = all(np.array_equal(a, b) for a, b in zip(chosen, kept, strict=True))
+        kept = chosen
+        state = _least_squares(problem, state, noise, [one.astype(float) for one in kept])
+        residuals, slopes = _residuals(problem, state)
+        before, noise = noise, _noise(problem, residuals, slopes, noise, kept)
+        if same and all(abs(noise[name] / before[name] - 1.0) < 1e-3 for name in noise):
+            break
+    jacobian = _whitened(problem, slopes, noise, [one.astype(float) for one in kept])
+    degrees = _degrees(problem, jacobian, kept)
+    return Fit(problem, state, noise, kept, tuple(residuals), jacobian, degrees)
+
+
+def whitened_jacobian(problem: Problem, state: State, noise: Mapping[str, float]) -> FloatArray:
+    """(rows, count) derivatives of all residuals and priors, divided by their noise."""
+    slopes = _residuals(problem, state)[1]
+    return _whitened(problem, slopes, noise, [np.ones(len(t.rows)) for t in problem.terms])
+
+
+def _residuals(problem: Problem, state: State) -> tuple[list[FloatArray], list[FloatArray]]:
+    found = problem.residuals(state, np.zeros(problem.layout.count))
+    return [one for one, _ in found], [slope for _, slope in found]
+
+
+def _sizes(problem: Problem, noise: Mapping[str, float]) -> list[FloatArray]:
+    return [np.array([noise[name] for name in term.noise]) for term in problem.terms]
+
+
+def _distances(
+    problem: Problem,
+    residuals: list[FloatArray] | tuple[FloatArray, ...],
+    noise: Mapping[str, float],
+) -> list[FloatArray]:
+    sizes = _sizes(problem, noise)
+    return [np.sum((one / size) ** 2, axis=1) for one, size in zip(residuals, sizes, strict=True)]
+
+
+def _names(problem: Problem) -> list[str]:
+    return list(dict.fromkeys(name for term in problem.terms for name in term.noise))
+
+
+def _columns(problem: Problem, values: list[FloatArray], name: str, kept: object) -> FloatArray:
+    """All residuals of one kind of noise."""
+    parts = []
+    for at, term in enumerate(problem.terms):
+        columns = [i for i, one in enumerate(term.noise) if one == name]
+        if columns:
+            parts.append(values[at][kept[at]][:, columns].reshape(-1))  # type: ignore[index]
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _spread(
+    problem: Problem, residuals: list[FloatArray], kept: tuple[np.ndarray, ...]
+) -> dict[str, float]:
+    """Noise that outliers do not change: from the median of the residuals' sizes."""
+    found = {}
+    total = sum(residual.size for residual in residuals)
+    share = max(1.0 - problem.layout.count / max(total, 1), 0.1)
+    for name in _names(problem):
+        values = np.abs(_columns(problem, residuals, name, kept))
+        spread = _NORMAL_MAD * float(np.median(values)) / np.sqrt(share) if len(values) else 0.0
+        found[name] = max(spread, NOISE_FLOOR[name])
+    return found
+
+
+def _noise(
+    problem: Problem,
+    residuals: list[FloatArray],
+    slopes: list[FloatArray],
+    noise: Mapping[str, float],
+    kept: tuple[np.ndarray, ...],
+) -> dict[str, float]:
+    """Noise of each kind: squares over the residuals that the unknowns do not use up."""
+    jacobian = _whitened(problem, slopes, noise, [one.astype(float) for one in kept])
+    left = np.linalg.svd(jacobian, full_matrices=False)
+    rank = left[1] > 1e-10 * max(left[1].max(initial=0.0), 1e-300)
+    leverage = np.sum(left[0][:, rank] ** 2, axis=1)
+    used: dict[str, float] = dict.fromkeys(_names(problem), 0.0)
+    at = 0
+    for term in problem.terms:
+        block = leverage[at : at + len(term.rows) * len(term.noise)].reshape(len(term.rows), -1)
+        at += block.size
+        for column, name in enumerate(term.noise):
+            used[name] += float(block[:, column].sum())
+    found = {}
+    for name in used:
+        values = _columns(problem, residuals, name, kept)
+        free = len(values) - used[name]
+        spread = float(np.sqrt(np.sum(values**2) / free)) if free > 0.5 else noise[name]
+        found[name] = max(spread, NOISE_FLOOR[name])
+    return found
+
+
+def _inliers(problem: Problem, distances: list[FloatArray]) -> tuple[np.ndarray, ...]:
+    total = sum(len(one) for one in distances)
+    found = []
+    for term, distance in zip(problem.terms, distances, strict=True):
+        bound = chi2.isf(OUTLIER_PROBABILITY / total, len(term.noise))
+        typical = float(np.quantile(distance, 1.0 - MOST_OUTLIERS))
+        inside = distance <= max(bound, OUTLIER_RATIO**2 * typical)
+        if (~inside).mean() > MOST_OUTLIERS:
+            inside = distance <= typical
+        found.append(inside)
+    return tuple(found)
+
+
+def _whitened(
+    problem: Problem,
+    slopes: list[FloatArray],
+    noise: Mapping[str, float],
+    weights: list[FloatArray],
+) -> FloatArray:
+    rows = [
+        (slope * weight[:, None, None] / size[:, None]).reshape(-1, problem.layout.count)
+        for slope, weight, size in zip(slopes, weights, _sizes(problem, noise), strict=True)
+    ]
+    return np.concatenate([*rows, _prior_rows(problem)])
+
+
+def _prior_rows(problem: Problem) -> FloatArray:
+    parameters = problem.layout.parameters
+    rows = [np.eye(len(parameters))[i] / p.prior for i, p in enumerate(parameters) if p.prior]
+    return np.reshape(rows, (-1, len(parameters)))
+
+
+def _prior_values(problem: Problem, state: State) -> FloatArray:
+    layout = problem.layout
+    values = np.zeros(layout.count)
+    if layout.zeros:
+        values[layout.blocks["joint_zeros"]] = state.zeros[list(layout.zeros)]
+    if layout.links:
+        values[layout.blocks["geometry"]] = state.links
+    return _prior_rows(problem) @ values
+
+
+def _least_squares(
+    problem: Problem,
+    state: State,
+    noise: Mapping[str, float],
+    weights: list[FloatArray],
+    steps: int = _FINAL_STEPS,
+) -> State:
+    if problem.layout.count == 0:
+        return state
+    priors = _prior_rows(problem)
+    sizes = _sizes(problem, noise)
+
+    known: dict[bytes, list[tuple[FloatArray, FloatArray]]] = {}
+
+    def evaluated(step: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        # Residuals and derivatives come together; both are asked for at each step.
+        key = step.tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = problem.residuals(state, step)
+        return known[key]
+
+    def residuals(step: FloatArray) -> FloatArray:
+        rows = [
+            (residual * weight[:, None] / size).reshape(-1)
+            for (residual, _), weight, size in zip(evaluated(step), weights, sizes, strict=True)
+        ]
+        return np.concatenate([*rows, _prior_values(problem, state) + priors @ step])
+
+    def jacobian(step: FloatArray) -> FloatArray:
+        return _whitened(problem, [slope for _, slope in evaluated(step)], noise, weights)
+
+    start = np.zeros(problem.layout.count)
+    # MINPACK's method is the fastest here and refuses fewer residuals than unknowns.
+    rows = sum(len(t.rows) * len(t.noise) for t in problem.terms) + len(priors)
+    method: Literal["lm", "trf"] = "lm" if rows >= len(start) else "trf"
+    found = least_squares(residuals, start, jacobian, method=method, x_scale="jac", max_nfev=steps)
+    return problem.layout.moved(state, np.asarray(found.x))
+
+
+def _degrees(problem: Problem, jacobian: FloatArray, kept: tuple[np.ndarray, ...]) -> float:
+    count = sum(
+        int(one.sum()) * len(term.noise) for one, term in zip(kept, problem.terms, strict=True)
+    )
+    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+    rank = singular > 1e-10 * max(singular.max(initial=0.0), 1e-300)
+    data = sum(len(t.rows) * len(t.noise) for t in problem.terms)
+    return float(count - np.sum(left[:data, rank] ** 2))

@@ -1,0 +1,177 @@
+"""Start values from algebraic solvers: name -> function.
+
+A solver of ``flange @ mounted = world @ seen`` is registered under its name. All that are there
+are tried, the least squares starts from the one with the smallest residuals, and each is reported
+with its error on held-out observations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration import closed_form
+from pytest_twin.calibration.parameters import State
+from pytest_twin.calibration.problem import Problem, predicted_poses
+from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
+
+HandEyeSolver = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+"""From (n, 4, 4) ``flange`` and ``seen`` to (4, 4) ``mounted`` and ``world``, m."""
+
+HAND_EYE_SOLVERS: dict[str, HandEyeSolver] = {
+    "park": closed_form.park,
+    "shah": closed_form.shah,
+}
+
+_SUBSETS = 30
+"""Random subsets of poses from which a start is taken too: with 20 % outliers among the poses and
+5 in a subset, one in three has none, so that all 30 fail once in 10^5."""
+
+_IN_SUBSET = 5
+
+
+def starts(problem: Problem) -> Mapping[str, State]:
+    """Start states by the name of the solver that they come from.
+
+    Args:
+        problem: the observations to fit.
+    """
+    first = _points(problem, problem.fixed)
+    if not any(isinstance(term, PoseTerm) for term in problem.terms):
+        return {"closed_form": first}
+    found = {}
+    for name, solver in HAND_EYE_SOLVERS.items():
+        state = _pose_start(problem, first, solver, None)
+        if state is not None:
+            found[name] = state
+    draw = np.random.default_rng(0)
+    count = min(len(term.rows) for term in problem.terms if isinstance(term, PoseTerm))
+    if count > 2 * _IN_SUBSET:
+        for number in range(_SUBSETS):
+            chosen = np.sort(draw.choice(count, _IN_SUBSET, replace=False))
+            state = _pose_start(problem, first, closed_form.park, chosen)
+            if state is not None:
+                found[f"subset{number}"] = state
+    return found
+
+
+def is_subset(name: str) -> bool:
+    """Whether a start comes from a few of the poses only."""
+    return name.startswith("subset")
+
+
+def seen_poses(term: PoseTerm) -> FloatArray:
+    """(m, 4, 4) ``seen`` with ``flange @ mounted = world @ seen``."""
+    return closed_form.inverse(term.measured) if term.mount == "hand" else term.measured
+
+
+def _pose_start(
+    problem: Problem, state: State, solver: HandEyeSolver, chosen: np.ndarray | None
+) -> State | None:
+    flange = predicted_poses(problem, state)
+    poses = dict(state.poses)
+    for term in problem.terms:
+        if not isinstance(term, PoseTerm):
+            continue
+        at = np.arange(len(term.rows)) if chosen is None else chosen
+        mine, seen = flange[term.rows[at]], seen_poses(term)[at]
+        free = [name in problem.layout.poses for name in (term.mounted, term.world)]
+        if not all(free):
+            poses |= _one_side(term, state, mine, seen, free)
+            continue
+        if len(at) < 3:
+            return None
+        try:
+            poses[term.mounted], poses[term.world] = solver(mine, seen)
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+        if not all(np.isfinite(poses[name]).all() for name in (term.mounted, term.world)):
+            return None
+    return replace(state, poses=poses)
+
+
+def _one_side(
+    term: PoseTerm, state: State, flange: FloatArray, seen: FloatArray, free: list[bool]
+) -> dict[str, FloatArray]:
+    """Where one of both poses is given: the mean of what each observation says of the other."""
+    if free[0]:
+        each = closed_form.inverse(flange) @ state.poses[term.world] @ seen
+        return {term.mounted: _middle(each)}
+    if free[1]:
+        each = flange @ state.poses[term.mounted] @ closed_form.inverse(seen)
+        return {term.world: _middle(each)}
+    return {}
+
+
+def _middle(poses: FloatArray) -> FloatArray:
+    """The pose in the middle of some: median position; the rotation nearest to all others."""
+    rotations = poses[:, :3, :3]
+    traces = np.einsum("aij,bij->ab", rotations, rotations)
+    best = int(np.argmax(np.median(traces, axis=1)))
+    return closed_form.rigid(rotations[best], np.median(poses[:, :3, 3], axis=0))
+
+
+def _points(problem: Problem, state: State) -> State:
+    flange = predicted_poses(problem, state)
+    poses, points = dict(state.poses), dict(state.points)
+    terms = [term for term in problem.terms if isinstance(term, PointTerm)]
+    free = [term for term in terms if term.point in problem.layout.points]
+    if free:
+        mine = [flange[term.rows] for term in free]
+        world = free[0].world
+        if world in problem.layout.poses:
+            poses[world], places = closed_form.markers(mine, [term.measured for term in free])
+        else:
+            seen = [_moved(poses[world], term.measured) for term in free]
+            places = [
+                np.median(_moved(closed_form.inverse(a), b), axis=0)
+                for a, b in zip(mine, seen, strict=True)
+            ]
+        points |= {term.point: place for term, place in zip(free, places, strict=True)}
+    elif terms:
+        poses |= _known_points(problem, state, terms, flange)
+    for term in problem.terms:
+        if isinstance(term, PivotTerm):
+            points[term.tip], points[term.pivot] = closed_form.pivot(flange[term.rows])
+    return replace(state, poses=poses, points=points)
+
+
+def _known_points(
+    problem: Problem, state: State, terms: list[PointTerm], flange: FloatArray
+) -> dict[str, FloatArray]:
+    """Markers whose places in the tool are known: the tool's pose in each row, then as poses."""
+    world, mounted = terms[0].world, terms[0].mounted
+    assert mounted is not None
+    rows, seen = [], []
+    for row in range(len(problem.observations)):
+        here = [
+            (state.points[t.point], t.measured[np.flatnonzero(t.rows == row)[0]])
+            for t in terms
+            if row in t.rows
+        ]
+        if len(here) >= 3:
+            rows.append(row)
+            seen.append(closed_form.kabsch(*(np.array(side) for side in zip(*here, strict=True))))
+    free = [name in problem.layout.poses for name in (mounted, world)]
+    if all(free):
+        if len(rows) < 3:
+            return {}
+        both = closed_form.park(flange[rows], np.array(seen))
+        return dict(zip((mounted, world), both, strict=True))
+    if free[0] and rows:
+        each = closed_form.inverse(flange[rows]) @ state.poses[world] @ np.array(seen)
+        return {mounted: _middle(each)}
+    if free[1]:
+        tool = flange @ state.poses[mounted]
+        mine = [_moved(tool[t.rows], state.points[t.point][None]) for t in terms]
+        theirs = [t.measured for t in terms]
+        return {world: closed_form.kabsch(np.concatenate(theirs), np.concatenate(mine))}
+    return {}
+
+
+def _moved(transform: FloatArray, points: FloatArray) -> FloatArray:
+    rotation, position = transform[..., :3, :3], transform[..., :3, 3]
+    return np.asarray(np.einsum("...ij,...j->...i", rotation, points) + position)

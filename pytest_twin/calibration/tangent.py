@@ -1,0 +1,102 @@
+"""Rigid transforms that carry their derivatives with them (forward mode).
+
+A change of a transform ``(R, t)`` is written in its parent's axes: ``R' = exp(w) R``,
+``t' = t + v``. The rules for products and inverses follow (Sola, Deray, Atchuthan: A micro Lie
+theory for state estimation in robotics, 2018, section II).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+
+_SMALL_RAD = 1e-6
+
+
+@dataclass(frozen=True)
+class Moving:
+    """Transforms and how each parameter moves them.
+
+    Attributes:
+        rotation: (n, 3, 3).
+        position: (n, 3), m.
+        turn: (n, 3, p) rotation vector in the parent's axes, rad for each unit of a parameter.
+        shift: (n, 3, p) change of the position, m for each unit of a parameter.
+    """
+
+    rotation: FloatArray
+    position: FloatArray
+    turn: FloatArray
+    shift: FloatArray
+
+    def __matmul__(self, other: Moving) -> Moving:
+        """The product: ``other`` seen from this transform's parent."""
+        arm = np.einsum("nij,nj->ni", self.rotation, other.position)
+        turn = self.turn + self.rotation @ other.turn
+        shift = self.shift + crossed(self.turn, arm) + self.rotation @ other.shift
+        return Moving(self.rotation @ other.rotation, self.position + arm, turn, shift)
+
+    def inverse(self) -> Moving:
+        """The transform the other way."""
+        back = np.swapaxes(self.rotation, 1, 2)
+        shift = -back @ (self.shift - crossed(self.turn, self.position))
+        position = -np.einsum("nij,nj->ni", back, self.position)
+        return Moving(back, position, -back @ self.turn, shift)
+
+    def act(self, point: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points in the parent's frame, (n, 3) m, and their derivatives, (n, 3, p).
+
+        Args:
+            point: (n, 3) in this frame, m.
+            slope: (n, 3, p) derivatives of ``point``.
+        """
+        arm = np.einsum("nij,nj->ni", self.rotation, point)
+        moved = self.shift + crossed(self.turn, arm) + self.rotation @ slope
+        return self.position + arm, moved
+
+
+def crossed(turn: FloatArray, arm: FloatArray) -> FloatArray:
+    """``turn x arm`` for each parameter: (n, 3, p) of (n, 3, p) and (n, 3)."""
+    a = arm[:, :, None]
+    return np.stack(
+        [
+            turn[:, 1] * a[:, 2] - turn[:, 2] * a[:, 1],
+            turn[:, 2] * a[:, 0] - turn[:, 0] * a[:, 2],
+            turn[:, 0] * a[:, 1] - turn[:, 1] * a[:, 0],
+        ],
+        axis=1,
+    )
+
+
+def skew(vectors: FloatArray) -> FloatArray:
+    """(..., 3, 3) matrices of the cross product."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def left_jacobian(vectors: FloatArray) -> FloatArray:
+    """(..., 3, 3) ``J`` with ``exp(w + d) = exp(J d) exp(w)`` to first order."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    small = angle < _SMALL_RAD
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+    cross = skew(vectors)
+    return np.eye(3) + first * cross + second * (cross @ cross)
+
+
+def inverse_left_jacobian(vectors: FloatArray) -> FloatArray:
+    """(..., 3, 3) inverse of :func:`left_jacobian`."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    small = angle < 1e-3
+    safe = np.where(small, 1.0, angle)
+    exact = 1.0 / safe**2 - (1.0 + np.cos(safe)) / (
+        2.0 * safe * np.where(np.abs(np.sin(safe)) < 1e-9, 1e-9, np.sin(safe))
+    )
+    cross = skew(vectors)
+    return np.eye(3) - 0.5 * cross + np.where(small, 1.0 / 12.0, exact) * (cross @ cross)

@@ -1,0 +1,170 @@
+"""What is compared with what: a term predicts one kind of measurement and returns its residuals.
+
+Each term names the poses and points that it needs. A new kind of measurement, such as the pixels
+of a board's corners, is one more class with the same four members.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.parameters import Variables
+from pytest_twin.calibration.plan import Mount
+from pytest_twin.calibration.tangent import Moving, inverse_left_jacobian
+
+
+class Term(Protocol):
+    """Measurements of one kind."""
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+
+    @property
+    def rows(self) -> np.ndarray:
+        """(m,) row of the observations that each measurement belongs to."""
+
+    @property
+    def noise(self) -> tuple[str, ...]:
+        """Name of the noise of each residual column."""
+
+    def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+        """Predicted minus measured, (m, columns), and its derivatives, (m, columns, count).
+
+        Args:
+            flange: ``transform_base_to_flange`` of all rows of the observations.
+        """
+        ...
+
+
+def at_rows(moving: Moving, rows: np.ndarray) -> Moving:
+    """The transforms of some rows."""
+    return Moving(
+        moving.rotation[rows], moving.position[rows], moving.turn[rows], moving.shift[rows]
+    )
+
+
+@dataclass(frozen=True)
+class PoseTerm:
+    """Poses of a target in a camera, or of a body in a tracker.
+
+    Where the camera rides on the flange, ``camera_from_target = inv(flange @ mounted) @ world``.
+    Where it stands still, ``camera_from_target = inv(world) @ flange @ mounted``.
+
+    Attributes:
+        rows: (m,).
+        measured: (m, 4, 4) ``camera_from_target``.
+        mount: where the camera is.
+        mounted: name of what the flange carries, in the flange.
+        world: name of what stands still, in the base.
+    """
+
+    rows: np.ndarray
+    measured: FloatArray
+    mount: Mount
+    mounted: str = "camera.mounted"
+    world: str = "camera.world"
+    name: str = "camera_from_target"
+    noise: tuple[str, ...] = ("translation",) * 3 + ("rotation",) * 3
+
+    def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+        """Translation in the camera's axes (m), rotation vector (rad)."""
+        predicted = self._moving(flange, variables)
+        back = np.swapaxes(self.measured[:, :3, :3], 1, 2)
+        rotation = Rotation.from_matrix(back @ predicted.rotation).as_rotvec()
+        translation = predicted.position - self.measured[:, :3, 3]
+        slope = inverse_left_jacobian(rotation) @ back @ predicted.turn
+        return (
+            np.concatenate([translation, rotation], axis=1),
+            np.concatenate([predicted.shift, slope], axis=1),
+        )
+
+    def predicted(self, flange: Moving, variables: Variables) -> FloatArray:
+        """(m, 4, 4) ``camera_from_target``, m."""
+        moving = self._moving(flange, variables)
+        poses = np.tile(np.eye(4), (len(self.rows), 1, 1))
+        poses[:, :3, :3], poses[:, :3, 3] = moving.rotation, moving.position
+        return poses
+
+    def _moving(self, flange: Moving, variables: Variables) -> Moving:
+        count = len(self.rows)
+        carried = at_rows(flange, self.rows) @ variables.pose(self.mounted, count)
+        world = variables.pose(self.world, count)
+        if self.mount == "hand":
+            return carried.inverse() @ world
+        return world.inverse() @ carried
+
+
+@dataclass(frozen=True)
+class PointTerm:
+    """Places of one marker of the flange, or of its tip, in the frame of what measures it.
+
+    Attributes:
+        rows: (m,).
+        measured: (m, 3) m.
+        point: name of the marker, in the frame ``mounted``.
+        mounted: name of the tool's frame in the flange, None where markers are in the flange.
+        world: name of the measuring frame in the base.
+    """
+
+    rows: np.ndarray
+    measured: FloatArray
+    point: str
+    mounted: str | None = None
+    world: str = "tracker.world"
+    noise: tuple[str, ...] = ("point",) * 3
+
+    @property
+    def name(self) -> str:
+        """``point.NAME``."""
+        return f"point.{self.point}"
+
+    def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+        """Offset in the axes of the measuring frame, m."""
+        predicted, slope = self._moving(flange, variables)
+        return predicted - self.measured, slope
+
+    def predicted(self, flange: Moving, variables: Variables) -> FloatArray:
+        """(m, 3) in the measuring frame, m."""
+        return self._moving(flange, variables)[0]
+
+    def _moving(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+        count = len(self.rows)
+        carried = at_rows(flange, self.rows)
+        if self.mounted is not None:
+            carried = carried @ variables.pose(self.mounted, count)
+        seen = variables.pose(self.world, count).inverse() @ carried
+        return seen.act(*variables.point(self.point, count))
+
+
+@dataclass(frozen=True)
+class PivotTerm:
+    """A tip that stays in one fixed point while the flange turns about it.
+
+    Attributes:
+        rows: (m,).
+        tip: name of the tip, in the flange.
+        pivot: name of the fixed point, in the base.
+    """
+
+    rows: np.ndarray
+    pivot: str
+    tip: str = "tip"
+    noise: tuple[str, ...] = ("point",) * 3
+
+    @property
+    def name(self) -> str:
+        """``pivot``."""
+        return "pivot"
+
+    def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+        """Offset of the tip from the fixed point in the base, m."""
+        count = len(self.rows)
+        tip, slope = at_rows(flange, self.rows).act(*variables.point(self.tip, count))
+        fixed, fixed_slope = variables.point(self.pivot, count)
+        return tip - fixed, slope - fixed_slope

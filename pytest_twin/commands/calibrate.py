@@ -1,0 +1,119 @@
+"""``pytest-twin calibrate``: joint zeros, geometry and frames, with their held-out error."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands import folders, json_output
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import PathError
+from pytest_twin.formats import atomic
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.words import counted
+
+HELP = "estimate joint zeros, link geometry and the frames around a robot from observations"
+EXAMPLES = (
+    "pytest-twin calibrate calibration.yaml --out calibration/",
+    "pytest-twin calibrate cell/hand_eye.yaml --out cell/hand_eye/ --json -",
+)
+EXIT_STATUS = {
+    0: "the held-out errors are accepted",
+    1: "they are not, or the observations do not determine what was asked for",
+}
+ACCEPTED, NOT_ACCEPTED = 0, 1
+FILE_NAME = "calibration.json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "plan", metavar="PLAN.yaml", type=Path, help="what to estimate from which observations"
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help=f"{FILE_NAME} is written here"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 accepted, 1 rejected or not determined.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
+    plan: Path = args.plan
+    if not plan.is_file():
+        raise PathError("no such file", path=plan, expected="a calibration plan (.yaml)")
+    with Sandbox() as sandbox, Progress("calibrating") as progress:
+        document = sandbox.call(
+            "pytest_twin.calibration.run:calibrate_file",
+            {"plan": str(plan.absolute())},
+            progress=progress,
+        )
+    out = folders.make(args.out)
+    atomic.write_text(out / FILE_NAME, json.dumps(document, indent=2) + "\n")
+    json_output.give(args, document)
+    show(_words(document, out / FILE_NAME))
+    return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
+
+
+def _words(document: dict[str, Any], path: Path) -> str:
+    lines = [f"{document['verdict'].capitalize()}: {document['calibration']}"]
+    lines += [f"  because {reason}" for reason in document["reasons"]]
+    for name, record in document["records"].items():
+        if record.get("asked", True):
+            lines += _record(name, record)
+    for name in ("held_out", "fitted"):
+        errors = document[name]
+        if "translation_rms" not in errors:
+            continue
+        line = f"{name.replace('_', '-')}: {1e3 * errors['translation_rms']:.3f} mm"
+        if "rotation_rms" in errors:
+            line += f", {1e3 * errors['rotation_rms']:.3f} mrad"
+        lines.append(f"{line} (root mean square of {counted(errors['count'], 'observation')})")
+    worst = document["held_out"].get("worst")
+    if worst is not None:
+        lines.append(
+            f"worst held-out observation: {worst['id']}, {1e3 * worst['translation']:.2f} mm"
+        )
+    pattern = document["held_out"].get("pattern")
+    if pattern:
+        lines.append(f"pattern: {pattern['words']}")
+    lines += [f"left out: {one['id']}: {one['why']}" for one in document["excluded"]]
+    lines += [f"not observable: {one}" for one in document["unobservable"]]
+    lines += [f"note: {one}" for one in document["notes"]]
+    lines.append(f"report: {path}")
+    return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)
+
+
+def _record(name: str, record: dict[str, Any]) -> list[str]:
+    if "transform" in record:
+        xyz = record["transform"]["xyz"]
+        widths = [(record["ci95"][axis][1] - record["ci95"][axis][0]) / 2 for axis in "xyz"]
+        places = ", ".join(
+            f"{axis} {1e3 * value:.2f} ± {1e3 * width:.2f}"
+            for axis, value, width in zip("xyz", xyz, widths, strict=True)
+        )
+        lines = [f"{name}: {record['parent']} to {record['child']}: {places} mm"]
+        if record["transform"]["quaternion_wxyz"] is not None:
+            turns = [1e3 * record["ci95"][axis][1] for axis in ("rx", "ry", "rz")]
+            quaternion = ", ".join(f"{v:.5f}" for v in record["transform"]["quaternion_wxyz"])
+            lines.append(
+                f"  quaternion (w x y z) {quaternion}, ± "
+                + ", ".join(f"{value:.2f}" for value in turns)
+                + " mrad"
+            )
+        return lines
+    values = record["values"]
+    lines = [f"{name}:"]
+    for label, one in values.items():
+        low, high = one["ci95"]
+        unit = {"rad": "mrad", "m": "mm"}[one["unit"]]
+        line = f"  {label} {1e3 * one['value']:.2f} {unit} ({1e3 * low:.2f} to {1e3 * high:.2f})"
+        if one.get("determined_by") == "prior":
+            line += ", held by the prior"
+        lines.append(line)
+    return lines

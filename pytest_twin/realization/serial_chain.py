@@ -1,0 +1,148 @@
+"""The joints between a robot's base and one of its frames, from URDF, MJCF or ``twin.yaml``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pytest_twin.errors import ModelError
+from pytest_twin.formats import xml
+from pytest_twin.realization import reference_mjcf, reference_urdf, urdf
+from pytest_twin.realization.loading import load
+from pytest_twin.realization.patch import suggest
+from pytest_twin.realization.rigid import RigidModel
+from pytest_twin.twin import JointCalibration, load_twin
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SerialChain:
+    """Joints in series from the base to a frame.
+
+    Attributes:
+        base: name of the frame that it starts from.
+        frame: name of the frame that it ends at.
+        joints: names, the first at the base.
+        placements: (n, 4, 4) each joint's frame in the one before it, at value 0, m.
+        axes: (n, 3) unit axis of each joint in its own frame.
+        revolute: (n,) True where a joint turns, False where it slides.
+        end: (4, 4) the frame in the last joint's.
+        signs, offsets: (n,) ``model = sign * reading + offset``, from ``twin.yaml``, rad or m.
+    """
+
+    base: str
+    frame: str
+    joints: tuple[str, ...]
+    placements: Vector
+    axes: Vector
+    revolute: NDArray[np.bool_]
+    end: Vector
+    signs: Vector
+    offsets: Vector
+
+
+def load_serial_chain(path: Path, frame: str) -> SerialChain:
+    """The joints between the base and ``frame``.
+
+    Meshes of a URDF are not touched.
+
+    Args:
+        path: URDF, MJCF or ``twin.yaml``.
+        frame: link or frame of a URDF, site or body of an MJCF.
+
+    Raises:
+        TwinError: a model that cannot be read, without this frame, or with a joint of more than
+            one degree of freedom in between.
+    """
+    calibration: dict[str, JointCalibration] = {}
+    twin = None
+    if path.suffix.lower() in (".yaml", ".yml"):
+        twin = load_twin(path)
+        path = next(iter(twin.realizations.values())).file
+        if twin.calibration is not None:
+            calibration = dict(twin.calibration.joints)
+    if xml.parse(path).tag == "robot":
+        robot = urdf.read(path)
+        base, rigid = robot.root, _of_urdf(robot, path)
+    else:
+        # Its own calibration moves the base, which here is what is looked for.
+        base, rigid = "world", reference_mjcf.build(load(path))
+    if frame not in rigid.frames:
+        raise ModelError(
+            f"the model has no frame {frame!r}",
+            path=path,
+            where="flange",
+            expected=suggest(frame, tuple(rigid.frames)),
+        )
+    return _series(rigid, base, frame, calibration, path)
+
+
+def _of_urdf(robot: urdf.Robot, path: Path) -> RigidModel:
+    try:
+        model = pin.buildModelFromXML(reference_urdf.dynamics_text(robot.node))
+    except (ValueError, RuntimeError, IndexError) as error:
+        raise ModelError(
+            f"Pinocchio refuses the model: {' '.join(str(error).split())}", path=path
+        ) from None
+    rigid = RigidModel(model=model)
+    for link in robot.links:
+        found = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+        rigid.frames[link] = (found.parentJoint, found.placement)
+    rigid.joints = {name: i for i, name in enumerate(model.names) if i > 0}
+    return rigid
+
+
+def _series(
+    rigid: RigidModel,
+    base: str,
+    frame: str,
+    calibration: dict[str, JointCalibration],
+    path: Path,
+) -> SerialChain:
+    model = rigid.model
+    last, end = rigid.frames[frame]
+    names = {at: name for name, at in rigid.joints.items()}
+    placements, axes, revolute, joints = [], [], [], []
+    for at in list(model.supports[last])[1:]:
+        joint = model.joints[at]
+        name = names.get(at, model.names[at])
+        if joint.nv != 1:
+            raise ModelError(
+                f"joint {name!r} has {joint.nv} degrees of freedom",
+                path=path,
+                expected="joints of one degree of freedom between the base and the flange",
+            )
+        data = joint.createData()
+        joint.calc(data, pin.neutral(model))
+        subspace = np.asarray(data.S, dtype=np.float64).ravel()
+        turns = bool(np.linalg.norm(subspace[3:]) > 0.5)
+        placement = model.jointPlacements[at].homogeneous
+        reference = rigid.reference.get(name, 0.0)
+        if reference:
+            placement = placement @ _moved(subspace, -reference)
+        placements.append(placement)
+        axes.append(subspace[3:] if turns else subspace[:3])
+        revolute.append(turns)
+        joints.append(name)
+    known = [calibration.get(name, JointCalibration()) for name in joints]
+    return SerialChain(
+        base=base,
+        frame=frame,
+        joints=tuple(joints),
+        placements=np.reshape(placements, (-1, 4, 4)),
+        axes=np.reshape(axes, (-1, 3)),
+        revolute=np.array(revolute, dtype=bool),
+        end=np.array(end.homogeneous),
+        signs=np.array([one.sign for one in known], dtype=np.float64),
+        offsets=np.array([one.offset for one in known], dtype=np.float64),
+    )
+
+
+def _moved(subspace: Vector, value: float) -> Vector:
+    moved: Vector = pin.exp6(pin.Motion(subspace * value)).homogeneous
+    return moved
