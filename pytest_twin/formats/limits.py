@@ -111,6 +111,15 @@ class ParquetLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class ImageLimits:
+    """Bounds on the images of a calibration: a camera of 100 megapixels fits."""
+
+    file_bytes: int = 256 * 2**20
+    pixels_count: int = 100_000_000
+    files_count: int = 2000
+
+
+@dataclass(frozen=True, slots=True)
 class HashLimits:
     """Bound on a file that is only digested."""
 
@@ -125,4 +134,5 @@ MCAP = McapLimits()
 CSV = CsvLimits()
 OBSERVATIONS = ObservationLimits()
 PARQUET = ParquetLimits()
+IMAGES = ImageLimits()
 HASH = HashLimits()

@@ -1,0 +1,1 @@
+"""Calibration targets with a printed pattern, found in images."""

@@ -1,0 +1,221 @@
+"""Corners of a target in images, and why an image is not usable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.boards.finders import Found, find
+from pytest_twin.calibration.boards.homography import fit_homography, project
+from pytest_twin.calibration.boards.image_file import Grey, read_grey
+from pytest_twin.calibration.boards.opencv import opencv
+from pytest_twin.calibration.boards.sharpness import blur_px, image_blur_px
+from pytest_twin.calibration.boards.target import Target
+from pytest_twin.errors import LimitError, TwinError
+from pytest_twin.formats import limits
+
+LEAST_SHARE = 0.4
+"""Below this share of its corners a target is rejected: the plane's tilt rests on few corners."""
+
+FEWEST_CORNERS = 6
+"""A pose needs four corners; two more show whether they fit."""
+
+MOST_BLUR = 0.06
+"""Standard deviation of the blur, as a share of a square's edge, above which corners are not
+usable. Sub-pixel refinement looks at a sixth of a square around a corner; above this it sees no
+edge. A sharp lens has 0.6 px, so squares of 10 px are the smallest."""
+
+BLUR_AGAINST_OTHERS = 3.0
+"""An image whose blur in px is this many times the median of all images was moving or out of
+focus."""
+
+LEAST_BLUR_PX = 2.0
+"""Blur up to this standard deviation moves no corner, whatever the other images have."""
+
+BLURRED_IMAGE_PX = 4.0
+"""Blur of the sharpest edges of a whole image above which it is called blurred: a lens in focus has
+below 1.5 px, and an image without fine detail up to 3 px."""
+
+MOST_MISFIT = 0.06
+"""Median distance of corners to the board's plan, as a share of a square's edge, above which it
+is another board. Lens distortion of 20 % across the image bends a board by less."""
+
+_COARSER = (2, 4)
+"""Reductions at which an image without a target is searched again, to say that it is blurred."""
+
+_THREADS = 2
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Corners of a target in one image.
+
+    Attributes:
+        image: name of the image.
+        size: width and height, px.
+        corner_ids: (n,) indices into ``Target.board_points()``.
+        pixels: (n, 2) places in the image, px; the centre of the first pixel is (0, 0).
+        board_points: (n, 3) places in the target's frame, m.
+        corners: how many corners the whole target has.
+        sharpness: standard deviation of the blur of the target's edges, px; NaN without a target.
+        rejected: why the image is not usable; empty where it is.
+    """
+
+    image: str
+    size: tuple[int, int]
+    corner_ids: np.ndarray
+    pixels: FloatArray
+    board_points: FloatArray
+    corners: int
+    sharpness: float
+    rejected: str = ""
+
+    @property
+    def usable(self) -> bool:
+        """Whether corners of this image can be used."""
+        return not self.rejected
+
+
+def detect_files(
+    paths: Sequence[Path], target: Target, names: Sequence[str] | None = None
+) -> list[Detection]:
+    """Detections in image files, one each, in their order.
+
+    A file that is missing or damaged is a rejected detection with the reader's words.
+
+    Args:
+        paths: image files.
+        target: what to look for.
+        names: of the detections; the file names where it is left out.
+
+    Raises:
+        LimitError: more files than ``limits.IMAGES`` allows.
+        SpecError: OpenCV is not installed.
+    """
+    if len(paths) > limits.IMAGES.files_count:
+        raise LimitError(
+            "too many images",
+            value=len(paths),
+            expected=f"at most {limits.IMAGES.files_count} images",
+        )
+    opencv()
+    names = [path.name for path in paths] if names is None else names
+
+    def one(path: Path, name: str) -> Detection:
+        try:
+            image = read_grey(path)
+        except TwinError as error:
+            return _nothing(name, (0, 0), target, str(error))
+        return detect(image, target, name)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        found = list(pool.map(one, paths, names))
+    return compared(found)
+
+
+def detect(image: Grey, target: Target, name: str = "") -> Detection:
+    """The target in one image, judged without other images.
+
+    Args:
+        image: (height, width) grey values.
+        target: what to look for.
+        name: of the image.
+    """
+    size = (image.shape[1], image.shape[0])
+    found = find(image, target)
+    if len(found.ids) < 4:
+        return _nothing(name, size, target, _why_nothing(image, target, found))
+    points = target.board_points()[found.ids]
+    blur = blur_px(image, target, found.ids, found.pixels)
+    detection = Detection(
+        name, size, found.ids, found.pixels, points, target.corners, blur, found.problem
+    )
+    return detection if found.problem else replace(detection, rejected=_why(detection, target))
+
+
+def compared(detections: Sequence[Detection]) -> list[Detection]:
+    """The detections, where those with far more blur than the others are rejected."""
+    blurs = [d.sharpness for d in detections if d.usable]
+    if len(blurs) < 3:
+        return list(detections)
+    usual = float(np.nanmedian(blurs))
+    most = max(BLUR_AGAINST_OTHERS * usual, LEAST_BLUR_PX)
+    return [
+        replace(
+            d,
+            rejected=f"blurred: the edges' blur is {d.sharpness:.1f} px, "
+            f"in the other images {usual:.1f} px",
+        )
+        if d.usable and d.sharpness > most
+        else d
+        for d in detections
+    ]
+
+
+def _why(detection: Detection, target: Target) -> str:
+    """Why a target that was found is not usable; empty where it is."""
+    count, all_corners = len(detection.corner_ids), detection.corners
+    if count < max(FEWEST_CORNERS, LEAST_SHARE * all_corners):
+        why = f"target found in {count} of {all_corners} corners"
+        blurred = detection.sharpness > LEAST_BLUR_PX
+        return f"{why}; the edges' blur is {detection.sharpness:.1f} px" if blurred else why
+    plane = detection.board_points[:, :2]
+    if np.linalg.matrix_rank(plane - plane.mean(axis=0), tol=1e-6 * target.square) < 2:
+        return f"the {count} corners that were found lie on one line"
+    homography = fit_homography(plane, detection.pixels)
+    if homography is None:
+        return "the corners do not lie as on the target: check squares and dictionary"
+    off = np.linalg.norm(project(homography, plane) - detection.pixels, axis=1)
+    edge = square_px(homography, target, plane.mean(axis=0))
+    if np.median(off) > MOST_MISFIT * edge:
+        return (
+            f"the corners lie {np.median(off):.1f} px off the target's plan, with squares of "
+            f"{edge:.0f} px: check squares and dictionary"
+        )
+    if detection.sharpness > MOST_BLUR * edge:
+        return (
+            f"blurred: the edges' blur is {detection.sharpness:.1f} px, with squares of "
+            f"{edge:.0f} px"
+        )
+    return ""
+
+
+def square_px(homography: FloatArray, target: Target, at: FloatArray) -> float:
+    """Edge of a square in the image about one place of the board, px."""
+    edge = target.marker if target.kind == "apriltag_grid" else target.square
+    around = at + edge * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    origin, x, y = project(homography, around)
+    return float(min(np.linalg.norm(x - origin), np.linalg.norm(y - origin)))
+
+
+def _why_nothing(image: Grey, target: Target, found: Found) -> str:
+    """Why no target was found: blur, or what the finder says."""
+    if found.problem:
+        return found.problem
+    cv2 = opencv()
+    for factor in _COARSER:
+        shape = (image.shape[1] // factor, image.shape[0] // factor)
+        if min(shape) < 64:
+            break
+        coarse = find(cv2.resize(image, shape, interpolation=cv2.INTER_AREA), target)
+        if len(coarse.ids) >= max(FEWEST_CORNERS, LEAST_SHARE * target.corners):
+            blur = blur_px(image, target, coarse.ids, factor * (coarse.pixels + 0.5) - 0.5)
+            return (
+                f"blurred: the target is found at 1/{factor} of the resolution only; "
+                f"the edges' blur is {blur:.1f} px"
+            )
+    blur = image_blur_px(image)
+    kind = "blurred: " if blur > BLURRED_IMAGE_PX else ""
+    return f"{kind}no target found; the sharpest edges have a blur of {blur:.1f} px"
+
+
+def _nothing(name: str, size: tuple[int, int], target: Target, why: str) -> Detection:
+    empty = np.zeros(0, dtype=int)
+    return Detection(
+        name, size, empty, np.zeros((0, 2)), np.zeros((0, 3)), target.corners, float("nan"), why
+    )

@@ -1,0 +1,150 @@
+"""One finder for each kind of target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.boards.completed import completed, square_contrast
+from pytest_twin.calibration.boards.homography import fit_homography, project
+from pytest_twin.calibration.boards.image_file import Grey
+from pytest_twin.calibration.boards.opencv import opencv
+from pytest_twin.calibration.boards.target import Target
+
+_FEWEST_MARKERS = 3
+"""From this many markers of the dictionary on, a board is there even if its corners are not."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a finder saw.
+
+    Attributes:
+        ids: (n,) indices of corners.
+        pixels: (n, 2) px.
+        problem: why it is no usable target; empty where it may be one.
+    """
+
+    ids: np.ndarray
+    pixels: FloatArray
+    problem: str = ""
+
+
+def find(image: Grey, target: Target) -> Found:
+    """The corners of the target in an image."""
+    finder = {
+        "charuco": _find_charuco,
+        "chessboard": _find_chessboard,
+        "apriltag_grid": _find_apriltag_grid,
+    }[target.kind]
+    return finder(image, target)
+
+
+def _none(problem: str = "") -> Found:
+    return Found(np.zeros(0, dtype=int), np.zeros((0, 2)), problem)
+
+
+def _find_charuco(image: Grey, target: Target) -> Found:
+    aruco = opencv().aruco
+    best, markers = _none(), 0
+    # Boards with an even number of rows were printed with the other colour first by OpenCV
+    # before 4.6.
+    for legacy in (False, True) if target.squares[1] % 2 == 0 else (False,):
+        board = aruco.CharucoBoard(
+            target.squares, target.square, target.marker, _dictionary(target)
+        )
+        board.setLegacyPattern(legacy)
+        pixels, ids, _, marker_ids = aruco.CharucoDetector(board).detectBoard(image)
+        markers = max(markers, 0 if marker_ids is None else len(marker_ids))
+        if ids is not None and len(ids) > len(best.ids):
+            best = Found(ids.ravel().astype(int), pixels.reshape(-1, 2).astype(np.float64))
+    if len(best.ids) < 4:
+        if markers >= _FEWEST_MARKERS:
+            return _none(
+                f"{markers} markers of {target.dictionary} found, but they do not lie as on the "
+                f"target: check squares, or the target is seen in part"
+            )
+        return _none()
+    return Found(*completed(image, target, best.ids, best.pixels))
+
+
+def _find_chessboard(image: Grey, target: Target) -> Found:
+    cv2 = opencv()
+    shape = (target.squares[0] - 1, target.squares[1] - 1)
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
+    there, pixels = cv2.findChessboardCornersSB(image, shape, flags=flags)
+    if not there:
+        return _none()
+    return _turned(image, target, pixels.reshape(-1, 2).astype(np.float64))
+
+
+def _turned(image: Grey, target: Target, pixels: FloatArray) -> Found:
+    """Corners in the order that has the first square dark and x most to the right of the image."""
+    columns, rows = target.squares[0] - 1, target.squares[1] - 1
+    grid = pixels.reshape(rows, columns, 2)
+    across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if across[0] * down[1] - across[1] * down[0] < 0.0:
+        grid = grid[::-1]
+    ids = np.arange(target.corners)
+    board = target.board_points()[:, :2]
+    best, right = _none(), -np.inf
+    for turn in range(4) if columns == rows else (0, 2):
+        order = np.rot90(grid, turn).reshape(-1, 2)
+        homography = fit_homography(board, order)
+        if homography is None:
+            continue
+        dark = float(np.median(square_contrast(image, homography, target, ids))) < 0.0
+        along = order[columns - 1] - order[0]
+        if dark and along[0] / np.linalg.norm(along) > right:
+            best, right = Found(ids, order), along[0] / np.linalg.norm(along)
+    return best
+
+
+def _find_apriltag_grid(image: Grey, target: Target) -> Found:
+    aruco = opencv().aruco
+    parameters = aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+    quads, ids, _ = aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(image)
+    if ids is None:
+        return _none()
+    ids = ids.ravel().astype(int)
+    mine = ids < target.squares[0] * target.squares[1]
+    if mine.sum() < 2:
+        strangers = f": tag {ids[~mine][0]} is not on the target" if (~mine).any() else ""
+        return _none(f"{mine.sum()} tags of the target found{strangers}")
+    quads = np.asarray(quads, dtype=np.float64).reshape(-1, 4, 2)[mine]
+    tags = ids[mine]
+    if len(set(tags // target.squares[0])) < 2 or len(set(tags % target.squares[0])) < 2:
+        return _none("tags of one row or one column found: how they are arranged cannot be seen")
+    return _arranged(target, tags, quads)
+
+
+def _arranged(target: Target, tags: np.ndarray, quads: FloatArray) -> Found:
+    """Corners of tags in the target's order.
+
+    A tag's corners are found clockwise on the page, from the corner that its dictionary calls the
+    first. How the tag was turned when it was printed, and whether rows go up or down the page, is
+    one of eight arrangements. Only one of them makes a flat board.
+    """
+    points = target.board_points()[:, :2]
+    corner_ids = (4 * tags[:, None] + np.arange(4)).ravel()
+    plane = points[corner_ids]
+    best, least = _none(), np.inf
+    for upwards in (False, True):
+        for turn in range(4):
+            order = np.roll(np.arange(4), turn)
+            pixels = quads[:, order[::-1] if upwards else order].reshape(-1, 2)
+            homography = fit_homography(plane, pixels)
+            if homography is None:
+                continue
+            off = float(np.median(np.linalg.norm(project(homography, plane) - pixels, axis=1)))
+            if off < least:
+                best, least = Found(corner_ids, pixels), off
+    return best
+
+
+def _dictionary(target: Target) -> object:
+    aruco = opencv().aruco
+    return aruco.getPredefinedDictionary(getattr(aruco, target.dictionary))

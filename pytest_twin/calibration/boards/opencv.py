@@ -1,0 +1,34 @@
+"""OpenCV, loaded when the first image needs it."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from pytest_twin.errors import SpecError
+
+_INSTALL = "pip install 'pytest-twin[calibration]'"
+
+
+@cache
+def opencv() -> Any:
+    """The module ``cv2``.
+
+    Raises:
+        SpecError: OpenCV is missing, or has no ArUco markers or no hand-eye solvers; says what to
+            install.
+    """
+    try:
+        import cv2
+    except ImportError:
+        raise SpecError("images need OpenCV, which is not installed", expected=_INSTALL) from None
+    # OpenCV 5 has no hand-eye solvers in Python; builds without contrib have no ArUco boards.
+    if not (hasattr(cv2, "calibrateHandEye") and hasattr(cv2, "aruco")):
+        raise SpecError(
+            "this OpenCV has no hand-eye calibration or no ArUco markers",
+            value=cv2.__version__,
+            expected=f"opencv-contrib-python-headless 4.10 to 4.x: {_INSTALL}",
+        )
+    # Failures are reported by whoever calls; OpenCV would print its own lines between.
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    return cv2

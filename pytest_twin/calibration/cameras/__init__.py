@@ -1,0 +1,1 @@
+"""Cameras: projection, poses and intrinsics from detected corners, reprojection residuals."""

@@ -1,0 +1,126 @@
+"""The pose of a target from one image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.boards.detection import Detection
+from pytest_twin.calibration.boards.opencv import opencv
+from pytest_twin.calibration.cameras.increments import changed
+from pytest_twin.calibration.cameras.intrinsics import Intrinsics
+from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
+
+_STEPS = 20
+_SETTLED = 1e-10
+AMBIGUOUS = 1.5
+"""A second pose whose reprojection error is less than this many times that of the first may be the
+right one: a flat target that is seen from far or from the front looks the same in both."""
+
+
+@dataclass(frozen=True)
+class TargetPose:
+    """Pose of a target in one image.
+
+    Attributes:
+        camera_from_target: (4, 4) takes the target's coordinates to the camera's, m.
+        information: (6, 6) inverse covariance for a pixel noise of 1 px: x, y, z, then the
+            rotation vector, both in the camera's axes; divide by the variance in px^2.
+        rms: reprojection error, px, root mean square over coordinates.
+        ambiguity: error of the second-best pose divided by ``rms``; infinite where there is none.
+    """
+
+    camera_from_target: FloatArray
+    information: FloatArray
+    rms: float
+    ambiguity: float = np.inf
+
+
+def target_pose(detection: Detection, intrinsics: Intrinsics) -> TargetPose | None:
+    """The pose that reprojects the corners best; None where none is found.
+
+    A flat target has two poses that look alike (Collins, Bartoli: Infinitesimal plane-based pose
+    estimation, 2014). Both are refined, and the better one counts.
+    """
+    cv2 = opencv()
+    try:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(
+            detection.board_points,
+            detection.pixels,
+            intrinsics.matrix,
+            intrinsics.distortion,
+            flags=cv2.SOLVEPNP_IPPE,
+        )
+    except cv2.error:
+        return None
+    found = []
+    for turn, shift in zip(turns, shifts, strict=True):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_rotvec(turn.ravel()).as_matrix()
+        pose[:3, 3] = shift.ravel()
+        if np.isfinite(pose).all() and pose[2, 3] > 0.0:
+            refined = refined_pose(detection, intrinsics, pose)
+            if refined is not None:
+                found.append(refined)
+    if not found:
+        return None
+    found.sort(key=lambda one: one.rms)
+    best = found[0]
+    if len(found) < 2 or _same(best, found[1]):
+        return best
+    ratio = found[1].rms / max(best.rms, 1e-9)
+    return TargetPose(best.camera_from_target, best.information, best.rms, ratio)
+
+
+def refined_pose(
+    detection: Detection, intrinsics: Intrinsics, start: FloatArray
+) -> TargetPose | None:
+    """The pose of least reprojection error near ``start``; None where the search fails."""
+    corners = corners_of([detection])
+    pose, damping = start[None], 1e-6
+    residual, by_pose, _ = reprojection_residuals(intrinsics.vector, pose, corners)
+    cost = float(np.sum(residual**2))
+    for _ in range(_STEPS):
+        rows = by_pose.reshape(-1, 6)
+        normal = rows.T @ rows
+        damped = normal + damping * np.diag(np.diag(normal))
+        try:
+            step = -np.asarray(np.linalg.solve(damped, rows.T @ residual.ravel()), dtype=float)
+        except np.linalg.LinAlgError:
+            return None
+        tried = changed(pose, step[None])
+        new, new_by_pose, _ = reprojection_residuals(intrinsics.vector, tried, corners)
+        new_cost = float(np.sum(new**2))
+        if not np.isfinite(new_cost) or new_cost > cost:
+            damping = max(damping, 1e-6) * 10.0
+            if damping > 1e6:
+                break
+            continue
+        settled = cost - new_cost <= _SETTLED * cost
+        pose, residual, by_pose, cost = tried, new, new_by_pose, new_cost
+        damping *= 0.1
+        if settled:
+            break
+    rows = by_pose.reshape(-1, 6)
+    if not np.isfinite(rows).all() or pose[0, 2, 3] <= 0.0:
+        return None
+    return TargetPose(pose[0], rows.T @ rows, float(np.sqrt(cost / residual.size)))
+
+
+def pixel_noise(detections: Sequence[Detection], poses: Sequence[TargetPose]) -> float:
+    """Standard deviation of the corners, px, from what poses of single images leave.
+
+    Each pose takes up six of an image's coordinates.
+    """
+    squares = sum(2 * len(d.corner_ids) * p.rms**2 for d, p in zip(detections, poses, strict=True))
+    freedom = sum(2 * len(d.corner_ids) - 6 for d in detections)
+    return float(np.sqrt(squares / max(freedom, 1)))
+
+
+def _same(one: TargetPose, other: TargetPose) -> bool:
+    difference = one.camera_from_target[:3, :3].T @ other.camera_from_target[:3, :3]
+    return bool(Rotation.from_matrix(difference).magnitude() < 1e-3)

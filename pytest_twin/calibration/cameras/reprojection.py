@@ -1,0 +1,67 @@
+"""Reprojection residuals of detected corners, with derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.boards.detection import Detection
+from pytest_twin.calibration.cameras.increments import skew
+from pytest_twin.calibration.cameras.intrinsics import project
+
+
+@dataclass(frozen=True)
+class Corners:
+    """The corners of several images, one after another.
+
+    Attributes:
+        image: (m,) index of the image that each corner is in, ascending.
+        pixels: (m, 2) px.
+        points: (m, 3) in the target's frame, m.
+        images: how many images there are; each has corners.
+    """
+
+    image: np.ndarray
+    pixels: FloatArray
+    points: FloatArray
+    images: int
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(images,) index of the first corner of each image."""
+        return np.searchsorted(self.image, np.arange(self.images))
+
+
+def corners_of(detections: Sequence[Detection]) -> Corners:
+    """The corners of some detections, which must all be usable."""
+    counts = [len(d.corner_ids) for d in detections]
+    return Corners(
+        np.repeat(np.arange(len(counts)), counts),
+        np.concatenate([d.pixels for d in detections]),
+        np.concatenate([d.board_points for d in detections]),
+        len(counts),
+    )
+
+
+def reprojection_residuals(
+    intrinsics: FloatArray, camera_from_target: FloatArray, corners: Corners
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Predicted minus detected pixels, with derivatives.
+
+    Args:
+        intrinsics: (16,) in the order of ``intrinsics.NAMES``.
+        camera_from_target: (images, 4, 4), m.
+        corners: what was detected.
+
+    Returns:
+        (m, 2) px; (m, 2, 6) by a change of the corner's own ``camera_from_target`` (see
+        ``increments``: m, then rad, in the camera's axes); (m, 2, 16) by the intrinsics.
+    """
+    poses = camera_from_target[corners.image]
+    arms = np.einsum("nij,nj->ni", poses[:, :3, :3], corners.points)
+    pixels, by_point, by_intrinsics = project(arms + poses[:, :3, 3], intrinsics)
+    by_pose = np.concatenate([by_point, -by_point @ skew(arms)], axis=2)
+    return pixels - corners.pixels, by_pose, by_intrinsics

@@ -1,0 +1,1 @@
+"""Two pose streams on two clocks: their offset and drift."""

@@ -1,0 +1,84 @@
+"""How well a hand-eye calibration agrees with poses that it was not made from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.increments import inverse
+from pytest_twin.calibration.solvers.algebraic import HandEye, Mount, mean_pose, solve_all
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Scatter of the target in the frame that it is fixed to.
+
+    Attributes:
+        translation: (n,) distances from the mean, m.
+        rotation: (n,) angles from the mean, rad.
+    """
+
+    translation: FloatArray
+    rotation: FloatArray
+
+    @property
+    def translation_rms(self) -> float:
+        """Root mean square, m."""
+        return float(np.sqrt(np.mean(self.translation**2)))
+
+    @property
+    def rotation_rms(self) -> float:
+        """Root mean square, rad."""
+        return float(np.sqrt(np.mean(self.rotation**2)))
+
+
+def scatter(
+    base_from_flange: FloatArray, camera_from_target: FloatArray, solved: HandEye, mount: Mount
+) -> Scatter:
+    """Scatter of the target: in the base (mount ``hand``) or on the flange (``world``).
+
+    It rests on the camera's place alone: the mean takes the target's place off.
+    """
+    poses = target_poses(base_from_flange, camera_from_target, solved, mount)
+    mean = mean_pose(poses)
+    turns = Rotation.from_matrix(mean[:3, :3].T @ poses[:, :3, :3]).magnitude()
+    distances = np.linalg.norm(poses[:, :3, 3] - mean[:3, 3], axis=1)
+    return Scatter(distances, np.asarray(turns, dtype=np.float64))
+
+
+def target_poses(
+    base_from_flange: FloatArray, camera_from_target: FloatArray, solved: HandEye, mount: Mount
+) -> FloatArray:
+    """(n, 4, 4) poses of the target in the frame that it is fixed to, one from each observation."""
+    if mount == "hand":
+        return base_from_flange @ solved.hand_eye @ camera_from_target
+    return inverse(base_from_flange) @ solved.robot_world @ camera_from_target
+
+
+def held_out_scatter(
+    base_from_flange: FloatArray,
+    camera_from_target: FloatArray,
+    mount: Mount,
+    held_out: np.ndarray,
+    solve: Callable[[FloatArray, FloatArray, Mount], Mapping[str, HandEye]] = solve_all,
+) -> Mapping[str, Scatter | str]:
+    """Each solver's scatter on poses that it did not see, or why it failed.
+
+    Args:
+        base_from_flange: (n, 4, 4) m.
+        camera_from_target: (n, 4, 4) m.
+        mount: what the flange carries.
+        held_out: indices of the poses that no solver sees.
+        solve: gives a solution for each name.
+    """
+    seen = np.setdiff1d(np.arange(len(base_from_flange)), held_out)
+    solved = solve(base_from_flange[seen], camera_from_target[seen], mount)
+    return {
+        name: one.failed
+        or scatter(base_from_flange[held_out], camera_from_target[held_out], one, mount)
+        for name, one in solved.items()
+    }
