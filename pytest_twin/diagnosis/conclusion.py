@@ -35,6 +35,7 @@ from pytest_twin.diagnosis.totals import at_zero
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import verdict
 from pytest_twin.errors import RecordingError, SimulationError, TwinError
+from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 
 
@@ -50,6 +51,7 @@ class Structure:
             the problem itself.
         notes: one line each, for the reader.
         rival_simulations: of all recordings, to compare the final set of effects with others.
+        between: what commands do between stamps, where only the effects that were found tell.
     """
 
     given: Given
@@ -57,6 +59,7 @@ class Structure:
     near: float | None
     notes: tuple[str, ...]
     rival_simulations: float = 0.0
+    between: CommandBetween | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.own_step import with_its_own_step
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt
+from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt, with_fewer_effects
 from pytest_twin.diagnosis.rival_sets import with_rival_sets
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, not_tried
@@ -56,6 +56,7 @@ from pytest_twin.diagnosis.windows import WINDOW, segments_of
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
+from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 
 # Share of the squared mismatch that may be left along the motion where a law of the catalogue is
@@ -98,6 +99,7 @@ class Diagnosis:
         trace: every step of the search.
         cost: computing time.
         settled: what the recordings are.
+        untried: what was not done for want of time or simulations, one line each.
     """
 
     verdict: Verdict
@@ -113,6 +115,7 @@ class Diagnosis:
     trace: Trace
     cost: Cost
     settled: Settled
+    untried: tuple[str, ...]
 
     @property
     def has_held_out(self) -> bool:
@@ -158,6 +161,7 @@ class Diagnosis:
                 [*self.tested.trials.fit, *self.tested.trials.held_out]
             ),
             "notes": list(self.notes),
+            "not_tried": list(self.untried),
             "search_trace": self.trace.to_json(),
             "cost": self.cost.to_json(),
         }
@@ -210,9 +214,15 @@ def diagnose(
     """
     since = time.perf_counter()
     run = Run() if run is None else run
-    settled = settle(Given.of(realization, inherited, threads), roles_of(trials).of_search)
-    trials = settled.applied(trials)
+    given, known = Given.of(realization, inherited, threads), roles_of(trials).of_search
+    with run.budget.searching():
+        settled = run.attempt(
+            "what the commands and efforts of the recordings are",
+            lambda: settle(given, known), Settled(),
+        )  # fmt: skip
+    read, trials = trials, settled.applied(trials)
     roles = roles_of(trials)
+    open_ = settled.doubted(roles.of_search.fit)
     for i, trial in enumerate(roles.test):
         # What a recording asks of the model is missing now, not after a search of minutes.
         segments_of(realization, trial, i, shared_joints(realization, [trial]), commanded=True)
@@ -221,7 +231,12 @@ def diagnose(
         structure = find_structure(
             realization, roles.of_search,
             inherited=inherited, threads=threads, run=run, progress=progress,
+            possible=() if open_ is None else open_.possible,
         )  # fmt: skip
+        if open_ is not None and structure.between is not None:
+            settled = settled.decided(open_, structure.between)
+            trials, open_ = settled.applied(read), None
+            roles = roles_of(trials)
         progress(0.85)
         laws = _laws_left(structure, run)
         progress(0.88)
@@ -237,11 +252,11 @@ def diagnose(
     progress(0.94)
     for problem in (*settled.problems, *assessed.problems):
         run.budget.add(problem)
-    explained = with_doubt(assessed.explained, settled.doubted(roles.of_search.fit))
+    explained = with_doubt(assessed.explained, open_)
     return Diagnosis(
         tested.verdict, explained, free.tested.errors, left, tuple(dict.fromkeys(notes)),
         structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
-        cost(run.budget, since, structure.rival_simulations), settled,
+        cost(run.budget, since, structure.rival_simulations), settled, tuple(run.untried),
     )  # fmt: skip
 
 
@@ -263,6 +278,7 @@ def find_structure(
     threads: int = 0,
     run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
+    possible: Sequence[CommandBetween] = (),
 ) -> Structure:
     """Choose effects and fit them; no test recording is known here.
 
@@ -270,6 +286,7 @@ def find_structure(
         realization: the nominal model.
         trials: the fit recordings, and as held out the validation recordings.
         inherited, threads, run, progress, errors: as :func:`diagnose`.
+        possible: what commands may do between stamps, where the recordings do not tell.
     """
     run = Run() if run is None else run
     notes: list[str] = []
@@ -287,10 +304,15 @@ def find_structure(
     given, notes = sought.given, [*notes, *sought.notes]
     progress(0.82)
     with run.budget.searching():
+        fewer = run.attempt(
+            "other commands between their stamps",
+            lambda: with_fewer_effects(sought.found, given, possible, run), None,
+        )  # fmt: skip
+        likeliest, between = (sought.found, None) if fewer is None else fewer
         found, simulations = run.attempt(
             "other sets of effects in the place of the final one",
-            lambda: with_rival_sets(sought.found, run),
-            (sought.found, 0.0),
+            lambda: with_rival_sets(likeliest, run),
+            (likeliest, 0.0),
         )
     found = with_final_parameters(found, run.budget)
     if given.creeps:
@@ -298,7 +320,7 @@ def find_structure(
     if given.substeps:
         notes.append(simulated_in_words(found.prepared))
     notes += found.explained.notes
-    return Structure(given, found, sought.near, tuple(notes), simulations)
+    return Structure(given, found, sought.near, tuple(notes), simulations, between)
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,7 +361,9 @@ def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _So
                 "contact effects in addition", lambda: _with_contact(problem, clear, run), clear
             )
     run.begin(_stage(problem), problem)
-    with run.budget.part(_share_of_whole(problem)):
+    with run.budget.reserved():
+        share = _share_of_whole(problem)
+    with run.budget.part(share):
         given, found = searched_so(given, prepared, trials, run, start)
     if found.astray and contact.world.size:
         found = run.attempt("contact effects once more", partial(_once_more, found, run), found)

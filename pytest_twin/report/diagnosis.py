@@ -41,6 +41,10 @@ _VERDICT = {
     "improved": "Improved: these findings explain a part, and a residual remains",
     "unexplained": "Unexplained: the model is wrong, and no known effect explains it",
 }
+_ENDED_EARLY = (
+    "Unexplained so far: the model is wrong, and the search ended before every known effect was "
+    "tried"
+)
 SMALL = "Small corrections of the model, no missing physics; the patched model contains them"
 _NO_MISMATCH_WITH_CORRECTIONS = (
     "No mismatch of consequence: the model's error is at most 0.1 % of the travel of each joint"
@@ -93,6 +97,8 @@ def headline(said: Mapping[str, Any]) -> str:
     """The verdict of ``diagnosis.json`` as a sentence."""
     if said["verdict"] == "no_mismatch" and said.get("small_corrections"):
         return _NO_MISMATCH_WITH_CORRECTIONS
+    if said["verdict"] == "unexplained" and said.get("not_tried"):
+        return _ENDED_EARLY
     return _VERDICT[said["verdict"]]
 
 

@@ -50,10 +50,16 @@ def test_when_its_time_is_over_it_says_what_was_not_tried(
     words = case(tmp_path, joints=LEFT, viscous=0.1)
     out = str(tmp_path / "out")
     assert cli.main(["diagnose", *words, "--seconds", "0.1", "--out", out]) in (0, 1)
-    (note,) = [n for n in said(tmp_path)["notes"] if n.startswith("the search ended early")]
+    found = said(tmp_path)
+    (note,) = [n for n in found["notes"] if n.startswith("the search ended early")]
     assert "because its 0.1 s were over. Not tried: " in note
+    assert all(part in note for part in found["not_tried"])
     assert "With more time (--seconds) further effects could be found" in note
-    assert note in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert note in shown
+    # That no known effect explains it was not found out.
+    assert found["verdict"] == "unexplained"
+    assert shown.startswith("Unexplained so far: the model is wrong, and the search ended before")
 
 
 @pytest.mark.parametrize("seconds", ["-1", "soon", "nan", "1e9"])

@@ -6,7 +6,9 @@ does not have. One file answers one question, each with its confidence and its e
 Where the data cannot tell, the answer is None and nothing later may depend on it.
 """
 
+from pytest_twin.diagnosis.recorded.command_between import Between
 from pytest_twin.diagnosis.recorded.doubt import with_doubt
+from pytest_twin.diagnosis.recorded.reconsidered import with_fewer_effects
 from pytest_twin.diagnosis.recorded.settle import Settled, settle
 
-__all__ = ["Settled", "settle", "with_doubt"]
+__all__ = ["Between", "Settled", "settle", "with_doubt", "with_fewer_effects"]

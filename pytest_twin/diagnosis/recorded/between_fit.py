@@ -34,6 +34,9 @@ _SECONDS, _MOST = 2.5, 3
 """s of each recording, from its first change of command, and recordings: enough to tell 2 ms from
 none at the noise of an encoder, at a tenth of the cost of all."""
 _BEFORE = 0.2
+_CLEARLY = float(np.log(2.0))
+"""Fall of the logarithm of the RMS residual, summed over joints, from which a simulation's step is
+assumed: half of the residual at one joint. What is less cannot look like other commands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +135,7 @@ def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> J
     if any(int(s) not in defect for s in group) or not np.isfinite(fit.residual).all():
         return fit
     error = np.concatenate([defect[int(s)].position for s in group])
-    best, least = fit, _level(fit.residual, space.noise)
+    best, least = fit, _level(fit.residual, space.noise) - _CLEARLY
     for substeps in SUBSTEPS:
         residual = fit.residual + error / substeps
         step = space.step(fit.theta, residual, fit.slopes)

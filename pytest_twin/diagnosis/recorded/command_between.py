@@ -35,8 +35,8 @@ alternative is not fitted to its end."""
 _NEAR = 3.0
 _LIKE = 1.25
 """Ratio of RMS residuals up to which two assumptions explain a recording alike."""
-_BY_MODEL = 0.9
-"""Confidence where only the model's own parameters tell, by needing no correction."""
+BY_MODEL = 0.9
+"""Confidence where only the model tells, by needing no correction or fewer effects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ def decide(
     plain = _by_the_model(usable, possible, rms, noise)
     if plain is not None:
         words += f"; the model itself needs no correction if commands are {plain}"
-        return Between(Fact(plain, _BY_MODEL, "data", words), (plain,), period)
+        return Between(Fact(plain, BY_MODEL, "data", words), (plain,), period)
     return Between(
         unknown(f"{words}: {' and '.join(sorted(possible))} explain the positions alike"),
         tuple(possible), period,

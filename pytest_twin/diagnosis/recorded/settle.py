@@ -11,7 +11,7 @@ import numpy as np
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded.between_fit import BetweenFit, fit_between
-from pytest_twin.diagnosis.recorded.command_between import Between
+from pytest_twin.diagnosis.recorded.command_between import BY_MODEL, Between
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 from pytest_twin.diagnosis.recorded.logged_efforts import logged_efforts
 from pytest_twin.diagnosis.recorded.velocity import velocity_fact
@@ -118,6 +118,14 @@ class Settled:
         asked = (self._answer(t) for t in trials if t.between_source == "assumed")
         open_ = [b for b in asked if b is not None and len(b.possible) > 1]
         return max(open_, key=lambda b: b.period, default=None)
+
+    def decided(self, open_: Between, between: CommandBetween) -> Settled:
+        """The same with an answer to what the recordings alone left open: that with which fewer
+        effects explain them.
+        """
+        words = f"{open_.fact.evidence}; fewer effects explain them if commands are {between}"
+        known = Between(Fact(between, BY_MODEL, "data", words), (between,), open_.period)
+        return replace(self, between=tuple(known if b is open_ else b for b in self.between))
 
     def _between_fact(self, trial: Trial) -> Fact:
         if trial.between_source not in ("assumed", "data"):

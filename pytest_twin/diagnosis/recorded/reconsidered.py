@@ -1,0 +1,99 @@
+"""What commands do between stamps, asked again with the effects that were found.
+
+Before the search nothing may tell ``held`` from ``interpolated``: half a period less of delay looks
+like a drive with a feed-forward, or a lag that is shorter. Afterwards the answer that needs fewer
+effects for the same recordings is the likelier one, as fewer parameters are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search.contest import FAIR, Contest
+from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.searched import Searched, concluded, pose
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.recording_options import CommandBetween
+from pytest_twin.trial import Trial
+
+_AS_WELL = 1.1
+"""Ratio of RMS errors up to which fewer effects explain a joint as well."""
+
+
+def with_fewer_effects(
+    found: Searched, given: Given, possible: Sequence[CommandBetween], run: Run
+) -> tuple[Searched, CommandBetween] | None:
+    """What is found under another possible answer, where it explains as much with fewer effects;
+    None where none does.
+
+    Args:
+        found: under the answer that the recordings have.
+        given: the model, as it was stepped.
+        possible: answers that the recordings do not rule out.
+        run: the diagnosis.
+    """
+    start = found.explained.hypothesis
+    if not start.terms:
+        return None
+    used = {t.command_between for t in found.trials.fit if t.between_source == "assumed"}
+    best: tuple[Searched, CommandBetween] | None = None
+    for between in possible:
+        if used == {between}:
+            continue
+        prepared, trials = pose(given, _so(found.trials, between), [], window=found.prepared.window)
+        run.begin(f"commands {between} between their stamps", prepared.problem)
+        selection = Selection(prepared.problem, run)
+        least = _without_one(found, selection.contest)
+        if least is None:
+            continue
+        selected = selection.run(selection.contest.settled(least))
+        other = concluded(prepared, trials, selection, selected)
+        if _fewer(other, found if best is None else best[0]):
+            best = other, between
+    return best
+
+
+def _without_one(found: Searched, contest: Contest) -> Rival | None:
+    """The best fit with one effect fewer, if it leaves no joint worse than all of them did."""
+    start, joints = found.explained.hypothesis, len(contest.problem.joints)
+    fewer = [start.without(t) for t in start.terms]
+    rivals = contest.rivals(fewer, contest.weights(contest.nominal), FAIR)
+    before = _rms(found.pruned.fitted.residual, joints)
+    most = np.maximum(_AS_WELL * before, contest.problem.floor[:joints])
+    as_good = [r for r in rivals if (_rms(r.fitted.residual, joints) <= most).all()]
+    contest.judge(as_good, contest.nominal)
+    return max(as_good, key=lambda r: r.evidence, default=None)
+
+
+def _rms(residual: FloatArray, joints: int) -> FloatArray:
+    rms: FloatArray = np.sqrt(np.mean(residual[:, :joints] ** 2, axis=0))
+    return rms
+
+
+def _so(trials: TrialSet, between: CommandBetween) -> TrialSet:
+    def changed(trial: Trial) -> Trial:
+        if trial.between_source != "assumed":
+            return trial
+        return replace(trial, command_between=between, between_source="data")
+
+    fit, held_out = (tuple(map(changed, role)) for role in (trials.fit, trials.held_out))
+    return replace(trials, fit=fit, held_out=held_out)
+
+
+def _fewer(other: Searched, found: Searched) -> bool:
+    """Whether fewer effects leave no joint worse than more of them do."""
+    if other.explained.hypothesis.more_terms(found.explained.hypothesis) >= 0:
+        return False
+    if other.errors.keys() != found.errors.keys():
+        return False
+    return all(
+        e.after <= max(_AS_WELL * found.errors[joint].after, e.floor)
+        for joint, e in other.errors.items()
+    )
