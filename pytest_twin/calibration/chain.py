@@ -38,13 +38,16 @@ class LinkParameter:
         return "rad" if self.rotation else "m"
 
 
-def link_parameters(chain: SerialChain, first: int) -> tuple[LinkParameter, ...]:
+def link_parameters(
+    chain: SerialChain, first: int, *, zeros_are_free: bool = True
+) -> tuple[LinkParameter, ...]:
     """A smallest complete set of deviations for the joints from ``first`` on.
 
     The angle about an axis and the slide along it belong to the joint's zero and to the link
     before, so that each joint keeps the directions that these do not reach: the twist and two
     offsets where its axis is inclined to the one before (Denavit and Hartenberg, 1955), two angles
-    and one offset where both are parallel (Hayati, 1983).
+    and one offset where both are parallel (Hayati, 1983). Where no joint's zero is free, two
+    angles and two offsets for each joint: the angle between links is then geometry too.
     """
     found: list[LinkParameter] = []
     for at in range(first, len(chain.joints)):
@@ -53,7 +56,7 @@ def link_parameters(chain: SerialChain, first: int) -> tuple[LinkParameter, ...]
         if at > 0 and chain.revolute[at - 1]:
             before = chain.placements[at, :3, :3].T @ chain.axes[at - 1]
         angles, offsets = _directions(axis, before, chain.placements[at])
-        if at == 0 or not chain.revolute[at - 1]:
+        if at == 0 or not chain.revolute[at - 1] or not zeros_are_free:
             angles, offsets = _across(axis), _across(axis)
         if not chain.revolute[at]:
             # Where a sliding axis lies does not matter, only where it points.

@@ -160,6 +160,26 @@ def markers(
     return rigid(rotation, found[:3]), places
 
 
+def scale_of_marker(flange: FloatArray, seen: FloatArray) -> tuple[float, float]:
+    """Factor by which a marker's positions must be multiplied, and the median error then left, m.
+
+    The linear solution of :func:`markers` leaves the nine numbers of the rotation free, so that
+    their size is the factor.
+    """
+    matrix = np.zeros((len(flange), 3, 15))
+    size = float(np.median(np.linalg.norm(seen, axis=1))) or 1.0
+    for axis in range(3):
+        matrix[:, axis, 3 * axis : 3 * axis + 3] = seen / size
+        matrix[:, axis, 9 + axis] = 1.0
+    matrix[:, :, 12:] = -flange[:, :3, :3]
+    values = flange[:, :3, 3].reshape(-1)
+    found = _solved(matrix.reshape(-1, 15), values)
+    turn = found[:9].reshape(3, 3)
+    factor = float(np.cbrt(max(np.linalg.det(turn), 0.0)))
+    errors = (matrix.reshape(-1, 15) @ found - values).reshape(-1, 3)
+    return factor / size, float(np.median(np.linalg.norm(errors, axis=1)))
+
+
 def _solved(matrix: FloatArray, values: FloatArray) -> FloatArray:
     """The smallest least-squares solution."""
     return np.asarray(np.linalg.lstsq(matrix, values, rcond=1e-9)[0], dtype=np.float64)

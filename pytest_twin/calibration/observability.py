@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import POSE_LABELS, Layout, State
-from pytest_twin.calibration.problem import Problem, random_rows, words_of
+from pytest_twin.calibration.problem import PIVOT, TIP, Problem, marker_of, random_rows, words_of
 from pytest_twin.calibration.solve import Fit, whitened_jacobian
 
 UNDETERMINED_RAD = 0.05
@@ -22,6 +22,10 @@ FEIGNED_FACTOR = 3.0
 """The noise of n poses alone adds n to the information about a direction that they do not excite
 (Lu, Zhang, Xue: errors in variables). Information below the square of this factor times n is no
 evidence."""
+
+LARGEST_NOISE = {"translation": 0.003, "rotation": 0.01, "point": 0.003}
+"""Noise that counts at most, m and rad: larger residuals come from a wrong model or wrong input and
+say nothing about the poses."""
 
 STRUCTURAL = 1e-7
 """Singular values below this part of the largest are zero up to rounding."""
@@ -107,8 +111,10 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
     layout = fit.problem.layout
     if layout.count == 0:
         return ()
-    natural = _natural(layout, _lever(fit.noise))
-    _, singular, right = np.linalg.svd(fit.jacobian * natural, full_matrices=True)
+    noise = {name: min(size, LARGEST_NOISE.get(name, np.inf)) for name, size in fit.noise.items()}
+    natural = _natural(layout, _lever(noise))
+    jacobian = whitened_jacobian(fit.problem, fit.state, noise, fit.kept)
+    _, singular, right = np.linalg.svd(jacobian * natural, full_matrices=True)
     full = np.zeros(layout.count)
     full[: len(singular)] = singular
     rows = max(len({int(r) for t in fit.problem.terms for r in t.rows}), 1)
@@ -187,7 +193,7 @@ def parts_in_words(problem: Problem, layout: Layout, direction: FloatArray) -> l
                     zero = kind == "joint_zeros"
                     label = _zero(parameter.label) if zero else parameter.label
                     found.append((abs(float(value)), label))
-    return [words for _, words in sorted(found, key=lambda item: -item[0])]
+    return [words for _, words in sorted(found, key=lambda item: -round(item[0], 2))]
 
 
 def _zero(joint: str) -> str:
@@ -195,11 +201,9 @@ def _zero(joint: str) -> str:
 
 
 def _point(name: str) -> str:
-    if name == "tip":
+    if name == TIP:
         return "the tool's tip"
-    if name.startswith("pivot."):
-        return "the fixed point"
-    return f"marker {name!r}"
+    return "the fixed point" if name.startswith(PIVOT) else f"marker {marker_of(name)!r}"
 
 
 def _axis(part: FloatArray, of: str) -> str:

@@ -22,6 +22,16 @@ MOUNTED, WORLD = "mounted", "world"
 """The two poses of a measurement: of what the flange carries, in the flange; of what stands still,
 in the base."""
 
+TIP = "tip"
+MARKER, PIVOT = "marker.", "pivot."
+"""Names of points: the tip of a pivoting tool, a marker of the flange, a fixed point."""
+
+
+def marker_of(point: str) -> str:
+    """The marker's name in the file of observations."""
+    return point.removeprefix(MARKER)
+
+
 # Ranges of drawn joint positions, wide enough that no structure is hidden.
 _DRAWN_RAD, _DRAWN_M = 2.0, 0.3
 
@@ -73,7 +83,10 @@ class Problem:
 
     def on_rows(self, chosen: Sequence[int] | np.ndarray) -> Problem:
         """The same problem on some rows of the observations."""
-        observations = self.observations.rows(chosen)
+        return self.with_observations(self.observations.rows(chosen))
+
+    def with_observations(self, observations: Observations) -> Problem:
+        """The same problem on other observations of the same kinds."""
         terms = _terms(self.plan, observations, self.chain is not None)
         return replace(self, observations=observations, terms=terms)
 
@@ -116,8 +129,10 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
                 _add_pose(plan, term.world, WORLD, poses, free_poses, notes)
                 if term.mounted is not None:
                     _add_pose(plan, term.mounted, MOUNTED, poses, free_poses, notes)
-                    points[term.point] = plan.points[term.point]
-                elif term.point not in points:
+                    points[term.point] = plan.points[marker_of(term.point)]
+                elif "tcp" in plan.given and len(observations.points) == 1:
+                    points[term.point] = plan.given["tcp"][:3, 3]
+                else:
                     points[term.point] = np.zeros(3)
                     free_points.append(term.point)
             case PivotTerm():
@@ -133,9 +148,9 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
         zeros = tuple(range(len(joints))) if "joint_zeros" in plan.estimate else ()
         if "geometry" in plan.estimate:
             base_is_free = any(name.endswith(WORLD) for name in free_poses) or bool(
-                [name for name in free_points if name.startswith("pivot.")]
+                [name for name in free_points if name.startswith(PIVOT)]
             )
-            links = link_parameters(chain, 1 if base_is_free else 0)
+            links = link_parameters(chain, 1 if base_is_free else 0, zeros_are_free=bool(zeros))
     layout = Layout(
         tuple(free_poses),
         tuple(free_points),
@@ -200,7 +215,7 @@ def _terms(plan: Plan, observations: Observations, has_chain: bool) -> tuple[Ter
         rows = np.flatnonzero(there)
         if len(rows):
             mounted = "tracker.mounted" if name in known else None
-            found.append(PointTerm(rows, values[rows], name, mounted))
+            found.append(PointTerm(rows, values[rows], f"{MARKER}{name}", mounted))
     if "tcp" in plan.estimate:
         # A row that measures nothing else says that the tip stands in a fixed point.
         names = observations.pivots or ("",) * len(observations)
@@ -211,7 +226,7 @@ def _terms(plan: Plan, observations: Observations, has_chain: bool) -> tuple[Ter
             same = np.array([name == pivot for name in names])
             rows = np.flatnonzero(usable & ~measured & same)
             if len(rows):
-                found.append(PivotTerm(rows, f"pivot.{pivot or 'point'}"))
+                found.append(PivotTerm(rows, f"{PIVOT}{pivot or 'point'}"))
     return tuple(found)
 
 
@@ -297,7 +312,8 @@ def random_rows(problem: Problem, state: State, count: int, seed: int) -> Proble
     if observations.camera_from_target is not None:
         identity = np.tile(np.eye(4), (count, 1, 1))
         observations = replace(observations, camera_from_target=identity)
-    points = {name: np.zeros((count, 3)) for name in observations.points}
+    measured = [marker_of(term.point) for term in problem.terms if isinstance(term, PointTerm)]
+    points = {name: np.zeros((count, 3)) for name in measured}
     observations = replace(observations, points=points)
     drawn = replace(problem, observations=observations)
     terms = _terms(problem.plan, observations, True)

@@ -11,9 +11,17 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.observability import Direction, affected
 from pytest_twin.calibration.parameters import POSE_LABELS
-from pytest_twin.calibration.problem import INVERTED_RECORDS, records_of
+from pytest_twin.calibration.problem import (
+    INVERTED_RECORDS,
+    MARKER,
+    PIVOT,
+    TIP,
+    marker_of,
+    records_of,
+)
 from pytest_twin.calibration.solve import Fit
 from pytest_twin.calibration.tangent import skew
 from pytest_twin.metrics.pose import quaternion_of
@@ -43,6 +51,7 @@ class Estimate:
         quantile: half width of a 95 % interval in standard deviations.
         lost: (count,) True for unknowns that the observations do not determine.
         directions: that they do not determine.
+        leave_one_out: root mean square of each kind of error of observations left out in turn.
     """
 
     fit: Fit
@@ -50,20 +59,29 @@ class Estimate:
     quantile: float
     lost: np.ndarray
     directions: tuple[Direction, ...]
+    leave_one_out: Mapping[str, float]
 
 
 def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
     """Covariance and intervals of a fit.
 
-    The noise is estimated from the residuals, so that intervals use Student's distribution.
+    The noise is estimated from the residuals, so that intervals use Student's distribution. Where
+    an observation holds several measurements, which share the error of the robot's pose, the
+    covariance is that of leaving out whole observations.
     """
     layout = fit.problem.layout
-    _, singular, right = np.linalg.svd(fit.jacobian, full_matrices=False)
-    sure = singular > 1e-12 * max(singular.max(initial=0.0), 1e-300)
-    half = right[sure] / singular[sure, None]
-    covariance = half.T @ half
-    quantile = float(student.ppf(0.975, max(fit.degrees, 1.0)))
-    return Estimate(fit, covariance, quantile, affected(layout, directions), directions)
+    left_out = jackknife(fit)
+    measurements = sum(int(kept.sum()) for kept in fit.kept)
+    if measurements > left_out.count:
+        covariance, degrees = left_out.covariance, left_out.count - 1.0
+    else:
+        _, singular, right = np.linalg.svd(fit.jacobian, full_matrices=False)
+        sure = singular > 1e-12 * max(singular.max(initial=0.0), 1e-300)
+        half = right[sure] / singular[sure, None]
+        covariance, degrees = half.T @ half, fit.degrees
+    quantile = float(student.ppf(0.975, max(degrees, 1.0)))
+    lost = affected(layout, directions)
+    return Estimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
 
 
 def records(found: Estimate) -> dict[str, Any]:
@@ -152,9 +170,9 @@ def inverse_with_covariance(
 
 def _points(found: Estimate) -> dict[str, Any]:
     problem, layout = found.fit.problem, found.fit.problem.layout
-    markers = [name for name in layout.points if name != "tip" and not name.startswith("pivot.")]
+    markers = [name for name in layout.points if name.startswith(MARKER)]
     made: dict[str, Any] = {}
-    tip = "tip" if "tip" in layout.points else None
+    tip = TIP if TIP in layout.points else None
     if tip is None and "tcp" in problem.plan.estimate and len(markers) == 1:
         tip = markers[0]
     if tip is not None and not found.lost[layout.blocks[f"point:{tip}"]].any():
@@ -183,8 +201,8 @@ def _points(found: Estimate) -> dict[str, Any]:
         covariance = found.covariance[place, place]
         spread = found.quantile * np.sqrt(np.diag(covariance))
         base = "base" if problem.chain is None else problem.chain.base
-        values[name] = {
-            "parent": base if name.startswith("pivot.") else problem.plan.flange,
+        values[marker_of(name)] = {
+            "parent": base if name.startswith(PIVOT) else problem.plan.flange,
             "xyz": xyz.tolist(),
             "unit": "m",
             "covariance": covariance.tolist(),

@@ -21,6 +21,7 @@ from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of
 from pytest_twin.calibration.solve import Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import is_subset, starts
+from pytest_twin.calibration.suspects import doubtful, suspects
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
@@ -114,18 +115,25 @@ def calibrate(
     document["held_out"] = _errors_json(errors)
     document["fitted"] = fitted.summary()
     document["fitted"]["noise"] = dict(fit.noise)
-    document["fitted"]["leave_one_out"] = leave_one_out(fit)
+    document["fitted"]["leave_one_out"] = dict(solved.estimate.leave_one_out)
     document["solvers"] = _solvers(held, solved, errors)
     document["excluded"] = [one.to_json() for one in (*left_out, *_outliers(fit), *gross)]
     document["unobservable"] = [
         *(direction.words for direction in solved.estimate.directions),
         *(gauge.words for gauge in solved.gauges),
     ]
-    reasons = accepted(errors.summary(), asdict(plan.accept))
-    document["verdict"] = "degenerate" if degenerate else "rejected" if reasons else "accepted"
-    document["reasons"] = list(document["unobservable"][: len(solved.estimate.directions)]) + (
-        [] if degenerate else reasons
-    )
+    suspected = suspects(fit) if doubtful(document["fitted"], fit.problem) else ()
+    document["suspected"] = [one.to_json() for one in suspected]
+    reasons = [
+        *(f"{one.what}; {one.mend}" for one in suspected),
+        *accepted(errors.summary(), asdict(plan.accept)),
+    ]
+    if degenerate and not suspected:
+        document["verdict"] = "degenerate"
+    else:
+        document["verdict"] = "rejected" if reasons or degenerate else "accepted"
+    directions = [direction.words for direction in solved.estimate.directions]
+    document["reasons"] = [*directions, *reasons]
     document["notes"] = [*problem.notes, *_notes(plan, held)]
     document["covariance"] = full_covariance(solved.estimate)
     document["software"] = {"pytest-twin": __version__}
@@ -183,31 +191,6 @@ def held_out_errors(held: Problem, state: State) -> tuple[Errors, tuple[LeftOut,
         ),
         left_out,
     )
-
-
-def leave_one_out(fit: Fit) -> dict[str, float]:
-    """Root mean square of each kind of error when its observation is left out of the fit.
-
-    From the leverages, without fitting again: ``e = (I - H)^-1 r`` for each measurement, exact for
-    a linear problem.
-    """
-    left, singular, _ = np.linalg.svd(fit.jacobian, full_matrices=False)
-    left = left[:, singular > 1e-10 * max(singular.max(initial=0.0), 1e-300)]
-    at = 0
-    squares: dict[str, list[float]] = {}
-    for term, kept, residual in zip(fit.problem.terms, fit.kept, fit.residuals, strict=True):
-        size = np.array([fit.noise[name] for name in term.noise])
-        width = len(size)
-        for row in range(len(term.rows)):
-            block = left[at : at + width]
-            at += width
-            if not kept[row]:
-                continue
-            free = np.eye(width) - block @ block.T
-            error = np.linalg.pinv(free) @ (residual[row] / size) * size
-            for column, name in enumerate(term.noise):
-                squares.setdefault(f"{name}_rms", []).append(float(error[column] ** 2))
-    return {name: float(np.sqrt(np.mean(values))) for name, values in squares.items()}
 
 
 def _errors_json(errors: Errors) -> dict[str, Any]:

@@ -116,10 +116,20 @@ def solve(problem: Problem, start: State) -> Fit:
     return Fit(problem, state, noise, kept, tuple(residuals), jacobian, degrees)
 
 
-def whitened_jacobian(problem: Problem, state: State, noise: Mapping[str, float]) -> FloatArray:
-    """(rows, count) derivatives of all residuals and priors, divided by their noise."""
+def whitened_jacobian(
+    problem: Problem,
+    state: State,
+    noise: Mapping[str, float],
+    kept: tuple[np.ndarray, ...] | None = None,
+) -> FloatArray:
+    """(rows, count) derivatives of residuals and priors, divided by their noise.
+
+    Args:
+        kept: for each term, (m,) True where a measurement counts; all do by default.
+    """
     slopes = _residuals(problem, state)[1]
-    return _whitened(problem, slopes, noise, [np.ones(len(t.rows)) for t in problem.terms])
+    counted = kept or tuple(np.ones(len(term.rows), dtype=bool) for term in problem.terms)
+    return _whitened(problem, slopes, noise, [one.astype(float) for one in counted])
 
 
 def _residuals(problem: Problem, state: State) -> tuple[list[FloatArray], list[FloatArray]]:

@@ -26,41 +26,45 @@ HAND_EYE_SOLVERS: dict[str, HandEyeSolver] = {
     "shah": closed_form.shah,
 }
 
-_SUBSETS = 30
+SUBSETS = 30
 """Random subsets of poses from which a start is taken too: with 20 % outliers among the poses and
 5 in a subset, one in three has none, so that all 30 fail once in 10^5."""
 
-_IN_SUBSET = 5
+_POSES_IN_SUBSET = 5
+_POINTS_IN_SUBSET = 8
 
 
-def starts(problem: Problem) -> Mapping[str, State]:
+def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
     """Start states by the name of the solver that they come from.
 
     Args:
         problem: the observations to fit.
+        subsets: random subsets of observations from which a start is taken too.
     """
-    first = _points(problem, problem.fixed)
-    if not any(isinstance(term, PoseTerm) for term in problem.terms):
-        return {"closed_form": first}
+    has_poses = any(isinstance(term, PoseTerm) for term in problem.terms)
+    solvers = HAND_EYE_SOLVERS if has_poses else {"closed_form": closed_form.park}
     found = {}
-    for name, solver in HAND_EYE_SOLVERS.items():
-        state = _pose_start(problem, first, solver, None)
+    for name, solver in solvers.items():
+        state = _start(problem, solver)
         if state is not None:
             found[name] = state
+    rows = np.unique(np.concatenate([term.rows for term in problem.terms]))
+    size = _POSES_IN_SUBSET if has_poses else _POINTS_IN_SUBSET
     draw = np.random.default_rng(0)
-    count = min(len(term.rows) for term in problem.terms if isinstance(term, PoseTerm))
-    if count > 2 * _IN_SUBSET:
-        for number in range(_SUBSETS):
-            chosen = np.sort(draw.choice(count, _IN_SUBSET, replace=False))
-            state = _pose_start(problem, first, closed_form.park, chosen)
-            if state is not None:
-                found[f"subset{number}"] = state
+    for number in range(subsets if len(rows) > 2 * size else 0):
+        chosen = np.sort(draw.choice(rows, size, replace=False))
+        state = _start(problem.on_rows(chosen), closed_form.park)
+        if state is not None:
+            found[f"{_SUBSET}{number}"] = state
     return found
+
+
+_SUBSET = "subset"
 
 
 def is_subset(name: str) -> bool:
     """Whether a start comes from a few of the poses only."""
-    return name.startswith("subset")
+    return name.startswith(_SUBSET)
 
 
 def seen_poses(term: PoseTerm) -> FloatArray:
@@ -68,21 +72,20 @@ def seen_poses(term: PoseTerm) -> FloatArray:
     return closed_form.inverse(term.measured) if term.mount == "hand" else term.measured
 
 
-def _pose_start(
-    problem: Problem, state: State, solver: HandEyeSolver, chosen: np.ndarray | None
-) -> State | None:
+def _start(problem: Problem, solver: HandEyeSolver) -> State | None:
+    """The state that a solver finds, or None where it finds none."""
+    state = _points(problem, problem.fixed)
     flange = predicted_poses(problem, state)
     poses = dict(state.poses)
     for term in problem.terms:
         if not isinstance(term, PoseTerm):
             continue
-        at = np.arange(len(term.rows)) if chosen is None else chosen
-        mine, seen = flange[term.rows[at]], seen_poses(term)[at]
+        mine, seen = flange[term.rows], seen_poses(term)
         free = [name in problem.layout.poses for name in (term.mounted, term.world)]
         if not all(free):
             poses |= _one_side(term, state, mine, seen, free)
             continue
-        if len(at) < 3:
+        if len(term.rows) < 3:
             return None
         try:
             poses[term.mounted], poses[term.world] = solver(mine, seen)
@@ -144,7 +147,12 @@ def _known_points(
 ) -> dict[str, FloatArray]:
     """Markers whose places in the tool are known: the tool's pose in each row, then as poses."""
     world, mounted = terms[0].world, terms[0].mounted
-    assert mounted is not None
+    if mounted is None:
+        if world not in problem.layout.poses:
+            return {}
+        mine = [_moved(flange[t.rows], state.points[t.point][None]) for t in terms]
+        theirs = [t.measured for t in terms]
+        return {world: closed_form.kabsch(np.concatenate(theirs), np.concatenate(mine))}
     rows, seen = [], []
     for row in range(len(problem.observations)):
         here = [

@@ -121,8 +121,8 @@ class PointTerm:
 
     @property
     def name(self) -> str:
-        """``point.NAME``."""
-        return f"point.{self.point}"
+        """``point.NAME``, as the column is headed."""
+        return f"point.{self.point.removeprefix('marker.')}"
 
     def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
         """Offset in the axes of the measuring frame, m."""

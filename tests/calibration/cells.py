@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.plan import Accept, HoldOut, Plan, Priors
+from pytest_twin.metrics.pose import rotation_of, rotation_vector
 from pytest_twin.realization.serial_chain import SerialChain
 
 
@@ -22,7 +26,7 @@ def arm(joints: int, rng: np.random.Generator) -> SerialChain:
     placements, axes = [], []
     for at in range(joints):
         turn = Rotation.from_euler("x", [0.0, np.pi / 2, -np.pi / 2][at % 3 if at else 0])
-        placements.append(rigid(turn.as_matrix(), [0.0, 0.05 * (at % 2), 1.0 / joints]))
+        placements.append(rigid(turn.as_matrix(), [0.05, 0.05 * (at % 2), 1.0 / joints]))
         axes.append([0.0, 0.0, 1.0])
     return SerialChain(
         base="base",
@@ -118,3 +122,45 @@ def joint_cell(
         camera_from_target=cell.observations.camera_from_target,
     )
     return Cell(cell.mounted, cell.world, observations, chain, zeros)
+
+
+def plan(*estimate: str, mount: str = "hand", **options: Any) -> Plan:
+    """A plan for observations in memory."""
+    stated: dict[str, Any] = {
+        "points": {},
+        "given": {},
+        "priors": Priors(),
+        "hold_out": HoldOut(0.2, 0),
+        "accept": Accept(),
+    }
+    return Plan(
+        id="cell",
+        path=Path("calibration.yaml"),
+        robot=None,
+        flange="flange",
+        observations=(Path("observations.csv"),),
+        streams={},
+        estimate=estimate,
+        mount=mount,
+        camera={},
+        target={},
+        **(stated | options),
+    )
+
+
+def with_outliers(observations: Observations, rows: list[int], size: float) -> Observations:
+    poses = observations.camera_from_target.copy()
+    poses[rows, :3, 3] += size
+    return replace(observations, camera_from_target=poses)
+
+
+def truth_inside(found: dict[str, Any], record: str, truth: np.ndarray) -> list[bool]:
+    """Whether each of six intervals of a record holds the true (4, 4) transform."""
+    stated = found["records"][record]
+    transform, intervals = stated["transform"], stated["ci95"]
+    turn = rotation_of(transform["quaternion_wxyz"]).T @ truth[:3, :3]
+    values = [*truth[:3, 3], *rotation_vector(turn)]
+    return [
+        intervals[name][0] <= value <= intervals[name][1]
+        for name, value in zip(("x", "y", "z", "rx", "ry", "rz"), values, strict=True)
+    ]

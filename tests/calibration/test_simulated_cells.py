@@ -1,0 +1,173 @@
+"""Cells with known errors: intervals that hold, outliers that are found, poses that are refused."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import cells
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.calibration.closed_form import rigid
+from pytest_twin.calibration.plan import Accept, HoldOut
+from pytest_twin.calibration.run import calibrate
+
+WHOLE = ("joint_zeros", "hand_eye", "base_world")
+
+
+def drawn(seed: int) -> tuple[cells.Cell, str]:
+    """A robot of 4 to 7 joints with zeros of 20 mrad, noise of 0.03 to 3 mm, some outliers."""
+    rng = np.random.default_rng(seed)
+    mount = ("hand", "world")[seed % 2]
+    count = int(rng.integers(4, 8))
+    chain = cells.arm(count, rng)
+    zeros = rng.normal(0.0, 0.02, count)
+    zeros[[0, -1]] = 0.0
+    rows = int(rng.integers(14, 50))
+    noise = float(10 ** rng.uniform(-4.5, -2.5))
+    cell = cells.joint_cell(
+        rng,
+        chain,
+        rows,
+        mount=mount,
+        zeros=zeros,
+        translation=noise,
+        rotation=noise * float(rng.uniform(0.5, 4.0)),
+    )
+    if seed % 3 == 0:
+        bad = rng.choice(rows, rows // 10, replace=False)
+        cell.observations = cells.with_outliers(cell.observations, list(bad), 0.05)
+    return cell, mount
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    inside = []
+    for seed in range(20):
+        cell, mount = drawn(seed)
+        found = calibrate(cells.plan(*WHOLE, mount=mount), cell.observations, cell.chain)
+        truth = cell.mounted if mount == "hand" else cell.world
+        inside += cells.truth_inside(found, "hand_eye", truth)
+        for joint, stated in found["records"]["joint_zeros"]["values"].items():
+            low, high = stated["ci95"]
+            inside.append(low <= cell.zeros[cell.chain.joints.index(joint)] <= high)
+    assert len(inside) > 160
+    assert 0.90 <= np.mean(inside) <= 0.99
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 10_000),
+    kind=st.sampled_from(["one axis", "no rotation", "two poses"]),
+    mount=st.sampled_from(["hand", "world"]),
+    flange_noise=st.sampled_from([0.0, 1e-5, 1e-3]),
+)
+def test_poses_that_do_not_determine_the_camera_are_refused(
+    seed: int, kind: str, mount: str, flange_noise: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    rows = 2 if kind == "two poses" else 25
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    start = Rotation.random(random_state=seed)
+    poses = []
+    for _ in range(rows):
+        angle = 0.0 if kind == "no rotation" else rng.uniform(-1.5, 1.5)
+        turn = start * Rotation.from_rotvec(axis * angle)
+        if kind == "two poses":
+            turn = Rotation.random(random_state=int(rng.integers(2**31)))
+        poses.append(rigid(turn.as_matrix(), rng.uniform(-0.4, 0.4, 3)))
+    cell = cells.flange_cell(rng, np.array(poses), mount=mount)
+    measured = cells.noisy(np.array(poses), flange_noise, flange_noise, rng)
+    observations = replace(cell.observations, flange=measured)
+    hold_out = HoldOut(0.0 if rows == 2 else 0.2)
+    plan = cells.plan("hand_eye", "robot_world", mount=mount, hold_out=hold_out)
+    found = calibrate(plan, observations, None)
+    assert found["verdict"] == "degenerate"
+    assert "hand_eye" not in found["records"]
+    assert found["unobservable"]
+
+
+def test_one_axis_of_rotation_leaves_the_position_along_it_open() -> None:
+    rng = np.random.default_rng(0)
+    turns = Rotation.from_rotvec(np.outer(rng.uniform(-1, 1, 20), [0, 0, 1])).as_matrix()
+    poses = np.array([rigid(turn, rng.uniform(-0.3, 0.3, 3)) for turn in turns])
+    cell = cells.flange_cell(rng, poses)
+    found = calibrate(cells.plan("hand_eye"), cell.observations, None)
+    (words,) = found["unobservable"]
+    assert "the position of the target in the base along z axis" in words
+    assert "the position of the camera on the flange along z axis" in words
+    assert words.endswith("cannot be told apart in these poses")
+
+
+def test_outliers_are_named_and_do_not_move_the_estimate() -> None:
+    rng = np.random.default_rng(1)
+    chain = cells.arm(6, rng)
+    cell = cells.joint_cell(rng, chain, 40)
+    bad = [3, 11, 27]
+    observations = cells.with_outliers(cell.observations, bad, 0.03)
+    plan = cells.plan("hand_eye", "base_world", hold_out=HoldOut(ids=("0", "5", "9", "20", "30")))
+    found = calibrate(plan, observations, chain)
+    assert [one["id"] for one in found["excluded"]] == ["3", "11", "27"]
+    assert "52 mm" in found["excluded"][0]["why"]
+    xyz = found["records"]["hand_eye"]["transform"]["xyz"]
+    np.testing.assert_allclose(xyz, cell.mounted[:3, 3], atol=6e-4)
+
+
+def test_a_good_set_of_poses_loses_no_observation() -> None:
+    rng = np.random.default_rng(2)
+    chain = cells.arm(6, rng)
+    cell = cells.joint_cell(rng, chain, 60)
+    found = calibrate(cells.plan("hand_eye"), cell.observations, chain)
+    assert found["excluded"] == []
+
+
+def test_the_error_of_a_joint_that_is_not_estimated_is_seen_in_the_workspace() -> None:
+    rng = np.random.default_rng(3)
+    chain = cells.arm(6, rng)
+    cell = cells.joint_cell(rng, chain, 60, zeros=np.array([0, 0.03, 0, 0, 0, 0.0]))
+    plan = cells.plan("hand_eye", accept=Accept(translation=0.001))
+    found = calibrate(plan, cell.observations, chain)
+    assert found["verdict"] == "rejected"
+    assert [one["region"] for one in found["held_out"]["regions"]] == ["near", "middle", "far"]
+
+
+def test_a_given_base_makes_the_first_joint_observable() -> None:
+    rng = np.random.default_rng(14)
+    chain = cells.arm(5, rng)
+    zeros = np.array([0.02, 0.0, 0.0, 0.0, 0.0])
+    cell = cells.joint_cell(rng, chain, 40, zeros=zeros)
+    plan = cells.plan("joint_zeros", "hand_eye", given={"robot_world": cell.world})
+    found = calibrate(plan, cell.observations, chain)
+    low, high = found["records"]["joint_zeros"]["values"]["j1"]["ci95"]
+    assert low < 0.02 < high
+    assert len(found["unobservable"]) == 1
+
+
+def test_link_geometry_under_a_prior_improves_the_held_out_error() -> None:
+    rng = np.random.default_rng(5)
+    nominal = cells.arm(6, rng)
+    placements = nominal.placements.copy()
+    placements[3, :3, 3] += [0.003, 0.0, 0.0]
+    real = replace(nominal, placements=placements)
+    cell = cells.joint_cell(rng, real, 60, translation=1e-4, rotation=2e-4)
+    without = calibrate(cells.plan("hand_eye"), cell.observations, nominal)
+    found = calibrate(cells.plan("hand_eye", "geometry"), cell.observations, nominal)
+    before, after = (one["held_out"]["translation_rms"] for one in (without, found))
+    assert after < 0.2 * before
+    offset = found["records"]["geometry"]["values"]["offset along x of j4"]
+    assert offset["value"] == pytest.approx(0.003, abs=5e-4)
+    assert offset["determined_by"] == "data"
+
+
+def test_a_hundred_poses_with_the_whole_geometry_take_less_than_five_seconds() -> None:
+    rng = np.random.default_rng(6)
+    chain = cells.arm(7, rng)
+    cell = cells.joint_cell(rng, chain, 130, zeros=rng.normal(0.0, 0.01, 7))
+    start = time.process_time()
+    found = calibrate(cells.plan("geometry", *WHOLE), cell.observations, chain)
+    assert time.process_time() - start < 5.0
+    assert len(found["covariance"]["of"]) >= 35

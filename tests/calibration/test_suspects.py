@@ -1,0 +1,108 @@
+"""Wrong units, directions and signs are recognised, said with the mend, and never applied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cells
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.run import calibrate
+
+Change = Callable[[Observations], Observations]
+
+
+def scaled(poses: np.ndarray, factor: float) -> np.ndarray:
+    found = poses.copy()
+    found[:, :3, 3] *= factor
+    return found
+
+
+def reordered(poses: np.ndarray) -> np.ndarray:
+    """Poses whose quaternions x y z w were read as w x y z."""
+    found = poses.copy()
+    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    found[:, :3, :3] = Rotation.from_quat(np.roll(xyzw, -1, axis=1)).as_matrix()
+    return found
+
+
+CAMERA: dict[str, tuple[Change, str]] = {
+    "inverted": (
+        lambda o: replace(o, camera_from_target=inverse(o.camera_from_target)),
+        "camera_from_target seems to be the camera in the target",
+    ),
+    "mm": (
+        lambda o: replace(o, camera_from_target=scaled(o.camera_from_target, 1000.0)),
+        "it seems to be in mm",
+    ),
+    "size of the target": (
+        lambda o: replace(o, camera_from_target=scaled(o.camera_from_target, 1.05)),
+        "too large or too small by a factor of 1.0",
+    ),
+    "order of the quaternion": (
+        lambda o: replace(o, camera_from_target=reordered(o.camera_from_target)),
+        "the quaternions of camera_from_target seem to be in the order x y z w",
+    ),
+}
+
+FLANGE: dict[str, tuple[Change, str]] = {
+    "swapped": (
+        lambda o: replace(o, flange=inverse(o.flange)),
+        "flange.* seems to be the base in the flange: base and flange are swapped",
+    ),
+    "mm": (lambda o: replace(o, flange=scaled(o.flange, 1000.0)), "it seems to be in mm"),
+}
+
+
+def joints(observations: Observations, change: dict[str, np.ndarray]) -> Observations:
+    return replace(observations, joints={**observations.joints, **change})
+
+
+JOINTS: dict[str, tuple[Change, str]] = {
+    "mirrored axis": (
+        lambda o: joints(o, {"j3": -o.joints["j3"]}),
+        "joint j3 seems to turn the other way than the model's axis",
+    ),
+    "degrees": (
+        lambda o: joints(o, {name: np.rad2deg(v) for name, v in o.joints.items()}),
+        "seem to be in degrees",
+    ),
+}
+
+
+@pytest.mark.parametrize("mount", ["hand", "world"])
+@pytest.mark.parametrize("mistake", [*CAMERA, *(f"flange {name}" for name in FLANGE)])
+def test_a_mistake_in_poses_is_named(mistake: str, mount: str) -> None:
+    rng = np.random.default_rng(0)
+    flange = np.array([cells.pose(rng, 0.4) for _ in range(25)])
+    cell = cells.flange_cell(rng, flange, mount=mount)
+    change, words = {**CAMERA, **{f"flange {k}": v for k, v in FLANGE.items()}}[mistake]
+    found = calibrate(cells.plan("hand_eye", mount=mount), change(cell.observations), None)
+    assert found["verdict"] == "rejected"
+    assert any(words in one["what"] for one in found["suspected"])
+    assert any(words in reason for reason in found["reasons"])
+
+
+@pytest.mark.parametrize("mistake", JOINTS)
+def test_a_mistake_in_joint_positions_is_named(mistake: str) -> None:
+    rng = np.random.default_rng(1)
+    chain = cells.arm(6, rng)
+    cell = cells.joint_cell(rng, chain, 30)
+    change, words = JOINTS[mistake]
+    found = calibrate(cells.plan("hand_eye"), change(cell.observations), chain)
+    assert found["verdict"] == "rejected"
+    assert words in found["suspected"][0]["what"]
+
+
+def test_nothing_is_suspected_of_an_arm_whose_zeros_are_merely_off() -> None:
+    rng = np.random.default_rng(2)
+    chain = cells.arm(6, rng)
+    cell = cells.joint_cell(rng, chain, 40, zeros=rng.normal(0.0, 0.02, 6))
+    found = calibrate(cells.plan("hand_eye"), cell.observations, chain)
+    assert found["fitted"]["translation_rms"] > 0.003
+    assert found["suspected"] == []
