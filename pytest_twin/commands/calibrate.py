@@ -26,6 +26,7 @@ EXIT_STATUS = {
 }
 ACCEPTED, NOT_ACCEPTED = 0, 1
 FILE_NAME = "calibration.json"
+EXPORTS = ("static_transforms.sh", "easy_handeye2.calib", "calibrated.urdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "plan", metavar="PLAN.yaml", type=Path, help="what to estimate from which observations"
     )
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, required=True, help=f"{FILE_NAME} is written here"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"{FILE_NAME} is written here and, once accepted, {', '.join(EXPORTS)}",
     )
 
 
@@ -53,8 +58,17 @@ def run(args: argparse.Namespace) -> int:
             {"plan": str(plan.absolute())},
             progress=progress,
         )
-    out = folders.make(args.out)
+        out = folders.make(args.out)
+        exports = sandbox.call(
+            "pytest_twin.calibration.exports:export_files",
+            {"plan": str(plan.absolute()), "document": document, "folder": str(out.absolute())},
+        )
     atomic.write_text(out / FILE_NAME, json.dumps(document, indent=2) + "\n")
+    for name in EXPORTS:
+        # Those of an earlier, accepted run say something else.
+        (out / name).unlink(missing_ok=True)
+    for name, text in exports.items():
+        atomic.write_text(out / name, text)
     json_output.give(args, document)
     show(_words(document, out / FILE_NAME))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
