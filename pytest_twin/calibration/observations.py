@@ -133,7 +133,7 @@ def from_table(table: ObservationTable) -> Observations:
         if left_out
         else (),
     )
-    if not joints and found.flange is None:
+    if not joints and found.flange is None and found.images is None:
         raise FormatError(
             "no column of a joint or of the flange",
             path=table.path,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from pytest_twin import __version__
+from pytest_twin.calibration.cameras.observed import Images, read_images
+from pytest_twin.calibration.cameras.seen import Seen, calibrate_intrinsics
 from pytest_twin.calibration.coincident import LeftOut, without_coincident
 from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermined
 from pytest_twin.calibration.observations import Observations, load_observations
@@ -73,8 +75,12 @@ def calibrate_file(plan: str, progress: Callable[[float], None] | None = None) -
     chain = None
     if found.robot is not None and observations.joints:
         chain = load_serial_chain(found.robot, found.flange)
-    told(0.1)
-    document = calibrate(found, observations, chain, told)
+    observations, images, rejected = read_images(found, observations)
+    told(0.4 if images else 0.1)
+    if images is not None and set(found.estimate) == {"intrinsics"}:
+        document = calibrate_intrinsics(found, observations, images, rejected)
+    else:
+        document = calibrate(found, observations, chain, told, images, rejected)
     document["inputs"] = {
         str(
             path.relative_to(found.path.parent) if path.is_relative_to(found.path.parent) else path
@@ -89,16 +95,32 @@ def calibrate(
     observations: Observations,
     chain: SerialChain | None,
     progress: Callable[[float], None] = lambda fraction: None,
+    images: Images | None = None,
+    rejected: Sequence[LeftOut] = (),
 ) -> dict[str, Any]:
     """The content of ``calibration.json`` for observations in memory.
+
+    Args:
+        plan: what to estimate.
+        observations: what was measured.
+        chain: of the robot, None where flange poses are given.
+        progress: is told the share that is done.
+        images: of the observations, where there are any.
+        rejected: images that are not usable.
 
     Raises:
         TwinError: observations that cannot be used.
     """
     observations, left_out = without_coincident(observations)
-    problem = make_problem(plan, observations, chain)
     fit_rows, held_rows = split(plan, observations)
+    seen = None if images is None else Seen(images, observations, fit_rows)
+    if seen is not None:
+        observations = seen.posed(observations)
+    problem = make_problem(plan, observations, chain)
     solved = solve_problem(problem.on_rows(fit_rows))
+    if seen is not None and seen.refine(solved.estimate):
+        solved = replace(solved, estimate=seen.estimate)
+        problem = make_problem(plan, seen.posed(observations), chain)
     progress(0.7)
     fit = solved.estimate.fit
     problem = replace(problem, layout=fit.problem.layout)
@@ -117,11 +139,16 @@ def calibrate(
     document["fitted"]["noise"] = dict(fit.noise)
     document["fitted"]["leave_one_out"] = dict(solved.estimate.leave_one_out)
     document["solvers"] = _solvers(held, solved, errors)
-    document["excluded"] = [one.to_json() for one in (*left_out, *_outliers(fit), *gross)]
+    document["excluded"] = [
+        one.to_json() for one in (*rejected, *left_out, *_outliers(fit), *gross)
+    ]
     document["unobservable"] = [
         *(direction.words for direction in solved.estimate.directions),
         *(gauge.words for gauge in solved.gauges),
     ]
+    lost = [] if seen is None else seen.complete(document, held_rows)
+    document["unobservable"] += lost
+    degenerate = degenerate or bool(lost)
     suspected = suspects(fit) if doubtful(document["fitted"], fit.problem) else ()
     document["suspected"] = [one.to_json() for one in suspected]
     reasons = [
@@ -132,9 +159,10 @@ def calibrate(
         document["verdict"] = "degenerate"
     else:
         document["verdict"] = "rejected" if reasons or degenerate else "accepted"
-    directions = [direction.words for direction in solved.estimate.directions]
+    directions = [*(direction.words for direction in solved.estimate.directions), *lost]
     document["reasons"] = [*directions, *reasons]
-    document["notes"] = [*problem.notes, *_notes(plan, held)]
+    seen_notes = () if seen is None else seen.notes
+    document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
     document["covariance"] = full_covariance(solved.estimate)
     document["software"] = {"pytest-twin": __version__}
     progress(1.0)

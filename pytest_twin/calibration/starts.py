@@ -14,9 +14,12 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration import closed_form
+from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.problem import Problem, predicted_poses
+from pytest_twin.calibration.solvers.algebraic import HAND_EYE, ROBOT_WORLD, solver_of_poses
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
+from pytest_twin.errors import SpecError
 
 HandEyeSolver = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """From (n, 4, 4) ``flange`` and ``seen`` to (4, 4) ``mounted`` and ``world``, m."""
@@ -42,7 +45,7 @@ def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
         subsets: random subsets of observations from which a start is taken too.
     """
     has_poses = any(isinstance(term, PoseTerm) for term in problem.terms)
-    solvers = HAND_EYE_SOLVERS if has_poses else {"closed_form": closed_form.park}
+    solvers = _hand_eye_solvers() if has_poses else {"closed_form": closed_form.park}
     found = {}
     for name, solver in solvers.items():
         state = _start(problem, solver)
@@ -60,6 +63,16 @@ def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
 
 
 _SUBSET = "subset"
+
+
+def _hand_eye_solvers() -> dict[str, HandEyeSolver]:
+    """Our own solvers, and those of OpenCV where it is installed."""
+    try:
+        opencv()
+    except SpecError:
+        return HAND_EYE_SOLVERS
+    theirs = {name: solver_of_poses(name) for name in (*HAND_EYE, *ROBOT_WORLD)}
+    return {**theirs, **HAND_EYE_SOLVERS}
 
 
 def is_subset(name: str) -> bool:

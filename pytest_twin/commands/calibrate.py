@@ -28,6 +28,15 @@ ACCEPTED, NOT_ACCEPTED = 0, 1
 FILE_NAME = "calibration.json"
 EXPORTS = ("static_transforms.sh", "easy_handeye2.calib", "calibrated.urdf")
 
+_READABLE = {
+    "rad": (1e3, "mrad"),
+    "m": (1e3, "mm"),
+    "s": (1e3, "ms"),
+    "px": (1.0, "px"),
+    "1": (1.0, ""),
+}
+_DECIMALS = {"mrad": 2, "mm": 2, "ms": 2, "px": 2, "": 4}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -125,8 +134,10 @@ def _record(name: str, record: dict[str, Any]) -> list[str]:
     lines = [f"{name}:"]
     for label, one in values.items():
         low, high = one["ci95"]
-        unit = {"rad": "mrad", "m": "mm"}[one["unit"]]
-        line = f"  {label} {1e3 * one['value']:.2f} {unit} ({1e3 * low:.2f} to {1e3 * high:.2f})"
+        scale, unit = _READABLE[one["unit"]]
+        value = f"{scale * one['value']:.{_DECIMALS[unit]}f} {unit}".rstrip()
+        span = f"{scale * low:.{_DECIMALS[unit]}f} to {scale * high:.{_DECIMALS[unit]}f}"
+        line = f"  {label} {value} ({span})"
         if one.get("determined_by") == "prior":
             line += ", held by the prior"
         lines.append(line)

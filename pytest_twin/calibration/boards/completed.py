@@ -56,7 +56,8 @@ def completed(
     refined = refined_corners(image, guess, window)
     steady = np.linalg.norm(refined - guess, axis=1) < _FARTHEST * edge
     usual = float(np.median(square_contrast(image, homography, target, ids)))
-    clear = square_contrast(image, homography, target, missing) / usual > _LEAST_CONTRAST
+    there = np.sign(usual) * square_contrast(image, homography, target, missing)
+    clear = there > _LEAST_CONTRAST * abs(usual)
     keep = steady & clear
     all_ids = np.concatenate([ids, missing[keep]])
     order = np.argsort(all_ids)

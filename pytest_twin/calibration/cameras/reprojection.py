@@ -21,12 +21,14 @@ class Corners:
         image: (m,) index of the image that each corner is in, ascending.
         pixels: (m, 2) px.
         points: (m, 3) in the target's frame, m.
+        ids: (m,) index of each corner on the target.
         images: how many images there are; each has corners.
     """
 
     image: np.ndarray
     pixels: FloatArray
     points: FloatArray
+    ids: np.ndarray
     images: int
 
     @property
@@ -42,6 +44,7 @@ def corners_of(detections: Sequence[Detection]) -> Corners:
         np.repeat(np.arange(len(counts)), counts),
         np.concatenate([d.pixels for d in detections]),
         np.concatenate([d.board_points for d in detections]),
+        np.concatenate([d.corner_ids for d in detections]),
         len(counts),
     )
 

