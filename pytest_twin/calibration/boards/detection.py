@@ -210,6 +210,8 @@ def _why_nothing(image: Grey, target: Target, found: Found) -> str:
                 f"the edges' blur is {blur:.1f} px"
             )
     blur = image_blur_px(image)
+    if not np.isfinite(blur):
+        return "no target found; the image has no edges"
     kind = "blurred: " if blur > BLURRED_IMAGE_PX else ""
     return f"{kind}no target found; the sharpest edges have a blur of {blur:.1f} px"
 

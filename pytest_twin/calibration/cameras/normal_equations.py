@@ -50,7 +50,7 @@ class Noise:
         return np.array([self.pixel, self.position, self.orientation, self.board])
 
 
-LEAST_NOISE = Noise(0.01, 5e-6, 5e-6, 2e-6)
+LEAST_NOISE = Noise(0.01, 5e-6, 5e-6, 1e-5)
 """Below this nothing is measured; data without noise need a limit."""
 
 
