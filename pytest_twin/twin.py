@@ -13,6 +13,7 @@ from typing import Any
 
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import yaml
+from pytest_twin.formats.calibration_record import CalibrationRecord, read_calibration_record
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
@@ -152,6 +153,24 @@ class Calibration:
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrationEntry:
+    """One record of ``pytest-twin calibrate`` in the twin.
+
+    Attributes:
+        record: what its file says.
+        use: which of its records the twin takes over.
+        date, instrument: when and with what it was measured, where that is stated.
+        supersedes: ids of earlier records that no longer hold.
+    """
+
+    record: CalibrationRecord
+    use: tuple[str, ...]
+    date: str | None = None
+    instrument: str | None = None
+    supersedes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Fit:
     """Identified parameters over the model.
 
@@ -227,6 +246,8 @@ class Twin:
         controllers: id -> actuator -> attribute -> value.
         payloads: id -> body -> mass.
         parts: name -> declared part.
+        calibration: what holds now: ``calibration:`` with what ``calibrations:`` lay over it.
+        calibrations: records of ``pytest-twin calibrate``, the newest last.
         tcp: named frame of the tool centre point.
         retired: golden id -> reason.
         lines: dotted field -> 1-based line in ``path``.
@@ -242,6 +263,7 @@ class Twin:
     controllers: Mapping[str, Mapping[str, Patch]] = field(default_factory=dict)
     payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
     calibration: Calibration | None = None
+    calibrations: tuple[CalibrationEntry, ...] = ()
     fit: Fit | None = None
     parts: Mapping[str, DeclaredPart] = field(default_factory=dict)
     tcp: str | None = None
@@ -267,6 +289,8 @@ class Twin:
         for item in (self.calibration, self.fit):
             if item is not None:
                 found[item.path] = None
+        for entry in self.calibrations:
+            found[entry.record.path] = None
         for ref in self.realizations.values():
             found[ref.file] = None
             if ref.effects is not None:
@@ -335,6 +359,7 @@ class _Reader:
     def twin(self) -> Twin:
         data = self.data
         release = data.get("release", {})
+        entries = self._calibrations()
         return Twin(
             path=self.path,
             name=data.get("name") or self.path.parent.name or "twin",
@@ -353,7 +378,8 @@ class _Reader:
                 name: {body: _payload(added) for body, added in bodies.items()}
                 for name, bodies in data.get("payloads", {}).items()
             },
-            calibration=self._calibration(),
+            calibration=_laid_over(self._calibration(), entries, self.path),
+            calibrations=entries,
             fit=self._fit(),
             parts={name: self._part(name, d) for name, d in data.get("parts", {}).items()},
             tcp=data.get("tcp"),
@@ -445,6 +471,54 @@ class _Reader:
             lines=section.own_lines,
         )
 
+    def _calibrations(self) -> tuple[CalibrationEntry, ...]:
+        found: list[CalibrationEntry] = []
+        for at, data in enumerate(self.data.get("calibrations", ())):
+            where = f"calibrations.{at}"
+            record = read_calibration_record(self._file(data["file"], f"{where}.file"))
+            earlier = [entry.record.id for entry in found]
+            if record.verdict != "accepted":
+                raise self.section.error(
+                    f"{where}.file",
+                    "a calibration that is not accepted",
+                    value=record.verdict,
+                    expected="a calibration.json whose verdict is accepted",
+                )
+            if record.id in earlier:
+                raise self.section.error(
+                    f"{where}.file",
+                    "two calibrations of one id",
+                    value=record.id,
+                    expected="an id of its own for each calibration",
+                )
+            for name in data.get("supersedes", ()):
+                if name not in earlier:
+                    raise self.section.error(
+                        f"{where}.supersedes",
+                        "no earlier calibration of this id",
+                        value=name,
+                        expected="ids of calibrations above it: " + (", ".join(earlier) or "none"),
+                    )
+            entry = CalibrationEntry(
+                record,
+                tuple(data.get("use", ("joint_zeros",))),
+                data.get("date"),
+                data.get("instrument"),
+                tuple(data.get("supersedes", ())),
+            )
+            gone = {name for one in (*found, entry) for name in one.supersedes}
+            for other in found:
+                twice = _used(other) & _used(entry)
+                if twice and other.record.id not in gone:
+                    raise self.section.error(
+                        where,
+                        f"{sorted(twice)[0]} is in two calibrations",
+                        value=f"{other.record.id}, {record.id}",
+                        expected=f"supersedes: [{other.record.id}], or use: with other records",
+                    )
+            found.append(entry)
+        return tuple(found)
+
     def _fit(self) -> Fit | None:
         section = self._beside("fit")
         if section is None:
@@ -474,6 +548,44 @@ class _Reader:
             if not affects
             else Affects(**{key: tuple(names) for key, names in affects.items()}),
         )
+
+
+def _used(entry: CalibrationEntry) -> set[str]:
+    """What a twin takes from a record: ``zero of JOINT`` and ``base_world``."""
+    found = set()
+    if "joint_zeros" in entry.use:
+        found |= {f"zero of {joint}" for joint in entry.record.joint_zeros}
+    if "base_world" in entry.use and entry.record.base_world is not None:
+        found.add("base_world")
+    return found
+
+
+def _laid_over(
+    stated: Calibration | None, entries: tuple[CalibrationEntry, ...], path: Path
+) -> Calibration | None:
+    """The calibration that holds: what the twin states, with the records that still hold."""
+    gone = {name for entry in entries for name in entry.supersedes}
+    holding = [entry for entry in entries if entry.record.id not in gone and _used(entry)]
+    if not holding:
+        return stated
+    joints = {} if stated is None else dict(stated.joints)
+    base = None if stated is None else stated.transform_world_to_base
+    for entry in holding:
+        if "joint_zeros" in entry.use:
+            for joint, value in entry.record.joint_zeros.items():
+                # The zero was estimated with the sign and in the place of the stated offset.
+                joints[joint] = replace(joints.get(joint, JointCalibration()), offset=value)
+        if "base_world" in entry.use and entry.record.base_world is not None:
+            (x, y, z), (w, a, b, c) = entry.record.base_world
+            base = Pose((x, y, z), (w, a, b, c))
+    ids = [*([] if stated is None else [stated.id]), *(entry.record.id for entry in holding)]
+    return Calibration(
+        id="+".join(ids),
+        transform_world_to_base=base,
+        joints=joints,
+        path=path if stated is None else stated.path,
+        lines={} if stated is None else stated.lines,
+    )
 
 
 def _line(lines: Mapping[str, int], where: str) -> int | None:

@@ -1,0 +1,107 @@
+"""``calibration.json`` as a twin reads it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pytest_twin.errors import FormatError
+from pytest_twin.formats import limits
+from pytest_twin.formats.digest import bytes_sha256
+from pytest_twin.formats.paths import decode_text, read_bytes
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRecord:
+    """What a twin takes from one calibration.
+
+    Attributes:
+        id: of the record.
+        path: the file.
+        sha256: of the file, hex.
+        verdict: ``accepted``, ``rejected`` or ``degenerate``.
+        joint_zeros: joint -> what is added to its reading, rad or m.
+        base_world: position (m) and quaternion w x y z of the base in the world, or None.
+        held_out: root mean squares on observations that nothing was fitted on, m and rad.
+    """
+
+    id: str
+    path: Path
+    sha256: str
+    verdict: str
+    joint_zeros: Mapping[str, float]
+    base_world: tuple[tuple[float, ...], tuple[float, ...]] | None
+    held_out: Mapping[str, float]
+
+
+def read_calibration_record(path: Path) -> CalibrationRecord:
+    """Read a ``calibration.json``.
+
+    Raises:
+        PathError: missing, a link, or no regular file.
+        LimitError: beyond ``limits.OBSERVATIONS``.
+        FormatError: not what ``pytest-twin calibrate`` writes.
+    """
+    data = read_bytes(path, limits.OBSERVATIONS.file_bytes)
+    try:
+        content = json.loads(decode_text(data, path), parse_constant=_refuse)
+    except (ValueError, RecursionError):
+        raise FormatError(
+            "not JSON", path=path, expected="calibration.json of pytest-twin calibrate"
+        ) from None
+    try:
+        if content["schema"] != 1:
+            raise KeyError("schema")
+        records = content["records"]
+        zeros = records.get("joint_zeros", {"values": {}})["values"]
+        base = records.get("base_world")
+        return CalibrationRecord(
+            id=_text(content["calibration"]),
+            path=path,
+            sha256=bytes_sha256(data),
+            verdict=_text(content["verdict"]),
+            joint_zeros={_text(name): _number(one["value"]) for name, one in zeros.items()},
+            base_world=None
+            if base is None
+            else (
+                _numbers(base["transform"]["xyz"], 3),
+                _numbers(base["transform"]["quaternion_wxyz"], 4),
+            ),
+            held_out={
+                name: _number(value)
+                for name, value in content["held_out"].items()
+                if name.endswith("_rms")
+            },
+        )
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise FormatError(
+            f"a field is missing or unusable: {error}",
+            path=path,
+            expected="calibration.json of pytest-twin calibrate, schema 1",
+        ) from None
+
+
+def _refuse(word: str) -> NoReturn:
+    raise ValueError(word)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or not value or len(value) > limits.OBSERVATIONS.name_chars:
+        raise ValueError("a name")
+    return value
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{value!r} is no finite number")
+    return float(value)
+
+
+def _numbers(values: Any, count: int) -> tuple[float, ...]:
+    if not isinstance(values, list) or len(values) != count:
+        raise ValueError(f"not {count} numbers")
+    return tuple(_number(value) for value in values)

@@ -1,0 +1,104 @@
+"""Accepted calibrations in twin.yaml."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_twin.errors import TwinError
+from pytest_twin.twin import load_twin
+
+MODEL = """<mujoco><worldbody><body name="a"><joint name="elbow"/><geom size="0.1"/></body>
+</worldbody></mujoco>"""
+
+
+def saved(folder: Path, name: str, **changes: Any) -> str:
+    document = {
+        "schema": 1,
+        "calibration": name,
+        "verdict": "accepted",
+        "records": {
+            "joint_zeros": {"values": {"elbow": {"value": 0.02, "unit": "rad"}}},
+            "base_world": {
+                "transform": {"xyz": [1.0, 0.0, 0.5], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
+            },
+        },
+        "held_out": {"translation_rms": 0.001},
+    } | changes
+    (folder / f"{name}.json").write_text(json.dumps(document))
+    return f"{name}.json"
+
+
+def twin(folder: Path, text: str):
+    (folder / "model.xml").write_text(MODEL)
+    (folder / "twin.yaml").write_text("model: model.xml\n" + text)
+    return load_twin(folder / "twin.yaml")
+
+
+def test_the_twin_takes_joint_zeros_over_and_keeps_the_sign(tmp_path: Path) -> None:
+    file = saved(tmp_path, "october")
+    found = twin(
+        tmp_path,
+        "calibration: {id: wiring, joints: {elbow: {sign: -1, offset: 0.3}}}\n"
+        f"calibrations: [{{file: {file}, date: 2026-10-01}}]\n",
+    )
+    assert found.calibration is not None
+    assert found.calibration.id == "wiring+october"
+    assert found.calibration.joints["elbow"].offset == 0.02
+    assert found.calibration.joints["elbow"].sign == -1
+    assert found.calibration.transform_world_to_base is None
+    assert tmp_path / "october.json" in found.files
+    assert found.calibrations[0].record.held_out == {"translation_rms": 0.001}
+
+
+def test_the_base_is_moved_only_where_that_is_asked_for(tmp_path: Path) -> None:
+    file = saved(tmp_path, "october")
+    found = twin(tmp_path, f"calibrations: [{{file: {file}, use: [base_world]}}]\n")
+    assert found.calibration is not None
+    assert found.calibration.joints == {}
+    assert found.calibration.transform_world_to_base is not None
+    assert found.calibration.transform_world_to_base.position == (1.0, 0.0, 0.5)
+
+
+def test_a_later_record_supersedes_an_earlier_one(tmp_path: Path) -> None:
+    first = saved(tmp_path, "october")
+    zeros = {"joint_zeros": {"values": {"elbow": {"value": 0.05}}}}
+    second = saved(tmp_path, "november", records=zeros)
+    found = twin(
+        tmp_path,
+        f"calibrations:\n- {{file: {first}}}\n- {{file: {second}, supersedes: [october]}}\n",
+    )
+    assert found.calibration is not None
+    assert found.calibration.id == "november"
+    assert found.calibration.joints["elbow"].offset == 0.05
+
+
+def test_two_records_of_one_joint_are_refused(tmp_path: Path) -> None:
+    first, second = saved(tmp_path, "october"), saved(tmp_path, "november")
+    with pytest.raises(TwinError) as error:
+        twin(tmp_path, f"calibrations:\n- {{file: {first}}}\n- {{file: {second}}}\n")
+    assert str(error.value).endswith(
+        "twin.yaml:4: calibrations.1: zero of elbow is in two calibrations (got 'october, "
+        "november'; expected supersedes: [october], or use: with other records)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"verdict": "rejected"}, "a calibration that is not accepted (got 'rejected'"),
+        ({"held_out": None}, "a field is missing or unusable"),
+        ({"schema": 2}, "a field is missing or unusable: 'schema'"),
+        ({"records": {"joint_zeros": {"values": {"elbow": {"value": "x"}}}}}, "no finite number"),
+    ],
+)
+def test_a_record_that_cannot_be_used_is_refused(
+    tmp_path: Path, change: dict[str, Any], words: str
+) -> None:
+    file = saved(tmp_path, "october", **change)
+    with pytest.raises(TwinError) as error:
+        twin(tmp_path, f"calibrations: [{{file: {file}}}]\n")
+    assert words in str(error.value)
