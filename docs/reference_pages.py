@@ -24,10 +24,12 @@ from pytest_twin.session import options
 SCHEMAS = {
     "twin": "`twin.yaml`",
     "evidence": "the evidence file of `audit --evidence`",
+    "calibration": "`calibration.yaml`",
 }
 RESULTS = {
     "diagnosis": "`diagnosis.json` and `diagnose --json -`",
     "fleet": "`fleet.json` and `diagnose --fleet --json -`",
+    "calibrate": "`calibration.json` and `calibrate --json -`",
     "replay": "the JSON file beside a prediction, and `replay --json -`",
     "audit": "`NAME.audit.json` and `audit --json -`",
     "init": "`.twin/init.json` and `init --json -`",
