@@ -385,10 +385,7 @@ def _front(
     """The likeliest sets by simulation, one start of each, none that is further ``behind``."""
     lengths = contest.problem.lengths(contest.problem.fit)
     problem, sets = contest.problem, [best.hypothesis, *hypotheses]
-    left = [
-        within_a_step(problem, h, r, problem.fit)
-        for h, r in zip(sets, [best.fitted.residual, *residuals], strict=True)
-    ]
+    left = within_a_step(problem, sets, [best.fitted.residual, *residuals], problem.fit)
     values = evidence_on(contest, sets, left, lengths, fitted=True)[0]
     order = [i for i in np.argsort(-values[1:]) if values[1 + i] > values[0] - behind]
     first = {_form(hypotheses[i]): int(i) for i in reversed(order)}

@@ -77,16 +77,13 @@ def set_evidence(
         idle: parameters of each that cost nothing.
     """
     problem, sets = contest.problem, [r.hypothesis for r in rivals]
-    residuals = [
-        within_a_step(problem, r.hypothesis, r.fitted.residual, problem.fit) for r in rivals
-    ]
+    residuals = within_a_step(problem, sets, [r.fitted.residual for r in rivals], problem.fit)
     values, whole, kept = evidence_on(
         contest, sets, residuals, problem.lengths(problem.fit), fitted=True, idle=idle
     )
     if contest.has_held:
-        residuals = [
-            within_a_step(problem, r.hypothesis, r.held_residual, problem.held_out) for r in rivals
-        ]
+        held_residuals = [r.held_residual for r in rivals]
+        residuals = within_a_step(problem, sets, held_residuals, problem.held_out)
         held = evidence_on(
             contest, sets, residuals, problem.lengths(problem.held_out), fitted=False
         )

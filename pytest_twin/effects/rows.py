@@ -7,8 +7,9 @@ steps on arrays of all rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from typing import TypeVar
 
 import numpy as np
 from mujoco.batch import SimulationError as BatchError
@@ -47,6 +48,8 @@ from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
 
+Result = TypeVar("Result")
+ActiveEffects = Sequence[tuple[Effect, Values]]
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(steps + 1, rows, joints) positions, velocities and efforts."""
 
@@ -124,26 +127,45 @@ class RowSimulator:
 
     def _simulated(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
         """What rows come to, none of them simulated before, effects that are fixed included."""
+        return self._each(rows, values, self._read)
+
+    def _read(
+        self, segments: Sequence[Segment], effects: ActiveEffects, motion: Motion
+    ) -> list[Predicted]:
+        return sampled(segments, effects, motion, self.timestep)
+
+    def _each(
+        self,
+        rows: NDArray[np.int64],
+        values: EffectValues,
+        read: Callable[[Sequence[Segment], ActiveEffects, Motion], list[Result]],
+    ) -> list[Result]:
+        """What is read of each row's motion, rows with the same laws side by side, on free cores.
+
+        Args:
+            rows: segments.
+            values: of effects, fixed ones included.
+            read: segments, effects and motion -> one result for each segment.
+        """
         laws = between_steps(values, len(rows))
         cores = free_cores(self.threads)
         divided = parts(self.steps[rows], laws, len(self.joints), cores)
 
-        def work(part: Part) -> list[Predicted]:
+        def work(part: Part) -> list[Result]:
             mine = rows[part.rows]
             effects = acting(
                 {e: {n: v[part.rows] for n, v in vs.items()} for e, vs in values.items()}
             )
-            motion = self._moved(mine, effects)
-            return sampled([self.segments[r] for r in mine], effects, motion, self.timestep)
+            return read([self.segments[r] for r in mine], effects, self._moved(mine, effects))
 
         if not worth_forks(divided):
             cores = 1
         if cores > 1:
             self.models.warm(rows, acting(values))
         each = Forks(cores).map(work, divided)
-        found: dict[int, Predicted] = {}
-        for part, predicted in zip(divided, each, strict=True):
-            found.update(zip(part.rows.tolist(), predicted, strict=True))
+        found: dict[int, Result] = {}
+        for part, results in zip(divided, each, strict=True):
+            found.update(zip(part.rows.tolist(), results, strict=True))
         return [found[i] for i in range(len(rows))]
 
     def trajectories(
@@ -174,16 +196,19 @@ class RowSimulator:
         """Efforts that sensors read of each row, (stamps, joints) each: as they are simulated, one
         step earlier and one later.
         """
-        effects = acting(with_fixed(values, self.fixed, len(rows)))
-        q, v, effort = self._moved(rows, effects)
         self._count(rows)
-        segments = [self.segments[r] for r in rows]
+        return self._each(rows, with_fixed(values, self.fixed, len(rows)), self._read_beside)
+
+    def _read_beside(
+        self, segments: Sequence[Segment], effects: ActiveEffects, motion: Motion
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        q, v, effort = motion
         earlier = np.concatenate([effort[:, :1], effort[:, :-1]], axis=1)
         later = np.concatenate([effort[:, 1:], effort[:, -1:]], axis=1)
-        read = [
-            sampled(segments, effects, (q, v, e), self.timestep) for e in (effort, earlier, later)
-        ]
-        return [(a.effort, b.effort, c.effort) for a, b, c in zip(*read, strict=True)]
+        here, before, after = (
+            self._read(segments, effects, (q, v, e)) for e in (effort, earlier, later)
+        )
+        return [(a.effort, b.effort, c.effort) for a, b, c in zip(here, before, after, strict=True)]
 
     def gear_stretch(
         self, rows: NDArray[np.int64], values: EffectValues, load: FloatArray

@@ -199,27 +199,32 @@ class ControlPeriod(Effect):
     }
 
     def servo(self, world: World, values: Values) -> None:
-        period = values["period"]
-        acts = (period > 0.0) & (world.gain != 0.0)
-        period = np.where(acts, period, 1.0)
-        delay = values["computing_delay"] * period
         past: _Past | None = world.state.get(self.id)
         if past is None:
-            longest = float(np.where(acts, delay + 2.0 * period, 0.0).max())
-            past = world.state[self.id] = _Past.at(world, longest)
+            acts = (values["period"] > 0.0) & (world.gain != 0.0)
+            period = np.where(acts, values["period"], 1.0)
+            delay = values["computing_delay"] * period
+            past = world.state[self.id] = _Past.at(world, acts, period, delay)
         past.add(world)
-        now, one, two = (past.position(delay + k * period) for k in range(3))
-        setpoint = past.setpoint(delay) - past.setpoint(delay + period)
+        period = past.period
+        now, one, two = past.position()
+        until, before = past.setpoint()
         position, change = now - one, now - 2.0 * one + two
         effort = (
             world.offset
-            + (world.gain * setpoint - world.stiffness * position - world.damping * change / period)
+            + (
+                world.gain * (until - before)
+                - world.stiffness * position
+                - world.damping * change / period
+            )
             / period
         )
         effort = within(effort, world.lower, world.upper)
         # The control law at the present state asks for the effort that is held.
         more = effort - world.asked(world.motor_position, world.motor_velocity)
-        world.setpoint = np.where(acts, world.setpoint + _per_gain(more, world), world.setpoint)
+        world.setpoint = np.where(
+            past.acts, world.setpoint + _per_gain(more, world), world.setpoint
+        )
 
 
 @dataclass(slots=True)
@@ -227,61 +232,111 @@ class _Past:
     """Integrals of positions and setpoints over time, for the last steps.
 
     Attributes:
+        acts: (rows, joints) whether a servo is sampled.
+        period: (rows, joints) s, of its samples.
         timestep: s.
         count: steps so far.
-        positions, setpoints: (steps, rows, joints), step ``k`` at ``k % steps``.
+        positions, setpoints: (steps, rows * joints), step ``k`` at ``k % steps``.
         areas, sums: their integrals up to the beginning of each step.
+        of_position, of_setpoint: until when they are asked for: three and two samples, the latest
+            first.
     """
 
+    acts: NDArray[np.bool_]
+    period: FloatArray
     timestep: float
     count: int
     positions: FloatArray
     setpoints: FloatArray
     areas: FloatArray
     sums: FloatArray
+    of_position: _Back
+    of_setpoint: _Back
 
     @classmethod
-    def at(cls, world: World, longest: float) -> _Past:
-        """A past of ``longest`` s in which the joints moved evenly under the same setpoint."""
+    def at(
+        cls, world: World, acts: NDArray[np.bool_], period: FloatArray, delay: FloatArray
+    ) -> _Past:
+        """A past in which the joints moved evenly under the same setpoint."""
         step = world.timestep
+        samples = np.array([delay, delay + period, delay + 2.0 * period])
+        longest = float(np.where(acts, samples[2], 0.0).max())
         steps = int(np.ceil(longest / step)) + 3
-        ago = step * (steps - np.arange(steps, dtype=np.float64))[:, None, None]
-        position, velocity = world.motor_position, world.motor_velocity
+        ago = step * (steps - np.arange(steps, dtype=np.float64))[:, None]
+        position, velocity = world.motor_position.ravel(), world.motor_velocity.ravel()
+        # Where nothing is sampled the present is read.
+        samples = np.where(acts, samples, 0.0)
+        # The engine holds the setpoint of a step from half a step before to half a step after.
+        back = np.maximum(samples[:2] - 0.5 * step, -0.5 * step)
         return cls(
-            step, 0, position - ago * velocity, np.tile(world.setpoint, (steps, 1, 1)),
-            0.5 * ago**2 * velocity - ago * position, -ago * world.setpoint,
+            acts, period, step, 0, position - ago * velocity,
+            np.tile(world.setpoint.ravel(), (steps, 1)),
+            0.5 * ago**2 * velocity - ago * position, -ago * world.setpoint.ravel(),
+            _Back.of(samples, step), _Back.of(back, step),
         )  # fmt: skip
 
     def add(self, world: World) -> None:
         """Add the present step."""
         steps, step = len(self.positions), self.timestep
         at, last = self.count % steps, (self.count - 1) % steps
-        position = world.motor_position
+        position = world.motor_position.ravel()
         self.areas[at] = self.areas[last] + 0.5 * step * (self.positions[last] + position)
         self.sums[at] = self.sums[last] + step * self.setpoints[last]
-        self.positions[at], self.setpoints[at] = position, world.setpoint
+        self.positions[at], self.setpoints[at] = position, world.setpoint.ravel()
         self.count += 1
 
-    def position(self, ago: FloatArray) -> FloatArray:
-        """(rows, joints) integral of the position until so long ago, s."""
-        whole = np.ceil(ago / self.timestep).astype(np.int64)
-        since = whole * self.timestep - ago
-        before = self._of(self.positions, whole)
-        rise = self._of(self.positions, np.maximum(whole - 1, 0)) - before
-        inside = before + 0.5 * rise * since / self.timestep
-        return self._of(self.areas, whole) + inside * since
+    def position(self) -> FloatArray:
+        """(3, rows, joints) integral of the position until each sample."""
+        back = self.of_position
+        at = back.at(self.count, len(self.positions))
+        before = self.positions.take(at)
+        later = back.later(self.count, len(self.positions))
+        rise = self.positions.take(later) - before
+        inside = before + rise * back.half_share
+        found: FloatArray = (self.areas.take(at) + inside * back.since).reshape(back.shape)
+        return found
 
-    def setpoint(self, ago: FloatArray) -> FloatArray:
-        """(rows, joints) integral of the setpoint until so long ago, s.
+    def setpoint(self) -> FloatArray:
+        """(2, rows, joints) integral of the setpoint until each of the two latest samples."""
+        back = self.of_setpoint
+        at = back.at(self.count, len(self.setpoints))
+        found: FloatArray = self.sums.take(at) + self.setpoints.take(at) * back.since
+        return found.reshape(back.shape)
 
-        The engine holds the setpoint of a step from half a step before to half a step after.
-        """
-        back = ago - 0.5 * self.timestep
-        whole = np.maximum(np.ceil(back / self.timestep), 0.0).astype(np.int64)
-        since = whole * self.timestep - back
-        return self._of(self.sums, whole) + self._of(self.setpoints, whole) * since
 
-    def _of(self, kept: FloatArray, back: NDArray[np.int64]) -> FloatArray:
-        at = (self.count - 1 - back) % len(kept)
-        found: FloatArray = np.take_along_axis(kept, at[None], axis=0)[0]
+@dataclass(frozen=True, slots=True)
+class _Back:
+    """How long before the present step samples are, in whole steps and the time since then.
+
+    Attributes:
+        shape: (samples, rows, joints).
+        whole: (samples, rows * joints) steps.
+        since: s, from the beginning of that step to the sample.
+        half_share: half of ``since``, of a step.
+        column: (rows * joints,).
+    """
+
+    shape: tuple[int, ...]
+    whole: NDArray[np.int64]
+    since: FloatArray
+    half_share: FloatArray
+    column: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, ago: FloatArray, step: float) -> _Back:
+        """Of (samples, rows, joints) times ago, s; negative ones are after the present step."""
+        flat = ago.reshape(len(ago), -1)
+        whole = np.maximum(np.ceil(flat / step), 0.0).astype(np.int64)
+        since = whole * step - flat
+        return cls(ago.shape, whole, since, 0.5 * since / step, np.arange(flat.shape[1]))
+
+    def at(self, count: int, steps: int) -> NDArray[np.int64]:
+        """Indices, into (steps, columns), of the step before each sample."""
+        found: NDArray[np.int64] = (count - 1 - self.whole) % steps * len(self.column) + self.column
+        return found
+
+    def later(self, count: int, steps: int) -> NDArray[np.int64]:
+        """Of the step after each."""
+        back = np.maximum(self.whole - 1, 0)
+        found: NDArray[np.int64] = (count - 1 - back) % steps * len(self.column) + self.column
         return found

@@ -158,8 +158,9 @@ class Selection:
         return top
 
     def _weigh_along(self, selected: Selected) -> None:
-        """Compare effects with their alternatives along the motion alone, in the reserved time;
-        none is sure then.
+        """Compare effects with their alternatives along the motion alone, in the reserved time.
+
+        None is sure then, and none is out: what was chosen by simulation keeps a share.
         """
         best, terms = selected.best, selected.best.hypothesis.terms
         contact = self.problem.simulator.models.contact.world.size
@@ -177,7 +178,11 @@ class Selection:
         except OutOfTime:
             return
         for t in terms:
-            selected.confidence[t] = min(selected.confidence[t], _ALONG)
+            along = selected.confidence[t]
+            selected.confidence[t] = kept = float(np.clip(along, 1.0 - _ALONG, _ALONG))
+            if kept > along:
+                rest = (1.0 - kept) / (1.0 - along)
+                selected.alternatives[t] = [(a, rest * c) for a, c in selected.alternatives[t]]
 
     def _end(self, best: Rival) -> None:
         """Say that the search ended for want of time."""
