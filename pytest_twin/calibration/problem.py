@@ -98,8 +98,8 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
         SpecError: the plan asks for what the observations do not carry.
         FormatError: a joint's column is missing, or a row without a value of it.
     """
-    if chain is not None:
-        _check_joints(plan, observations, chain)
+    if chain is not None and not _has_joints(plan, observations, chain):
+        chain = None
     terms = _terms(plan, observations, chain is not None)
     if not terms:
         raise plan.error(
@@ -164,6 +164,21 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
     )
     fixed = State(poses, points, np.zeros(len(joints)), np.zeros(len(links)))
     return Problem(plan, observations, chain, terms, layout, fixed, tuple(dict.fromkeys(notes)))
+
+
+def _has_joints(plan: Plan, observations: Observations, chain: SerialChain) -> bool:
+    """Whether the joints are to be used; flange poses are, where joints are missing.
+
+    Raises:
+        FormatError: a joint that is needed is missing.
+    """
+    needed = {"joint_zeros", "geometry"} & set(plan.estimate)
+    if observations.flange is not None and not needed:
+        joints = [observations.joints.get(name) for name in chain.joints]
+        if any(values is None or np.isnan(values).any() for values in joints):
+            return False
+    _check_joints(plan, observations, chain)
+    return True
 
 
 def _check_joints(plan: Plan, observations: Observations, chain: SerialChain) -> None:

@@ -20,7 +20,7 @@ from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem
 from pytest_twin.calibration.records import Estimate, estimate, full_covariance, records
 from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of
-from pytest_twin.calibration.solve import Fit, robust_cost, solve
+from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import is_subset, starts
 from pytest_twin.calibration.suspects import doubtful, suspects
@@ -29,12 +29,9 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
 GROSS_RATIO = 6.0
-"""A held-out observation is left out only where it is this many times as far off as the median of
-the held-out ones: a target that was not seen says nothing of the calibration. Poor predictions
-raise the median too and stay in."""
-
-MOST_GROSS = 0.2
-"""Part of the held-out observations that may be left out in this way."""
+"""A held-out observation is left out only where it is this many times as far off as the best third
+of the held-out ones: a target that was not seen says nothing of the calibration. Poor predictions
+raise the best third too and stay in."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +150,9 @@ def calibrate(
     document["suspected"] = [one.to_json() for one in suspected]
     reasons = [
         *(f"{one.what}; {one.mend}" for one in suspected),
-        *accepted(errors.summary(), asdict(plan.accept)),
+        *accepted(
+            errors.summary() if errors.ids else solved.estimate.leave_one_out, asdict(plan.accept)
+        ),
     ]
     if degenerate and not suspected:
         document["verdict"] = "degenerate"
@@ -193,18 +192,17 @@ def held_out_errors(held: Problem, state: State) -> tuple[Errors, tuple[LeftOut,
     errors = errors_of(held, state)
     if len(errors.ids) < 4:
         return errors, ()
-    sizes = [errors.distance / max(float(np.median(errors.distance)), 1e-12)]
     angles = np.linalg.norm(errors.rotation, axis=1)
-    if np.isfinite(angles).all():
-        sizes.append(angles / max(float(np.median(angles)), 1e-12))
+    parts = [errors.distance, *([angles] if np.isfinite(angles).all() else [])]
+    sizes = [one / max(float(np.quantile(one, LEAST_INLIERS)), 1e-12) for one in parts]
     gross = np.max(sizes, axis=0) > GROSS_RATIO
-    if not gross.any() or gross.mean() > MOST_GROSS:
+    if not gross.any():
         return errors, ()
     left_out = tuple(
         LeftOut(
             errors.ids[at],
             f"held out; {1e3 * errors.distance[at]:.3g} mm off, more than {GROSS_RATIO:.0f} times "
-            "the median of the held-out observations",
+            "the best third of the held-out observations",
         )
         for at in np.flatnonzero(gross)
     )
@@ -271,7 +269,10 @@ def _outliers(fit: Fit) -> list[LeftOut]:
 def _notes(plan: Plan, held: Problem) -> list[str]:
     found = []
     if len(held.observations) == 0:
-        found.append("no observation is held out: nothing says how well the result predicts")
+        found.append(
+            "no observation is held out: the errors of observations left out in turn are judged "
+            "(fitted.leave_one_out)"
+        )
     if plan.accept.translation is None and plan.accept.rotation is None:
         found.append("the plan accepts any error (accept: {translation: ..., rotation: ...})")
     return found

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import chi2
+from scipy.stats import chi2, halfnorm
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State
@@ -21,13 +21,14 @@ little and good observations lose few per cent of their weight (Lange, Little, T
 OUTLIER_PROBABILITY = 0.01
 """Probability with which one good observation among all is left out (Bonferroni)."""
 
-OUTLIER_RATIO = 3.0
-"""A measurement is left out only where it is this many times as far off as the 60th percentile.
+LEAST_INLIERS = 0.35
+"""Part of the measurements that is taken for good whatever the rest is: outliers may be the
+majority as long as they do not agree with one another."""
+
+OUTLIER_RATIO = 3.5
+"""A measurement is left out only where it is this many times as far off as the best third.
 Errors of a real robot have heavier tails than the normal distribution, whose bound alone would
 leave out one pose in six of a good data set and keep only those that suit the model."""
-
-MOST_OUTLIERS = 0.4
-"""Part of the measurements beyond which nothing is left out: who is right is then unknown."""
 
 NOISE_FLOOR = {"translation": 1e-9, "rotation": 1e-9, "point": 1e-9, "pixel": 1e-6}
 """Smallest standard deviation that residuals are divided by, m, rad, m and px: exact synthetic
@@ -37,7 +38,7 @@ _ROBUST_ITERATIONS = 20
 _ROBUST_STEPS = 4
 _FINAL_STEPS = 60
 _EXCLUDING_ITERATIONS = 12
-_NORMAL_MAD = 1.4826
+_NORMAL_QUANTILE = float(halfnorm.ppf(LEAST_INLIERS))
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Fit:
 
 
 def robust_cost(problem: Problem, state: State) -> float:
-    """Median size of the residuals at a state; for comparing starts.
+    """Size of the residuals of the best third at a state; for comparing starts.
 
     Each kind of noise is divided by a fixed size (1 mm, 1 mrad, 1 px), so that states are
     comparable before the noise is known.
@@ -78,7 +79,7 @@ def robust_cost(problem: Problem, state: State) -> float:
     found = problem.residuals(state, np.zeros(problem.layout.count))
     for term, (residual, _) in zip(problem.terms, found, strict=True):
         sizes = np.array([1.0 if name == "pixel" else 1e-3 for name in term.noise])
-        total += float(np.median(np.linalg.norm(residual / sizes, axis=1)))
+        total += float(np.quantile(np.linalg.norm(residual / sizes, axis=1), LEAST_INLIERS))
     return total
 
 
@@ -167,13 +168,14 @@ def _columns(problem: Problem, values: list[FloatArray], name: str, kept: object
 def _spread(
     problem: Problem, residuals: list[FloatArray], kept: tuple[np.ndarray, ...]
 ) -> dict[str, float]:
-    """Noise that outliers do not change: from the median of the residuals' sizes."""
+    """Noise that outliers do not change: from the sizes of the smallest residuals."""
     found = {}
     total = sum(residual.size for residual in residuals)
     share = max(1.0 - problem.layout.count / max(total, 1), 0.1)
     for name in _names(problem):
         values = np.abs(_columns(problem, residuals, name, kept))
-        spread = _NORMAL_MAD * float(np.median(values)) / np.sqrt(share) if len(values) else 0.0
+        size = float(np.quantile(values, LEAST_INLIERS)) if len(values) else 0.0
+        spread = size / _NORMAL_QUANTILE / np.sqrt(share)
         found[name] = max(spread, NOISE_FLOOR[name])
     return found
 
@@ -211,11 +213,8 @@ def _inliers(problem: Problem, distances: list[FloatArray]) -> tuple[np.ndarray,
     found = []
     for term, distance in zip(problem.terms, distances, strict=True):
         bound = chi2.isf(OUTLIER_PROBABILITY / total, len(term.noise))
-        typical = float(np.quantile(distance, 1.0 - MOST_OUTLIERS))
-        inside = distance <= max(bound, OUTLIER_RATIO**2 * typical)
-        if (~inside).mean() > MOST_OUTLIERS:
-            inside = distance <= typical
-        found.append(inside)
+        typical = float(np.quantile(distance, LEAST_INLIERS))
+        found.append(distance <= max(bound, OUTLIER_RATIO**2 * typical))
     return tuple(found)
 
 

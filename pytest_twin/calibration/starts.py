@@ -29,12 +29,12 @@ HAND_EYE_SOLVERS: dict[str, HandEyeSolver] = {
     "shah": closed_form.shah,
 }
 
-SUBSETS = 30
-"""Random subsets of poses from which a start is taken too: with 20 % outliers among the poses and
-5 in a subset, one in three has none, so that all 30 fail once in 10^5."""
+SUBSETS = 60
+"""Random subsets of observations from which a start is taken too: with half of the poses wrong and
+3 in a subset, one in eight has none, so that all 60 fail once in 3000 calibrations."""
 
-_POSES_IN_SUBSET = 5
-_POINTS_IN_SUBSET = 8
+_POSES_IN_SUBSET = 3
+_POINTS_IN_SUBSET = 6
 
 
 def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:

@@ -117,6 +117,33 @@ def test_outliers_are_named_and_do_not_move_the_estimate() -> None:
     np.testing.assert_allclose(xyz, cell.mounted[:3, 3], atol=6e-4)
 
 
+def test_half_of_the_poses_may_be_wrong() -> None:
+    rng = np.random.default_rng(7)
+    flange = np.array([cells.pose(rng, 0.4) for _ in range(30)])
+    cell = cells.flange_cell(rng, flange)
+    poses = cell.observations.camera_from_target.copy()
+    bad = rng.choice(30, 15, replace=False)
+    for row in bad:
+        poses[row] = cells.pose(rng, 0.6)
+    observations = replace(cell.observations, camera_from_target=poses)
+    found = calibrate(cells.plan("hand_eye", hold_out=HoldOut(0.0)), observations, None)
+    assert {int(one["id"]) for one in found["excluded"]} == set(bad.tolist())
+    xyz = found["records"]["hand_eye"]["transform"]["xyz"]
+    np.testing.assert_allclose(xyz, cell.mounted[:3, 3], atol=1e-3)
+
+
+@pytest.mark.parametrize(("bound", "verdict"), [(0.001, "accepted"), (0.0003, "rejected")])
+def test_without_held_out_observations_those_left_out_in_turn_are_judged(
+    bound: float, verdict: str
+) -> None:
+    rng = np.random.default_rng(8)
+    flange = np.array([cells.pose(rng, 0.4) for _ in range(20)])
+    cell = cells.flange_cell(rng, flange, translation=5e-4)
+    accept = Accept(translation=bound)
+    plan = cells.plan("hand_eye", hold_out=HoldOut(0.0), accept=accept)
+    assert calibrate(plan, cell.observations, None)["verdict"] == verdict
+
+
 def test_a_good_set_of_poses_loses_no_observation() -> None:
     rng = np.random.default_rng(2)
     chain = cells.arm(6, rng)
