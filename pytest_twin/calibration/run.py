@@ -12,6 +12,7 @@ import numpy as np
 from pytest_twin import __version__
 from pytest_twin.calibration.cameras.observed import Images, read_images
 from pytest_twin.calibration.cameras.seen import Seen, calibrate_intrinsics
+from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident import LeftOut, without_coincident
 from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermined
 from pytest_twin.calibration.observations import Observations, load_observations
@@ -57,6 +58,10 @@ def calibrate_file(plan: str, progress: Callable[[float], None] | None = None) -
     """
     told = progress or (lambda fraction: None)
     found = load_plan(Path(plan))
+    if found.streams:
+        document = calibrate_streams(found)
+        document["inputs"] = _inputs(found, [found.path, *found.streams.values()])
+        return document
     if not found.observations:
         raise found.error(
             "observations", "no observations", expected="observations: observations.csv"
@@ -78,13 +83,20 @@ def calibrate_file(plan: str, progress: Callable[[float], None] | None = None) -
         document = calibrate_intrinsics(found, observations, images, rejected)
     else:
         document = calibrate(found, observations, chain, told, images, rejected)
-    document["inputs"] = {
-        str(
-            path.relative_to(found.path.parent) if path.is_relative_to(found.path.parent) else path
-        ): {"sha256": file_sha256(path)}
-        for path in (found.path, *found.observations, *([found.robot] if found.robot else []))
-    }
+    robot = [found.robot] if found.robot else []
+    document["inputs"] = _inputs(found, [found.path, *found.observations, *robot])
     return document
+
+
+def _inputs(plan: Plan, paths: Sequence[Path]) -> dict[str, Any]:
+    """Digest of each file, by its path from the plan's folder."""
+    folder = plan.path.parent
+    return {
+        str(path.relative_to(folder) if path.is_relative_to(folder) else path): {
+            "sha256": file_sha256(path)
+        }
+        for path in paths
+    }
 
 
 def calibrate(

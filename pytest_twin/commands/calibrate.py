@@ -130,6 +130,10 @@ def _record(name: str, record: dict[str, Any]) -> list[str]:
                 + " mrad"
             )
         return lines
+    if "value" in record:
+        low, high = record["ci95"]
+        line = f"{name}: {1e3 * record['value']:.2f} ms ({1e3 * low:.2f} to {1e3 * high:.2f})"
+        return [f"{line}, correlation {record['correlation']:.2f}"]
     values = record["values"]
     lines = [f"{name}:"]
     for label, one in values.items():

@@ -23,6 +23,10 @@ ROBOT_WORLD = ("shah", "li")
 
 FEWEST_POSES = 3
 
+MOST_POSES = 120
+"""OpenCV pairs each pose with each other: 400 poses take it 2 s. Of more poses than this, as many
+are taken at even steps."""
+
 _NOT_A_ROTATION = 1e-3
 """How far from orthonormal a rotation may be; OpenCV's are orthonormal to 1e-6 or fail by far."""
 
@@ -89,6 +93,9 @@ def _solve(name: str, flange: FloatArray, camera_from_target: FloatArray) -> Han
     nothing = np.full((4, 4), np.nan)
     if len(flange) < FEWEST_POSES:
         return HandEye(nothing, nothing, f"needs {FEWEST_POSES} poses")
+    if len(flange) > MOST_POSES:
+        chosen = np.linspace(0, len(flange) - 1, MOST_POSES).astype(int)
+        flange, camera_from_target = flange[chosen], camera_from_target[chosen]
     cv2 = opencv()
     try:
         if name in HAND_EYE:

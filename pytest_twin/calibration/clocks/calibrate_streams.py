@@ -1,0 +1,289 @@
+"""``calibration.json`` of two pose streams on two clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from pytest_twin import __version__
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.increments import inverse
+from pytest_twin.calibration.clocks.correlation import (
+    LEAST_CORRELATION,
+    MOST_RIVAL,
+    Correlated,
+    correlate_speeds,
+)
+from pytest_twin.calibration.clocks.offset import ClockFit, errors_at, fit_clocks
+from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
+from pytest_twin.calibration.plan import Plan
+from pytest_twin.calibration.problem import records_of
+from pytest_twin.calibration.residual_errors import accepted
+from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
+from pytest_twin.metrics.pose import quaternion_of
+
+MOST_OFFSET_SPREAD_S = 0.05
+"""Half width of the offset's interval above which the motion does not show it: at a hand's 0.5 m/s
+it is 25 mm."""
+
+MOST_POSITION_SPREAD_M = 0.05
+"""Standard deviation of a transform's position above which it is not determined."""
+
+SURE_DRIFT = 1.5
+"""Half widths of its 95 % interval from which on a drift is taken as real: one set of data in a
+thousand without a drift shows one."""
+
+_STRETCHES = 12
+_MOST_POSES = 100
+_LABELS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the least squares starts.
+
+    Attributes:
+        solver: name of the best algebraic solver.
+        solved: what each solver found.
+        inverted: whether the camera's stream is read the other way round.
+    """
+
+    solver: str
+    solved: Mapping[str, HandEye]
+    inverted: bool
+
+
+def calibrate_streams(plan: Plan) -> dict[str, Any]:
+    """Offset of the clocks, and hand-eye, with held-out errors.
+
+    Raises:
+        TwinError: a stream that cannot be used.
+    """
+    hand, camera = (read_stream(plan.streams[name]) for name in ("hand", "camera"))
+    document: dict[str, Any] = {
+        "schema": 1,
+        "calibration": plan.id,
+        "verdict": "degenerate",
+        "records": {},
+        "held_out": {"count": 0},
+        "fitted": {"count": 0},
+        "solvers": {},
+        "excluded": [],
+        "unobservable": [],
+        "reasons": [],
+        "notes": [],
+        "software": {"pytest-twin": __version__},
+    }
+    found = correlate_speeds(hand, camera)
+    problem = _unclear(found)
+    middle = float(camera.time.mean())
+    fitted, held_out = _stretches(camera, plan)
+    if not problem:
+        try:
+            _solve(document, plan, hand, camera, found, middle, fitted, held_out)
+        except np.linalg.LinAlgError:
+            problem = "the time offset: the motion does not determine it together with hand-eye"
+    if problem:
+        document["unobservable"] = [problem]
+    document["reasons"] = [*document["unobservable"], *document["reasons"]]
+    if document["unobservable"]:
+        document["records"] = {}
+        document["verdict"] = "degenerate"
+    return document
+
+
+def _unclear(found: Correlated) -> str:
+    """Why the angular speeds do not show an offset; empty where they do."""
+    if found.correlation < LEAST_CORRELATION:
+        return (
+            f"the time offset: the angular speeds of both streams have a correlation of "
+            f"{found.correlation:.2f} at most (at least {LEAST_CORRELATION} is needed); turn the "
+            "hand about several axes, faster and without a rhythm"
+        )
+    if found.rival > MOST_RIVAL:
+        return (
+            "the time offset: the motion repeats itself, and another offset has "
+            f"{100 * found.rival:.0f} % of the best one's correlation; move without a rhythm"
+        )
+    return ""
+
+
+def _stretches(camera: PoseStream, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """Poses to fit and to hold out: whole stretches of time, as neighbours have the same errors."""
+    blocks = np.array_split(np.arange(len(camera.time)), _STRETCHES)
+    number = min(round(plan.hold_out.fraction * _STRETCHES), _STRETCHES - 2)
+    drawn = np.random.default_rng(plan.hold_out.seed).permutation(_STRETCHES)[:number]
+    held = np.sort(np.concatenate([np.zeros(0, dtype=int), *(blocks[i] for i in drawn)]))
+    return np.setdiff1d(np.arange(len(camera.time)), held), held
+
+
+def _solve(
+    document: dict[str, Any],
+    plan: Plan,
+    hand: PoseStream,
+    camera: PoseStream,
+    found: Correlated,
+    middle: float,
+    fitted: np.ndarray,
+    held_out: np.ndarray,
+) -> None:
+    start = _start(hand, camera.rows(fitted), found.offset, plan)
+    seen = _seen(camera, plan, start.inverted)
+    mine, theirs = camera.rows(fitted), camera.rows(held_out)
+    at = start.solved[start.solver]
+    fit = fit_clocks(hand, mine, seen[fitted], found.offset, at, middle, with_drift=False)
+    drifting = fit_clocks(hand, mine, seen[fitted], fit.offset, fit.solved, middle, with_drift=True)
+    if start.inverted:
+        document["notes"].append(
+            "the camera's stream holds poses of the camera in the target's frame; it was inverted"
+        )
+    if abs(drifting.drift) > SURE_DRIFT * drifting.interval(1):
+        fit = drifting
+        document["notes"].append(
+            f"the clocks drift apart by {1e6 * drifting.drift:.0f} us each second; the offset is "
+            "that in the middle of the camera's stream"
+        )
+    document["unobservable"] = _undetermined(fit)
+    document["records"] = _records(plan, fit, drifting, found)
+    document["fitted"] = _summary(fit.translation, fit.rotation)
+    if len(held_out):
+        document["held_out"] = _summary(*errors_at(hand, theirs, seen[held_out], fit, middle))
+        for name, one in start.solved.items():
+            if not one.failed:
+                alone = ClockFit(
+                    found.offset, 0.0, one, fit.covariance, 2.0, np.zeros(0), np.zeros(0)
+                )
+                errors = _summary(*errors_at(hand, theirs, seen[held_out], alone, middle))
+                kept = ("translation_rms", "rotation_rms")
+                document["solvers"][name] = {key: errors[key] for key in kept if key in errors}
+        document["solvers"]["least_squares"] = {
+            key: document["held_out"][key] for key in ("translation_rms", "rotation_rms")
+        }
+    document["reasons"] = accepted(document["held_out"], asdict(plan.accept))
+    document["verdict"] = "rejected" if document["reasons"] else "accepted"
+
+
+def _start(hand: PoseStream, camera: PoseStream, offset: float, plan: Plan) -> Start:
+    """The best algebraic solution, with the camera's stream read in both directions."""
+    time = camera.time + offset
+    inside = np.flatnonzero((time > hand.time[0]) & (time < hand.time[-1]))
+    if len(inside) < 20:
+        raise np.linalg.LinAlgError("the streams do not overlap")
+    chosen = inside[np.linspace(0, len(inside) - 1, min(_MOST_POSES, len(inside))).astype(int)]
+    flange = hand.at(time[chosen])
+    best, least = Start("", {}, False), np.inf
+    for inverted in (False, True):
+        seen = _seen(camera.rows(chosen), plan, inverted)
+        solved = solve_all(flange, inverse(seen), "hand")
+        for name, one in solved.items():
+            if one.failed:
+                continue
+            # Distances of the target's poses are in the camera's units both ways.
+            poses = flange @ one.hand_eye @ inverse(seen)
+            error = float(
+                np.median(np.linalg.norm(poses[:, :3, 3] - one.robot_world[:3, 3], axis=1))
+            )
+            if error < least:
+                best, least = Start(name, solved, inverted), error
+    if not best.solver:
+        raise np.linalg.LinAlgError("no solver found a transform")
+    return best
+
+
+def _seen(camera: PoseStream, plan: Plan, inverted: bool) -> FloatArray:
+    """(n, 4, 4) ``seen`` with ``hand @ hand_eye = robot_world @ seen``."""
+    return inverse(camera.poses) if (plan.mount == "hand") != inverted else camera.poses
+
+
+def _undetermined(fit: ClockFit) -> list[str]:
+    found = []
+    if not fit.interval(0) < MOST_OFFSET_SPREAD_S:
+        found.append(
+            f"the time offset: its 95 % interval is {1e3 * fit.interval(0):.0f} ms to either side; "
+            "move the hand faster"
+        )
+    for name, place in (("hand-eye", 2), ("robot-world", 8)):
+        values, axes = np.linalg.eigh(fit.covariance[place : place + 3, place : place + 3])
+        if not np.sqrt(max(values[-1], 0.0)) < MOST_POSITION_SPREAD_M:
+            axis = ", ".join(f"{v:.2f}" for v in axes[:, -1])
+            found.append(
+                f"the position of {name} along ({axis}): turn the hand about a second axis"
+            )
+    return found
+
+
+def _records(plan: Plan, fit: ClockFit, drifting: ClockFit, found: Correlated) -> dict[str, Any]:
+    width = fit.interval(0)
+    records: dict[str, Any] = {
+        "time_offset": {
+            "value": fit.offset,
+            "unit": "s",
+            "std": float(np.sqrt(fit.covariance[0, 0])),
+            "ci95": [fit.offset - width, fit.offset + width],
+            "correlation": found.correlation,
+            "from_correlation_alone": found.offset,
+            "meaning": "time of the hand's clock = stamp of the camera's clock + value",
+            "drift": {
+                "value": drifting.drift,
+                "unit": "s/s",
+                "ci95": [
+                    drifting.drift - drifting.interval(1),
+                    drifting.drift + drifting.interval(1),
+                ],
+            },
+        }
+    }
+    flange = plan.flange or "hand"
+    carried, standing = ("camera", "target") if plan.mount == "hand" else ("target", "camera")
+    for role, place, pose, parent, child in (
+        ("mounted", 2, fit.solved.hand_eye, flange, carried),
+        ("world", 8, fit.solved.robot_world, "base", standing),
+    ):
+        names = [n for n in records_of(role, "camera", plan.mount) if n in plan.estimate]
+        for name in names or [child]:
+            records[name] = _pose(fit, place, pose, parent, child, asked=bool(names))
+    return records
+
+
+def _pose(
+    fit: ClockFit, place: int, pose: FloatArray, parent: str, child: str, *, asked: bool
+) -> dict[str, Any]:
+    turn = np.eye(6)
+    turn[3:, 3:] = pose[:3, :3].T
+    covariance = turn @ fit.covariance[place : place + 6, place : place + 6] @ turn.T
+    middle = [*pose[:3, 3], 0.0, 0.0, 0.0]
+    width = fit.quantile * np.sqrt(np.diag(covariance))
+    return {
+        "parent": parent,
+        "child": child,
+        **({} if asked else {"asked": False}),
+        "transform": {
+            "xyz": pose[:3, 3].tolist(),
+            "quaternion_wxyz": quaternion_of(pose[:3, :3]).tolist(),
+        },
+        "covariance": covariance.tolist(),
+        "covariance_of": list(_LABELS),
+        "ci95": {
+            label: [float(m - w), float(m + w)]
+            for label, m, w in zip(_LABELS, middle, width, strict=True)
+        },
+    }
+
+
+def _summary(translation: FloatArray, rotation: FloatArray) -> dict[str, Any]:
+    """Root mean squares over coordinates (``_rms``) and of distances and angles."""
+    if not len(translation):
+        return {"count": 0}
+    distance = float(np.sqrt(np.mean(translation**2)))
+    angle = float(np.sqrt(np.mean(rotation**2)))
+    return {
+        "translation_rms": distance / np.sqrt(3.0),
+        "rotation_rms": angle / np.sqrt(3.0),
+        "distance_rms": distance,
+        "angle_rms": angle,
+        "distance_max": float(translation.max()),
+        "count": len(translation),
+    }

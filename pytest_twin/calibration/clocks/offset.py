@@ -1,0 +1,196 @@
+"""Time offset, drift and hand-eye of two pose streams by one least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.increments import (
+    by_first,
+    by_second,
+    changed,
+    difference,
+    inverse,
+    skew,
+)
+from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.solvers.algebraic import HandEye
+
+_STEPS = 40
+_SLOPE_S = 0.01
+"""Half of the span over which the hand's motion at a stamp is measured."""
+_CUT = 3.0
+"""Poses beyond this many standard deviations weigh less (Huber's function)."""
+BLOCKS = 20
+"""Stretches that the data are cut into for the covariance. Errors of neighbouring poses are
+correlated, those of stretches of a second or more hardly are."""
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """Offset, drift and the transforms around the robot.
+
+    Attributes:
+        offset: s; a stamp of the camera's clock plus this is a time of the hand's clock, in the
+            middle of the recording.
+        drift: s/s by which the offset grows.
+        solved: of ``hand @ hand_eye = robot_world @ seen``.
+        covariance: (14, 14) of offset, drift, hand-eye and robot-world (each x, y, z, rotation
+            vector in the parent's axes); zero for a drift that is held.
+        quantile: half width of a 95 % interval in standard deviations.
+        translation, rotation: (n,) errors of the poses that were fitted, m, rad.
+    """
+
+    offset: float
+    drift: float
+    solved: HandEye
+    covariance: FloatArray
+    quantile: float
+    translation: FloatArray
+    rotation: FloatArray
+
+    def interval(self, at: int) -> float:
+        """Half width of the 95 % interval of the offset (0) or the drift (1)."""
+        return float(self.quantile * np.sqrt(self.covariance[at, at]))
+
+
+def hand_times(camera: PoseStream, offset: float, drift: float, middle: float) -> FloatArray:
+    """Times of the hand's clock at the camera's stamps, s."""
+    return camera.time + offset + drift * (camera.time - middle)
+
+
+def errors_at(
+    hand: PoseStream, camera: PoseStream, seen: FloatArray, fit: ClockFit, middle: float
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) translation (m) and rotation (rad) errors of camera poses that the hand's stream covers.
+
+    Args:
+        hand, camera: the streams.
+        seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
+        fit: offset and transforms.
+        middle: time of the camera's clock at which the offset holds, s.
+    """
+    time = hand_times(camera, fit.offset, fit.drift, middle)
+    inside = (time >= hand.time[0]) & (time <= hand.time[-1])
+    poses = hand.at(time[inside]) @ fit.solved.hand_eye @ inverse(seen[inside])
+    world = np.broadcast_to(fit.solved.robot_world, poses.shape)
+    residual, _ = difference(world, poses)
+    return np.linalg.norm(residual[:, :3], axis=1), np.linalg.norm(residual[:, 3:], axis=1)
+
+
+def fit_clocks(
+    hand: PoseStream,
+    camera: PoseStream,
+    seen: FloatArray,
+    offset: float,
+    start: HandEye,
+    middle: float,
+    *,
+    with_drift: bool,
+    with_offset: bool = True,
+) -> ClockFit:
+    """Least squares on all poses of the camera, against the hand's interpolated poses.
+
+    Args:
+        hand, camera: the streams.
+        seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
+        offset: where the search starts, s.
+        start: where the search starts.
+        middle: time of the camera's clock at which the offset holds, s.
+        with_drift, with_offset: whether these are free.
+
+    Raises:
+        numpy.linalg.LinAlgError: the motion does not determine the unknowns.
+    """
+    free = np.r_[[0] * with_offset, [1] * with_drift, 2:14].astype(int)
+    at = ClockFit(offset, 0.0, start, np.zeros((14, 14)), 1.96, np.zeros(0), np.zeros(0))
+    sizes = np.array([0.01, 0.01])
+    for _ in range(_STEPS):
+        residual, slopes = _linearized(hand, camera, seen, at, middle)
+        sizes, weight = _weights(residual)
+        scale = np.sqrt(weight)[:, None] / np.repeat(sizes, 3)
+        rows = (scale[:, :, None] * slopes)[:, :, free]
+        flat = rows.reshape(-1, len(free))
+        norm = np.linalg.norm(flat, axis=0)
+        step = np.linalg.lstsq(flat / norm, -(scale * residual).ravel(), rcond=1e-10)[0] / norm
+        move = np.zeros(14)
+        move[free] = step
+        at = _moved(at, move)
+        # Steps of a microsecond, a micrometre and a microradian change nothing.
+        if np.abs(move).max() < 1e-7:
+            break
+    residual, slopes = _linearized(hand, camera, seen, at, middle)
+    sizes, weight = _weights(residual)
+    scale = np.sqrt(weight)[:, None] / np.repeat(sizes, 3)
+    rows = (scale[:, :, None] * slopes)[:, :, free]
+    gradient = np.einsum("nci,nc->ni", rows, scale * residual)
+    flat = rows.reshape(-1, len(free))
+    bread = np.linalg.inv(flat.T @ flat)
+    # Errors of neighbouring poses are correlated: the gradient is summed over stretches of time.
+    blocks = np.array_split(np.arange(len(gradient)), BLOCKS)
+    sums = np.array([gradient[block].sum(axis=0) for block in blocks])
+    covariance = np.zeros((14, 14))
+    covariance[np.ix_(free, free)] = bread @ (sums.T @ sums) @ bread * BLOCKS / (BLOCKS - 1)
+    return replace(
+        at,
+        covariance=covariance,
+        quantile=float(student.ppf(0.975, BLOCKS - 1)),
+        translation=np.linalg.norm(residual[:, :3], axis=1),
+        rotation=np.linalg.norm(residual[:, 3:], axis=1),
+    )
+
+
+def _linearized(
+    hand: PoseStream, camera: PoseStream, seen: FloatArray, at: ClockFit, middle: float
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 6) residuals and (n, 6, 14) slopes of the poses that the hand's stream covers."""
+    time = hand_times(camera, at.offset, at.drift, middle)
+    inside = (time - _SLOPE_S >= hand.time[0]) & (time + _SLOPE_S <= hand.time[-1])
+    if inside.sum() < 2 * BLOCKS:
+        raise np.linalg.LinAlgError("the streams do not overlap")
+    time, mine = time[inside], seen[inside]
+    flange = hand.at(time)
+    around, _ = difference(hand.at(time - _SLOPE_S), hand.at(time + _SLOPE_S))
+    turn = hand.at(time - _SLOPE_S)[:, :3, :3]
+    speed = np.concatenate(
+        [np.einsum("nij,nj->ni", turn, part) for part in (around[:, :3], around[:, 3:])], axis=1
+    ) / (2.0 * _SLOPE_S)
+    eye, world = at.solved.hand_eye, at.solved.robot_world
+    carried = flange @ eye
+    back = inverse(mine)
+    # robot_world as the hand sees it, against the estimate: errors are at the target.
+    predicted = carried @ back
+    residual, slope = difference(np.broadcast_to(world, predicted.shape), predicted)
+    by_carried = slope @ by_first(carried, back)
+    by_flange = by_carried @ by_first(flange, np.broadcast_to(eye, flange.shape))
+    by_time = np.einsum("nij,nj->ni", by_flange, speed)
+    by_eye = by_carried @ by_second(flange)
+    # Moving ``world`` is moving ``predicted`` the other way, about the origin of the base.
+    to_world = -slope
+    apart = skew(predicted[:, :3, 3] - world[:3, 3])
+    to_world[:, :3, 3:] += world[:3, :3].T @ apart
+    drifted = by_time * (camera.time[inside] - middle)[:, None]
+    slopes = np.concatenate([by_time[..., None], drifted[..., None], by_eye, to_world], axis=2)
+    return residual, slopes
+
+
+def _weights(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Robust sizes of translation (m) and rotation (rad), and the weight of each pose."""
+    squares = np.stack([residual[:, :3], residual[:, 3:]], axis=1) ** 2
+    # The median of a chi-square with three degrees of freedom is 2.366.
+    sizes = np.sqrt(np.median(squares.sum(axis=2), axis=0) / 2.366)
+    sizes = np.maximum(sizes, 1e-9)
+    distance = np.sqrt((squares.sum(axis=2) / sizes**2).sum(axis=1) / 6.0)
+    return sizes, np.where(distance > _CUT, _CUT / np.maximum(distance, _CUT), 1.0)
+
+
+def _moved(at: ClockFit, move: FloatArray) -> ClockFit:
+    solved = HandEye(
+        changed(at.solved.hand_eye, move[2:8]), changed(at.solved.robot_world, move[8:14])
+    )
+    return replace(
+        at, offset=at.offset + float(move[0]), drift=at.drift + float(move[1]), solved=solved
+    )

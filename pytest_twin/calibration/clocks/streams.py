@@ -1,0 +1,143 @@
+"""Pose streams: files of stamped poses, and poses between their stamps."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.formats import limits
+from pytest_twin.formats.paths import decode_text, read_bytes
+
+_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+_FEWEST = 20
+_QUATERNION_TOLERANCE = 0.02
+_MOST_BACK_S = 1.0
+"""Messages of several threads or a network overtake one another by less; a clock that was set
+jumps by more."""
+
+
+@dataclass(frozen=True)
+class PoseStream:
+    """Poses with stamps of one clock.
+
+    Attributes:
+        time: (n,) s, ascending.
+        poses: (n, 4, 4) m.
+    """
+
+    time: FloatArray
+    poses: FloatArray
+
+    @cached_property
+    def _turning(self) -> Slerp:
+        return Slerp(self.time, Rotation.from_matrix(self.poses[:, :3, :3]))
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """(m, 4, 4) poses at some times within the stream: linear and spherical interpolation."""
+        found = np.tile(np.eye(4), (len(time), 1, 1))
+        inside = np.clip(time, self.time[0], self.time[-1])
+        found[:, :3, :3] = self._turning(inside).as_matrix()
+        for axis in range(3):
+            found[:, axis, 3] = np.interp(inside, self.time, self.poses[:, axis, 3])
+        return found
+
+    def rows(self, chosen: np.ndarray) -> PoseStream:
+        """Some of the poses."""
+        return PoseStream(self.time[chosen], self.poses[chosen])
+
+
+def read_stream(path: Path) -> PoseStream:
+    """The poses of a CSV file (or CSV in gzip): t x y z qx qy qz qw, with or without a header.
+
+    Poses are put in the order of their stamps, and those that repeat a stamp are left out: loggers
+    write a sample twice, and messages overtake one another.
+
+    Raises:
+        PathError, LimitError: as every reader.
+        FormatError: no numbers, other columns, stamps that go back, no unit quaternion, or fewer
+            than 20 poses; with the line.
+    """
+    data = read_bytes(path, limits.OBSERVATIONS.file_bytes)
+    if data[:2] == b"\x1f\x8b":
+        data = _unzipped(data, path)
+    lines = decode_text(data.removeprefix(b"\xef\xbb\xbf"), path).splitlines()
+    rows: list[list[float]] = []
+    numbers: list[int] = []
+    for number, line in enumerate(lines, 1):
+        cells = line.replace(",", " ").replace(";", " ").split()
+        if not cells or cells[0].startswith("#"):
+            continue
+        if not rows and [cell.strip('"').lower() for cell in cells] == list(_COLUMNS):
+            continue
+        try:
+            rows.append([float(cell) for cell in cells])
+        except ValueError:
+            rows.append([])
+        if len(rows[-1]) != len(_COLUMNS) or not np.isfinite(rows[-1]).all():
+            raise FormatError(
+                "not a stamped pose",
+                path=path,
+                line=number,
+                value=line[:80],
+                expected=f"eight numbers: {' '.join(_COLUMNS)} (s, m)",
+            )
+        numbers.append(number)
+    return _stream(np.array(rows).reshape(-1, len(_COLUMNS)), numbers, path)
+
+
+def _stream(values: FloatArray, lines: list[int], path: Path) -> PoseStream:
+    if len(values) < _FEWEST:
+        raise FormatError(
+            "too few poses", path=path, value=len(values), expected=f"at least {_FEWEST}"
+        )
+    step = np.diff(values[:, 0])
+    if (step < -_MOST_BACK_S).any():
+        at = int(np.flatnonzero(step < -_MOST_BACK_S)[0]) + 1
+        raise FormatError(
+            "the stamps go back", path=path, line=lines[at], value=values[at, 0], unit="s",
+            expected=f"at least {values[at - 1, 0]}",
+        )  # fmt: skip
+    lengths = np.linalg.norm(values[:, 4:], axis=1)
+    wrong = np.flatnonzero(np.abs(lengths - 1.0) > _QUATERNION_TOLERANCE)
+    if len(wrong):
+        raise FormatError(
+            "a quaternion that is not of unit length",
+            path=path,
+            line=lines[int(wrong[0])],
+            value=f"length {lengths[wrong[0]]:.4g}",
+            expected="qx qy qz qw of length 1",
+        )
+    values = values[np.argsort(values[:, 0], kind="stable")]
+    values = values[np.concatenate([[True], np.diff(values[:, 0]) > 0.0])]
+    if len(values) < _FEWEST:
+        raise FormatError(
+            "too few poses with stamps of their own",
+            path=path,
+            value=len(values),
+            expected=f"at least {_FEWEST}",
+        )
+    poses = np.tile(np.eye(4), (len(values), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(values[:, 4:]).as_matrix()
+    poses[:, :3, 3] = values[:, 1:4]
+    return PoseStream(values[:, 0], poses)
+
+
+def _unzipped(data: bytes, path: Path) -> bytes:
+    most = limits.OBSERVATIONS.file_bytes
+    try:
+        with gzip.open(io.BytesIO(data)) as stream:
+            found = stream.read(most + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise FormatError(f"not readable as gzip: {error}", path=path) from None
+    if len(found) > most:
+        raise LimitError("file is too large", path=path, expected=f"at most {most} bytes unpacked")
+    return found

@@ -1,0 +1,181 @@
+"""Two pose streams on two clocks: offset, drift, hand-eye, and when they are refused."""
+
+import gzip
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from pytest_twin import cli
+from pytest_twin.calibration.cameras.increments import changed, inverse
+from pytest_twin.calibration.clocks.streams import read_stream
+from pytest_twin.errors import FormatError
+
+RECORDINGS = Path(
+    os.environ.get("TWIN_RECORDINGS") or Path(__file__).parents[4] / "shared" / "recordings"
+)
+HAND_EYE = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
+TARGET = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
+
+
+def motion(seed: int, slow: float = 1.0):
+    """Poses of a hand at any time: sums of sines without a common period."""
+    rng = np.random.default_rng(seed)
+    rate = slow * rng.uniform(0.5, 3.0, (6, 5))
+    phase = rng.uniform(0, 2 * np.pi, (6, 5))
+    size = np.array([0.05, 0.05, 0.05, 0.25, 0.25, 0.25])
+
+    def at(time: np.ndarray) -> np.ndarray:
+        waves = np.sin(time[:, None, None] * rate + phase).mean(axis=2) * size
+        return changed(np.tile(np.eye(4), (len(time), 1, 1)), waves)
+
+    return at
+
+
+def write(path: Path, time: np.ndarray, poses: np.ndarray, header: bool = False) -> None:
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    rows = np.column_stack([time, poses[:, :3, 3], quaternions])
+    lines = ["t,x,y,z,qx,qy,qz,qw"] if header else []
+    lines += [",".join(repr(float(v)) for v in row) for row in rows]
+    text = "\n".join(lines) + "\n"
+    if path.suffix == ".gz":
+        path.write_bytes(gzip.compress(text.encode()))
+    else:
+        path.write_text(text)
+
+
+def streams(
+    folder: Path,
+    *,
+    offset=0.037,
+    drift=0.0,
+    noise=5e-4,
+    seed=1,
+    slow=1.0,
+    inverted=False,
+    other_motion=False,
+) -> None:
+    rng = np.random.default_rng(seed)
+    hand = motion(seed, slow)
+    time = np.arange(0.0, 40.0, 0.01)
+    poses = changed(hand(time), 0.2 * noise * rng.normal(size=(len(time), 6)))
+    write(folder / "hand.csv", time, poses, header=True)
+    stamps = np.arange(2.0, 38.0, 0.04) + rng.uniform(0, 0.01, 900)
+    true = stamps + offset + drift * (stamps - stamps.mean())
+    seen = inverse((motion(seed + 50) if other_motion else hand)(true) @ HAND_EYE) @ TARGET
+    seen = changed(seen, noise * rng.normal(size=(len(stamps), 6)))
+    write(folder / "camera.csv.gz", stamps, inverse(seen) if inverted else seen)
+    plan = {
+        "calibration": "clocks",
+        "streams": {"hand": "hand.csv", "camera": "camera.csv.gz"},
+        "estimate": ["time_offset", "hand_eye", "robot_world"],
+        "camera": {"mount": "hand"},
+        "hold_out": {"fraction": 0.3, "seed": 1},
+        "accept": {"translation": 0.002, "rotation": 0.003},
+    }
+    (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
+
+
+def calibrated(folder: Path) -> tuple[int, dict]:
+    status = cli.main(["calibrate", str(folder / "plan.yaml"), "--out", str(folder / "out")])
+    return status, json.loads((folder / "out" / "calibration.json").read_text())
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_offset_and_hand_eye_are_found_within_their_intervals(tmp_path, inverted):
+    streams(tmp_path, inverted=inverted)
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    offset = found["records"]["time_offset"]
+    width = offset["ci95"][1] - offset["value"]
+    assert abs(offset["value"] - 0.037) < 2.0 * width
+    assert width < 2e-3
+    assert offset["correlation"] > 0.9
+    record = found["records"]["hand_eye"]
+    off = np.array(record["transform"]["xyz"]) - HAND_EYE[:3, 3]
+    assert (np.abs(off) < 4.0 * np.sqrt(np.diag(record["covariance"]))[:3]).all()
+    assert any("it was inverted" in note for note in found["notes"]) == inverted
+
+
+def test_recorded_streams_fit_better_than_with_the_offset_of_the_correlation(tmp_path):
+    folder = RECORDINGS / "hand_eye" / "vicon"
+    if not folder.is_dir():
+        pytest.skip(f"no recordings at {folder}: set the environment variable TWIN_RECORDINGS")
+    streams(tmp_path)
+    for name in ("hand.csv", "camera.csv.gz"):
+        data = (folder / f"{name.removesuffix('.gz')}.gz").read_bytes()
+        (tmp_path / name).write_bytes(data)
+    _, found = calibrated(tmp_path)
+    errors = {name: one["translation_rms"] for name, one in found["solvers"].items()}
+    assert errors.pop("least_squares") < min(errors.values())
+
+
+def test_intervals_of_the_offset_hold_over_seeds(tmp_path):
+    inside = []
+    for seed in range(4):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        streams(folder, seed=seed, noise=2e-3)
+        low, high = calibrated(folder)[1]["records"]["time_offset"]["ci95"]
+        inside.append(low < 0.037 < high)
+    assert sum(inside) >= 3
+
+
+def test_a_drift_of_the_clocks_is_found_and_said(tmp_path):
+    streams(tmp_path, drift=1e-3)
+    _, found = calibrated(tmp_path)
+    drift = found["records"]["time_offset"]["drift"]
+    assert drift["ci95"][0] < 1e-3 < drift["ci95"][1]
+    assert any("the clocks drift apart" in note for note in found["notes"])
+
+
+def test_streams_of_two_motions_have_no_offset(tmp_path):
+    streams(tmp_path, other_motion=True)
+    status, found = calibrated(tmp_path)
+    assert (status, found["verdict"], found["records"]) == (1, "degenerate", {})
+    assert found["unobservable"][0].startswith("the time offset: ")
+
+
+def test_a_hand_at_rest_shows_no_offset(tmp_path):
+    streams(tmp_path, slow=0.0)
+    status, found = calibrated(tmp_path)
+    assert (status, found["verdict"], found["records"]) == (1, "degenerate", {})
+
+
+def test_a_stamp_that_goes_back_far_is_an_error_with_its_line(tmp_path):
+    time = np.arange(0.0, 30.0, 0.5)
+    time[40] -= 5.0
+    write(tmp_path / "s.csv", time, np.tile(np.eye(4), (60, 1, 1)))
+    with pytest.raises(FormatError, match="the stamps go back") as error:
+        read_stream(tmp_path / "s.csv")
+    assert error.value.line == 41
+
+
+def test_samples_that_overtake_and_repeat_one_another_are_put_in_order(tmp_path):
+    time = np.arange(0.0, 30.0, 0.5)
+    time[10], time[11], time[21] = time[11], time[10], time[20]
+    write(tmp_path / "s.csv", time, np.tile(np.eye(4), (60, 1, 1)))
+    found = read_stream(tmp_path / "s.csv")
+    assert len(found.time) == 59
+    assert (np.diff(found.time) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("1,0,0,0,0,0,0,2", "a quaternion that is not of unit length"),
+        ("1,0,0,0,0,0,1", "not a stamped pose"),
+        ("1,0,0,nan,0,0,0,1", "not a stamped pose"),
+        ("one,0,0,0,0,0,0,1", "not a stamped pose"),
+    ],
+)
+def test_a_line_that_is_no_stamped_pose_is_an_error_with_its_number(tmp_path, line, words):
+    good = [f"{t},0,0,0,0,0,0,1" for t in range(30)]
+    (tmp_path / "s.csv").write_text("\n".join([*good[:1], line, *good[2:]]) + "\n")
+    with pytest.raises(FormatError, match=words) as error:
+        read_stream(tmp_path / "s.csv")
+    assert error.value.line == 2
