@@ -14,10 +14,11 @@ from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.first_order.responses import grid
 from pytest_twin.diagnosis.given import Given
-from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.search.rivals import Selected
 from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import pose, search
+from pytest_twin.diagnosis.searched import concluded, pose
 from pytest_twin.diagnosis.simulated import stepped_otherwise
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.errors import SpecError
@@ -25,7 +26,7 @@ from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.gate.diagnosis_folder import write_diagnosis
 
 STEP, SECONDS, NOISE = 0.002, 4.0, 2e-5
-BACKLASH = Term("backlash", 1)
+BACKLASH, DAMPING = Term("backlash", 1), Term("viscous_friction", 1)
 HIDDEN = 0.8
 """N*m*s/rad that the elbow has more than its model."""
 ARM = """
@@ -143,8 +144,12 @@ def test_of_a_gear_that_was_found_nothing_is_asked(tmp_path: Path) -> None:
     realization, trials = posed(tmp_path, 1, HIDDEN)
     given = Given.of(realization, None, 1)
     prepared, trials = pose(given, trials, [])
-    found = search(prepared, trials, Selection(prepared.problem))
-    assert found.selected.best.hypothesis.terms
+    selection = Selection(prepared.problem)
+    contest = selection.contest
+    damped = contest.as_it_is(EMPTY.with_term(DAMPING, grid(DAMPING)[0][0]))
+    selected = Selected(contest.settled(damped), contest.nominal)
+    found = concluded(prepared, trials, selection, selected)
+    assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
     assert stepped_otherwise(found, given) == replace(given, substeps=1)
     best = found.selected.best
     geared = best.hypothesis.with_term(BACKLASH, grid(BACKLASH)[0][0])

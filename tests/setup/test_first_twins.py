@@ -14,11 +14,8 @@ import yaml
 BIN = Path(sys.executable).parent
 ROBOTS = {
     "panda": "panda_description/urdf/panda.urdf",
-    "ur5": "ur_description/urdf/ur5_robot.urdf",
-    "so101": "so_arm_description/urdf/so101.urdf",
     "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
     "solo12": "solo_description/robots/solo12.urdf",
-    "talos_arm": "talos_data/robots/talos_left_arm.urdf",
 }
 EVERY_ROBOT = {"fk", "joint_direction", "limits", "mass_properties", "settling"}
 DEMO = Path(__file__).resolve().parents[2] / "golden"
