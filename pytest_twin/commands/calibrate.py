@@ -13,6 +13,7 @@ from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report import calibration
 from pytest_twin.words import counted
 
 HELP = "estimate joint zeros, link geometry and the frames around a robot from observations"
@@ -25,7 +26,7 @@ EXIT_STATUS = {
     1: "they are not, or the observations do not determine what was asked for",
 }
 ACCEPTED, NOT_ACCEPTED = 0, 1
-FILE_NAME = "calibration.json"
+FILE_NAME, PAGE_NAME = "calibration.json", "calibration.html"
 EXPORTS = ("static_transforms.sh", "easy_handeye2.calib", "calibrated.urdf")
 
 _READABLE = {
@@ -78,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
         (out / name).unlink(missing_ok=True)
     for name, text in exports.items():
         atomic.write_text(out / name, text)
+    atomic.write_text(out / PAGE_NAME, calibration.render(document, plan.absolute().parent))
     json_output.give(args, document)
     show(_words(document, out / FILE_NAME))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
@@ -108,7 +110,7 @@ def _words(document: dict[str, Any], path: Path) -> str:
     lines += [f"left out: {one['id']}: {one['why']}" for one in document["excluded"]]
     lines += [f"not observable: {one}" for one in document["unobservable"]]
     lines += [f"note: {one}" for one in document["notes"]]
-    lines.append(f"report: {path}")
+    lines.append(f"report: {path.with_name(PAGE_NAME)}")
     return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)
 
 

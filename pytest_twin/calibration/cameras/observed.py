@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from pytest_twin.calibration.cameras.camera_calibration import (
 )
 from pytest_twin.calibration.cameras.intrinsics import Intrinsics, make_intrinsics
 from pytest_twin.calibration.cameras.pose import AMBIGUOUS, TargetPose, target_pose
+from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
 from pytest_twin.calibration.coincident import LeftOut
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
@@ -39,6 +41,7 @@ class Images:
         target: that was looked for.
         detections: id of an observation -> its usable detection.
         rejected: those that are not usable.
+        files: id of an observation -> its image, relative to the table of observations.
         given: intrinsics of the plan, or None.
         estimated: whether the intrinsics are to be estimated.
     """
@@ -46,6 +49,7 @@ class Images:
     target: Target
     detections: Mapping[str, Detection]
     rejected: tuple[Detection, ...]
+    files: Mapping[str, str]
     given: Intrinsics | None
     estimated: bool
 
@@ -110,6 +114,29 @@ class Images:
         on_board = replace(detection, board_points=camera.board[detection.corner_ids])
         return target_pose(on_board, camera.intrinsics)
 
+    def detected(self, ids: Sequence[str], camera: Camera) -> dict[str, Any]:
+        """What was detected in each image, for ``calibration.json`` and its report."""
+        found = {}
+        for one in ids:
+            pose = self.pose(one, camera) if one in self.detections else None
+            if pose is None:
+                continue
+            detection = self.detections[one]
+            on_board = replace(detection, board_points=camera.board[detection.corner_ids])
+            residuals, _, _ = reprojection_residuals(
+                camera.intrinsics.vector, pose.camera_from_target[None], corners_of([on_board])
+            )
+            found[one] = {
+                "file": self.files[one],
+                "size": list(detection.size),
+                "blur": detection.sharpness,
+                "reprojection_rms": pose.rms,
+                "corner_ids": detection.corner_ids.tolist(),
+                "pixels": detection.pixels.tolist(),
+                "residuals": residuals.tolist(),
+            }
+        return found
+
     def reprojection_rms(self, ids: Sequence[str], camera: Camera) -> float:
         """Reprojection error with the pose of each image free, px."""
         squares, count = 0.0, 0
@@ -165,7 +192,8 @@ def read_images(
     keep = [i for i, name in enumerate(observations.ids) if name not in without or other[i]]
     left_out = tuple(LeftOut(one.image, one.rejected) for one in rejected)
     estimated = "intrinsics" in plan.estimate or given is None
-    images = Images(target, usable, rejected, given, estimated)
+    files = dict(zip(observations.ids, observations.images, strict=True))
+    images = Images(target, usable, rejected, files, given, estimated)
     return observations.rows(keep), images, left_out
 
 

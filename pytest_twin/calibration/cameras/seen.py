@@ -71,6 +71,7 @@ class Seen:
         """
         held = [self._ids[row] for row in held_out]
         _add_errors(document, self._images, self, self._fitted, held)
+        document["images"] = self._images.detected(self._ids, self.camera)
         quantile = 1.96 if self._estimate is None else self._estimate.quantile
         return _add_intrinsics(document, self, quantile)
 
@@ -97,6 +98,7 @@ def calibrate_intrinsics(
         "unobservable": [],
         "reasons": [],
     }
+    document["images"] = images.detected(observations.ids, seen.camera)
     degrees = sum(2 * len(d.corner_ids) - 6 for d in images.detections.values())
     quantile = float(student.ppf(0.975, max(degrees, 1)))
     held = [observations.ids[row] for row in held_out]

@@ -1,0 +1,153 @@
+"""Figures of a calibration: corners in images, residuals, solvers, covariance."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.report.plot_style import DIM, FAIL, INK, NOW, PASS, STYLE, finish
+from pytest_twin.report.text import printable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_ARROW_SHARE = 0.03
+"""Length of an arrow that 95 % are shorter than, as a share of the image's width."""
+_ELLIPSE = 2.4477
+"""Radius of a 95 % ellipse in standard deviations (chi-square with two degrees of freedom)."""
+
+
+def solvers_figure(document: Mapping[str, Any]) -> bytes:
+    """Held-out translation error of each solver, as SVG."""
+    errors = {
+        name: 1e3 * one["translation_rms"]
+        for name, one in document["solvers"].items()
+        if "translation_rms" in one
+    }
+    names = sorted(errors, key=lambda name: -errors[name])
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_axes((0.2, 0.2, 0.75, 0.76))
+        colours = [NOW if name == "least_squares" else DIM for name in names]
+        axes.barh(range(len(names)), [errors[n] for n in names], color=colours, height=0.65)
+        axes.set_yticks(range(len(names)), [printable(name.replace("_", " ")) for name in names])
+        for at, name in enumerate(names):
+            axes.text(errors[name], at, f" {errors[name]:.2f}", va="center", color=INK)
+        axes.margins(x=0.12)
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("held-out translation error, root mean square [mm]")
+
+    return _svg(draw, 7.0, 0.9 + 0.27 * max(len(names), 1))
+
+
+def residuals_figure(document: Mapping[str, Any]) -> bytes:
+    """Reprojection residuals of all images over the image plane, enlarged, as SVG."""
+    images = list(document["images"].values())
+    places = np.concatenate([np.array(one["pixels"]) for one in images])
+    residuals = np.concatenate([np.array(one["residuals"]) for one in images])
+    width, height = images[0]["size"]
+    usual = max(float(np.percentile(np.linalg.norm(residuals, axis=1), 95.0)), 1e-9)
+    scale = _ARROW_SHARE * width / usual
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_axes((0.09, 0.11, 0.89, 0.8))
+        axes.quiver(
+            *places.T, *residuals.T, angles="xy", scale_units="xy", scale=1.0 / scale,
+            width=0.0022, color=NOW,
+        )  # fmt: skip
+        axes.set_xlim(0, width)
+        axes.set_ylim(height, 0)
+        axes.set_aspect("equal")
+        axes.set_title(f"arrows {scale:.0f} times enlarged; 95 % are shorter than {usual:.2f} px")
+        axes.set_xlabel("x [px]")
+        axes.set_ylabel("y [px]")
+
+    return _svg(draw, 7.0, 1.0 + 6.2 * height / width)
+
+
+def covariance_figure(record: Mapping[str, Any], name: str) -> bytes:
+    """95 % ellipses of a transform's position and orientation, as SVG."""
+    covariance = np.array(record["covariance"])
+
+    def draw(figure: Figure) -> None:
+        pairs = ((0, 1), (0, 2), (1, 2))
+        for row, (start, factor, unit) in enumerate(((0, 1e3, "mm"), (3, 1e3, "mrad"))):
+            labels = ("x", "y", "z") if row == 0 else ("rx", "ry", "rz")
+            block = factor**2 * covariance[start : start + 3, start : start + 3]
+            reach = 1.15 * _ELLIPSE * float(np.sqrt(np.diag(block).max()))
+            for column, (a, b) in enumerate(pairs):
+                axes = figure.add_axes((0.1 + 0.31 * column, 0.58 - 0.48 * row, 0.22, 0.34))
+                axes.plot(*_ellipse(block[np.ix_((a, b), (a, b))]), color=NOW)
+                axes.plot([0], [0], "+", color=INK)
+                axes.set_xlim(-reach, reach)
+                axes.set_ylim(-reach, reach)
+                axes.set_box_aspect(1)
+                axes.set_xlabel(f"{labels[a]} [{unit}]")
+                axes.set_ylabel(f"{labels[b]} [{unit}]")
+                if row == column == 0:
+                    axes.set_title(printable(f"{name.replace('_', ' ')}: 95 % ellipses"))
+
+    return _svg(draw, 7.6, 5.4)
+
+
+def overlay_figure(image: NDArray[np.uint8], one: Mapping[str, Any], title: str) -> bytes:
+    """An image around the target, with detected corners and their reprojections, as PNG."""
+    pixels, residuals = np.array(one["pixels"]), np.array(one["residuals"])
+    room = 0.15 * float(np.ptp(pixels, axis=0).max())
+    low = np.maximum(pixels.min(axis=0) - room, 0).astype(int)
+    high = (pixels.max(axis=0) + room).astype(int) + 1
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_axes((0.0, 0.0, 1.0, 0.93))
+        part = image[low[1] : high[1], low[0] : high[0]]
+        extent = (low[0] - 0.5, low[0] + part.shape[1] - 0.5,
+                  low[1] + part.shape[0] - 0.5, low[1] - 0.5)  # fmt: skip
+        axes.imshow(part, cmap="gray", extent=extent, vmin=0, vmax=255)
+        axes.plot(*pixels.T, "o", markersize=7, markerfacecolor="none", color=PASS)
+        axes.plot(*(pixels + residuals).T, "+", markersize=6, color=FAIL)
+        axes.set_axis_off()
+        axes.set_title(printable(title), fontsize=8.5)
+
+    shape = high - low
+    return _image(draw, 4.6, 0.3 + 4.6 * float(shape[1]) / float(shape[0]))
+
+
+def _ellipse(block: FloatArray) -> FloatArray:
+    """(2, n) points of the 95 % ellipse of a (2, 2) covariance."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 120)
+    values, axes = np.linalg.eigh(block)
+    radii = _ELLIPSE * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(axes @ (radii[:, None] * np.array([np.cos(angle), np.sin(angle)])))
+
+
+def _svg(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
+    data = _drawn(draw, width, height, "svg")
+    return finish(data.decode("utf-8")).encode("utf-8")
+
+
+def _image(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
+    return _drawn(draw, width, height, "png")
+
+
+def _drawn(draw: Callable[[Figure], None], width: float, height: float, kind: str) -> bytes:
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(width, height))
+        (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(figure)
+        draw(figure)
+        buffer = io.BytesIO()
+        if kind == "png":
+            figure.savefig(buffer, format="png", dpi=120, facecolor="white")
+        else:
+            empty = {"Date": None, "Creator": None, "Format": None, "Type": None}
+            figure.savefig(buffer, format="svg", transparent=True, metadata=empty)
+    return buffer.getvalue()
