@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import POSE_LABELS, Layout, State
@@ -119,7 +121,9 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
     full[: len(singular)] = singular
     rows = max(len({int(r) for t in fit.problem.terms for r in t.rows}), 1)
     has_poses = "rotation" in fit.noise
-    least = 1.0 / UNDETERMINED_RAD
+    # A noise that few residuals tell may be larger.
+    doubt = float(student.ppf(0.975, max(fit.degrees, 1.0)) / norm.ppf(0.975))
+    least = doubt / UNDETERMINED_RAD
     if has_poses:
         least = max(least, FEIGNED_FACTOR * np.sqrt(rows))
     null = right[(full < least) | (full <= STRUCTURAL * full.max())]

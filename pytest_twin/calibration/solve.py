@@ -30,6 +30,21 @@ OUTLIER_RATIO = 3.5
 Errors of a real robot have heavier tails than the normal distribution, whose bound alone would
 leave out one pose in six of a good data set and keep only those that suit the model."""
 
+LEAST_ROWS = 8
+"""Observations below which none is called wrong: two or three poses always agree with one
+another."""
+
+MOST_UNKNOWN = 2 / 3
+"""Unknowns for each residual above which no observation is called wrong either."""
+
+FEW_DEGREES = 10.0
+"""Residuals beyond the unknowns below which the noise of positions and of angles is estimated
+together: each by itself can vanish, and the weights then make it vanish."""
+
+_LEVER_M = {"translation": 0.5, "rotation": 1.0}
+"""Noise of a position for 1 rad of noise of an angle, m, where both are estimated together: a
+camera that sees a target at half a metre."""
+
 NOISE_FLOOR = {"translation": 1e-9, "rotation": 1e-9, "point": 1e-9, "pixel": 1e-6}
 """Smallest standard deviation that residuals are divided by, m, rad, m and px: exact synthetic
 data have none."""
@@ -53,7 +68,7 @@ class Fit:
         residuals: for each term, (m, columns), of all measurements.
         jacobian: (rows, count) of the kept residuals and the priors, each divided by its
             standard deviation.
-        degrees: residuals minus unknowns that the data determine.
+        degrees: residuals less unknowns, of the kind of noise that is known least.
     """
 
     problem: Problem
@@ -90,7 +105,8 @@ def solve(problem: Problem, start: State) -> Fit:
     residuals, _ = _residuals(problem, state)
     noise = _spread(problem, residuals, everything)
     # Robust: every measurement counts, those far from the others little.
-    for _ in range(_ROBUST_ITERATIONS):
+    robust = _is_redundant(problem)
+    for _ in range(_ROBUST_ITERATIONS if robust else 0):
         weights = [
             np.sqrt((STUDENT_DEGREES + len(term.noise)) / (STUDENT_DEGREES + distance))
             for term, distance in zip(
@@ -104,7 +120,9 @@ def solve(problem: Problem, start: State) -> Fit:
             break
     kept = everything
     for _ in range(_EXCLUDING_ITERATIONS):
-        chosen = _inliers(problem, _distances(problem, residuals, noise))
+        chosen = everything
+        if robust:
+            chosen = _inliers(problem, _distances(problem, residuals, noise))
         same = all(np.array_equal(a, b) for a, b in zip(chosen, kept, strict=True))
         kept = chosen
         state = _least_squares(problem, state, noise, [one.astype(float) for one in kept])
@@ -115,6 +133,13 @@ def solve(problem: Problem, start: State) -> Fit:
     jacobian = _whitened(problem, slopes, noise, [one.astype(float) for one in kept])
     degrees = _degrees(problem, jacobian, kept)
     return Fit(problem, state, noise, kept, tuple(residuals), jacobian, degrees)
+
+
+def _is_redundant(problem: Problem) -> bool:
+    """Whether there are enough observations to say that one of them is wrong."""
+    rows = {int(row) for term in problem.terms for row in term.rows}
+    total = sum(len(term.rows) * len(term.noise) for term in problem.terms)
+    return len(rows) >= LEAST_ROWS and problem.layout.count <= MOST_UNKNOWN * total
 
 
 def whitened_jacobian(
@@ -199,11 +224,21 @@ def _noise(
         at += block.size
         for column, name in enumerate(term.noise):
             used[name] += float(block[:, column].sum())
-    found = {}
+    squares, free = {}, {}
     for name in used:
         values = _columns(problem, residuals, name, kept)
-        free = len(values) - used[name]
-        spread = float(np.sqrt(np.sum(values**2) / free)) if free > 0.5 else noise[name]
+        squares[name], free[name] = float(np.sum(values**2)), len(values) - used[name]
+    found = {}
+    pooled = "rotation" in used and min(free.values()) < FEW_DEGREES
+    for name in used:
+        if pooled and name in _LEVER_M:
+            both = sum(squares[one] / _LEVER_M[one] ** 2 for one in _LEVER_M if one in used)
+            count = sum(free[one] for one in _LEVER_M if one in used)
+            spread = _LEVER_M[name] * float(np.sqrt(both / count)) if count > 0.5 else noise[name]
+        elif free[name] > 0.5:
+            spread = float(np.sqrt(squares[name] / free[name]))
+        else:
+            spread = noise[name]
         found[name] = max(spread, NOISE_FLOOR[name])
     return found
 
@@ -288,10 +323,17 @@ def _least_squares(
 
 
 def _degrees(problem: Problem, jacobian: FloatArray, kept: tuple[np.ndarray, ...]) -> float:
-    count = sum(
-        int(one.sum()) * len(term.noise) for one, term in zip(kept, problem.terms, strict=True)
-    )
+    """Residuals less what the unknowns use up, of the kind of noise that has the fewest."""
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     rank = singular > 1e-10 * max(singular.max(initial=0.0), 1e-300)
-    data = sum(len(t.rows) * len(t.noise) for t in problem.terms)
-    return float(count - np.sum(left[:data, rank] ** 2))
+    leverage = np.sum(left[:, rank] ** 2, axis=1)
+    free = dict.fromkeys(_names(problem), 0.0)
+    at = 0
+    for term, chosen in zip(problem.terms, kept, strict=True):
+        block = leverage[at : at + len(term.rows) * len(term.noise)].reshape(len(term.rows), -1)
+        at += block.size
+        for column, name in enumerate(term.noise):
+            free[name] += float(np.sum(1.0 - block[chosen, column]))
+    if "rotation" in free and min(free.values()) < FEW_DEGREES:
+        return sum(free.values())
+    return min(free.values(), default=0.0)

@@ -117,6 +117,22 @@ def test_outliers_are_named_and_do_not_move_the_estimate() -> None:
     np.testing.assert_allclose(xyz, cell.mounted[:3, 3], atol=6e-4)
 
 
+def test_a_few_poses_are_refused_or_have_intervals_that_hold() -> None:
+    inside = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rows = int(rng.integers(3, 6))
+        turns = Rotation.from_rotvec(rng.normal(0.0, 0.4, (rows, 3))).as_matrix()
+        flange = np.array([rigid(turn, rng.uniform(-0.15, 0.15, 3)) for turn in turns])
+        cell = cells.flange_cell(rng, flange, translation=0.0015, rotation=0.002)
+        plan = cells.plan("hand_eye", hold_out=HoldOut(0.0))
+        found = calibrate(plan, cell.observations, None)
+        if found["verdict"] != "degenerate":
+            inside += cells.truth_inside(found, "hand_eye", cell.mounted)
+    assert len(inside) >= 60
+    assert np.mean(inside) >= 0.9
+
+
 def test_half_of_the_poses_may_be_wrong() -> None:
     rng = np.random.default_rng(7)
     flange = np.array([cells.pose(rng, 0.4) for _ in range(30)])
