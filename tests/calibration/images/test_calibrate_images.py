@@ -21,9 +21,11 @@ TARGET = {"kind": "charuco", "squares": [5, 7], "square": 0.03, "marker": 0.022,
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-def cell(folder: Path, *, count: int = 14, noise: float = 2e-4, **plan: object) -> np.ndarray:
+def cell(
+    folder: Path, *, count: int = 14, noise: float = 2e-4, seed: int = 11, **plan: object
+) -> np.ndarray:
     """A plan, its observations and images of a camera on the hand; returns the true hand-eye."""
-    rng = np.random.default_rng(11)
+    rng = np.random.default_rng(seed)
     hand_eye = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
     robot_world = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
     (folder / "images").mkdir()
@@ -84,6 +86,13 @@ def test_images_give_hand_eye_and_intrinsics_with_intervals_that_hold_the_truth(
         "li",
         "least_squares",
     } <= set(found["solvers"])
+
+
+def test_a_target_of_another_size_is_said_from_the_motion_of_the_robot(tmp_path):
+    cell(tmp_path, target=TARGET | {"square": 0.033, "marker": 0.0242})
+    status, found = calibrated(tmp_path)
+    assert status == 1
+    assert "the target is probably not of the stated size" in found["reasons"][0]
 
 
 def test_bad_images_are_excluded_with_their_reasons(tmp_path):
