@@ -52,8 +52,7 @@ def completed(
     if not inside.any():
         return ids, pixels
     missing, guess, edge = missing[inside], guess[inside], edge[inside]
-    window = int(np.clip(_WINDOW * edge.min(), _LEAST_WINDOW_PX, _MOST_WINDOW_PX))
-    refined = refined_corners(image, guess, window)
+    refined = refined_corners(image, guess, refinement_window(float(edge.min())))
     steady = np.linalg.norm(refined - guess, axis=1) < _FARTHEST * edge
     usual = float(np.median(square_contrast(image, homography, target, ids)))
     there = np.sign(usual) * square_contrast(image, homography, target, missing)
@@ -62,6 +61,11 @@ def completed(
     all_ids = np.concatenate([ids, missing[keep]])
     order = np.argsort(all_ids)
     return all_ids[order], np.concatenate([pixels, refined[keep]])[order]
+
+
+def refinement_window(edge_px: float) -> int:
+    """Half of the window of the refinement, px, for squares of an edge in px."""
+    return int(np.clip(_WINDOW * edge_px, _LEAST_WINDOW_PX, _MOST_WINDOW_PX))
 
 
 def refined_corners(image: Grey, pixels: FloatArray, window: int) -> FloatArray:

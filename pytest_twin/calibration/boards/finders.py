@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.boards.completed import completed, square_contrast
+from pytest_twin.calibration.boards.completed import (
+    completed,
+    refined_corners,
+    refinement_window,
+    square_contrast,
+)
 from pytest_twin.calibration.boards.homography import fit_homography, project
 from pytest_twin.calibration.boards.image_file import Grey
 from pytest_twin.calibration.boards.opencv import opencv
@@ -73,11 +78,14 @@ def _find_charuco(image: Grey, target: Target) -> Found:
 def _find_chessboard(image: Grey, target: Target) -> Found:
     cv2 = opencv()
     shape = (target.squares[0] - 1, target.squares[1] - 1)
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
-    there, pixels = cv2.findChessboardCornersSB(image, shape, flags=flags)
+    # OpenCV's own flag for accuracy takes four times as long and is half as accurate.
+    there, pixels = cv2.findChessboardCornersSB(image, shape, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not there:
         return _none()
-    return _turned(image, target, pixels.reshape(-1, 2).astype(np.float64))
+    grid = pixels.reshape(shape[1], shape[0], 2).astype(np.float64)
+    edges = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
+    refined = refined_corners(image, grid.reshape(-1, 2), refinement_window(min(edges)))
+    return _turned(image, target, refined)
 
 
 def _turned(image: Grey, target: Target, pixels: FloatArray) -> Found:
