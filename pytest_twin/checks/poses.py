@@ -201,6 +201,14 @@ def joints_above(structure: Structure, bodies: Iterable[str]) -> frozenset[str]:
     return frozenset(joint for joint, body in structure.joint_body.items() if body in above)
 
 
+def joints_to_give(realization: Realization, joints: Iterable[str]) -> frozenset[str]:
+    """Hinge and slide joints whose values give those of ``joints``: followers count as what they
+    follow, and joints that a constant holds are left out."""
+    solver = _Coupled(realization.model)
+    roots = {solver.root(joint) for joint in joints if joint in solver.joint_type}
+    return frozenset(root for root in roots if root is not None)
+
+
 def keyframes_of(golden: Golden) -> list[str]:
     """Keyframes that the poses of a golden name."""
     entries = [*golden.stimulus.get("poses", []), golden.stimulus.get("pose")]
@@ -302,7 +310,7 @@ class _Coupled:
         """
         groups: dict[str, list[str]] = {}
         for joint in sorted(self._joint):
-            root = self._root(joint)
+            root = self.root(joint)
             if root is not None:
                 groups.setdefault(root, []).append(joint)
         wanted = {
@@ -347,7 +355,7 @@ class _Coupled:
 
     def roots(self) -> list[str]:
         """Joints that follow no other, in model order."""
-        return [joint for joint in self._joint if self._root(joint) == joint]
+        return [joint for joint in self._joint if self.root(joint) == joint]
 
     def span(self, root: str) -> tuple[float, float] | None:
         """Values of ``root`` with which it and all that follow it stay within their limits."""
@@ -356,7 +364,7 @@ class _Coupled:
             # A limit beyond all reach limits nothing.
             reach = math.pi if self.joint_type[root] == "hinge" else 1.0
             lower, upper = max(lower, -reach), min(upper, reach)
-        members = [joint for joint in self._joint if self._root(joint) == root]
+        members = [joint for joint in self._joint if self.root(joint) == root]
         if len(members) == 1:
             return lower, upper
         fitting = [
@@ -370,7 +378,7 @@ class _Coupled:
         qpos = self.configuration(values)
         if self._loops and self._close(qpos, frozenset()):
             return None
-        chosen = [joint for joint in self._joint if self._root(joint) in values]
+        chosen = [joint for joint in self._joint if self.root(joint) in values]
         if not self._within(qpos, chosen):
             return None
         return {joint: float(qpos[self._address(joint)]) for joint in self._joint}
@@ -395,7 +403,7 @@ class _Coupled:
     def _address(self, joint: str) -> int:
         return int(self._model.jnt_qposadr[self._joint[joint]])
 
-    def _root(self, joint: str) -> str | None:
+    def root(self, joint: str) -> str | None:
         """The independent joint that ``joint`` follows; None where a constant holds it."""
         seen = {joint}
         while joint in self._masters:

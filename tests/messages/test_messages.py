@@ -128,8 +128,8 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         twin(lambda root: (root / "twin.yaml").write_text("model: arm.xml\ntpc: link\n")),
         "ARM/twin.yaml:2: tpc: is not a known field (expected one of schema, name, model, "
         "realizations, source, roots, topics, joints, command_mode, columns, units, clock, "
-        "command_between, controllers, payloads, calibration, fit, parts, tcp, retired, release; "
-        "did you mean 'topics'?)",
+        "command_between, controllers, payloads, calibration, calibrations, fit, parts, tcp, "
+        "retired, release; did you mean 'topics'?)",
     ),
     (
         "twin.yaml that is no YAML",
@@ -175,7 +175,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         golden("kind: fk", "kind: fkk"),
         "ARM/golden/home.yaml:2: kind: unknown kind (got 'fkk'; expected collision_distance, "
         "contact, fk, frequency_response, joint_direction, limits, mass_properties, replay, "
-        "settling, step, task)",
+        "settling, step, task, tcp_accuracy)",
     ),
     (
         "a tolerance without unit",
@@ -269,7 +269,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         lambda root: check_of("weld"),
         "kind: unknown kind (got 'weld'; expected collision_distance, contact, fk, "
         "frequency_response, joint_direction, limits, mass_properties, replay, settling, "
-        "step, task)",
+        "step, task, tcp_accuracy)",
     ),
 ]
 

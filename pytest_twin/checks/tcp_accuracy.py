@@ -1,0 +1,229 @@
+"""Accuracy of a frame: forward kinematics against poses that an external instrument measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.calibration.observations import Observations, load_observations
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
+from pytest_twin.checks.fields import known_name, spec_error
+from pytest_twin.checks.files import find_file
+from pytest_twin.checks.poses import configuration, joints_above, joints_to_give
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+from pytest_twin.metrics.pose import orientation_error, position_error
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+_TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
+
+
+class TcpAccuracy(Check):
+    """Pose of a frame in the world at recorded joint positions, against external measurements.
+
+    ``values``: ``position`` and ``orientation``: measurement -> error in m and rad.
+    """
+
+    kind: ClassVar[str] = "tcp_accuracy"
+    tolerances: ClassVar[Mapping[str, str]] = {
+        "position": "m",
+        "orientation": "rad",
+        "position_rms": "m",
+        "orientation_rms": "rad",
+    }
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "frame": {**_TEXT, "description": "Body or site that was measured."},
+                "measurements": {
+                    **_TEXT,
+                    "description": "CSV file, relative to the twin's folder or to one of its "
+                    "roots, with a row for each measurement: joint.NAME of every joint that moves "
+                    "the frame (encoder readings, rad or m), and flange.x y z qw qx qy qz (the "
+                    "frame's pose in the world) or point.FRAME.x y z (its origin alone), in m.",
+                },
+            },
+            "required": ["frame", "measurements"],
+            "additionalProperties": False,
+        },
+        "stimulus": {"type": "object", "additionalProperties": False},
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """Kinematics of the chain to the frame, zeros of its joints, the base, the file."""
+        chain = structure.chain([golden.target["frame"]])
+        return (
+            chain
+            | calibrations_of(structure, chain)
+            | {"base:calibration", f"file:{golden.target['measurements']}"}
+        )
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """The frame at every measured configuration, by MuJoCo."""
+        import mujoco
+
+        from pytest_twin.realization.encoders import Encoders, calibration_of
+
+        structure = realization.structure
+        frame = golden.target["frame"]
+        known_name(golden, "target.frame", frame, structure.frame_body, "frame")
+        measured = _measurements(golden, realization)
+        joints = sorted(
+            joints_to_give(realization, joints_above(structure, [structure.frame_body[frame]]))
+        )
+        readings = _readings(golden, measured, joints)
+        encoders = Encoders.of(calibration_of(realization), joints)
+        positions = encoders.model_position(readings)
+        data = mujoco.MjData(realization.model)
+        errors: dict[str, dict[str, float]] = {"position": {}, "orientation": {}}
+        for row, name in enumerate(measured.ids):
+            values = dict(zip(joints, positions[row].tolist(), strict=True))
+            data.qpos[:] = configuration(realization, values)
+            mujoco.mj_kinematics(realization.model, data)
+            found = realization.frame_pose(data, frame)
+            if measured.flange is not None:
+                pose = measured.flange[row]
+                errors["position"][name] = position_error(found[:3, 3], pose[:3, 3])
+                errors["orientation"][name] = orientation_error(found[:3, :3], pose[:3, :3])
+            else:
+                point = measured.points[frame][row]
+                errors["position"][name] = position_error(found[:3, 3], point)
+            progress((row + 1) / len(measured))
+        return Observation(errors)
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """The worst measurement, or the root mean square over all, as the spec bounds them."""
+        return error_measures(golden, observation.values, golden.target["frame"], self.tolerances)
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Nothing: only an instrument knows where the frame is."""
+        raise NothingToProposeError(
+            "it needs measured poses of a frame; docs/kinds/tcp_accuracy.md has an example"
+        )
+
+
+def calibrations_of(structure: Structure, chain: Iterable[str]) -> frozenset[str]:
+    """Parts of the encoders of all joints that move the bodies of a chain."""
+    placed = frozenset(chain)
+    return frozenset(
+        f"calibration:{joint}"
+        for joint, body in structure.joint_body.items()
+        if f"{structure.realization}/kinematics:{body}" in placed
+    )
+
+
+def error_measures(
+    golden: Golden,
+    errors: Mapping[str, Mapping[str, float]],
+    subject: str,
+    units: Mapping[str, str],
+) -> list[Measure]:
+    """A measure for each tolerance of a spec: ``NAME`` the worst, ``NAME_rms`` over all.
+
+    Args:
+        golden: states the tolerances.
+        errors: ``position`` and ``orientation`` -> measurement -> error, m and rad.
+        subject: what was measured.
+        units: tolerance -> SI unit.
+
+    Raises:
+        SpecError: no tolerance, or one of something that was not measured.
+    """
+    if not golden.tolerance:
+        raise spec_error(
+            golden, "tolerance", "no tolerance bounds the errors", expected=", ".join(units)
+        )
+    measures = []
+    for name, bound in golden.tolerance.items():
+        each = errors[name.removesuffix("_rms")]
+        if not each:
+            raise spec_error(
+                golden,
+                f"tolerance.{name}",
+                "no orientation was measured",
+                expected="measured poses (flange.x y z qw qx qy qz), or tolerances of position",
+            )
+        worst = max(each, key=each.__getitem__)
+        if name.endswith("_rms"):
+            error = float(np.sqrt(np.mean(np.square(list(each.values())))))
+            of = f"{subject} over {len(each)} measurements (worst: {worst})"
+        else:
+            error, of = each[worst], f"{subject} at measurement {worst} (worst of {len(each)})"
+        measures.append(
+            Measure(
+                name=name,
+                subject=of,
+                measured=error,
+                golden=0.0,
+                error=error,
+                tolerance=bound.value,
+                unit=units[name],
+                against="measurement",
+            )
+        )
+    return measures
+
+
+def _measurements(golden: Golden, realization: Realization) -> Observations:
+    """The rows of the file that hold a measurement of the frame."""
+    twin = realization.twin
+    if twin is None:
+        raise spec_error(
+            golden,
+            "target.measurements",
+            "a tcp_accuracy golden needs a twin.yaml",
+            expected="a twin.yaml in a folder above the golden; pytest-twin init writes one",
+        )
+    frame, reference = golden.target["frame"], golden.target["measurements"]
+    found = load_observations(find_file(golden, "target.measurements", reference, twin))
+    if found.flange is not None:
+        there = np.isfinite(found.flange).all(axis=(1, 2))
+    elif frame in found.points:
+        there = np.isfinite(found.points[frame]).all(axis=1)
+    else:
+        there = np.zeros(len(found), dtype=bool)
+    if not there.any():
+        raise spec_error(
+            golden,
+            "target.measurements",
+            f"no measurement of frame {frame!r}",
+            value=reference,
+            expected=f"columns flange.x y z qw qx qy qz (its pose in the world) or "
+            f"point.{frame}.x y z (its origin), in m",
+        )
+    return found.rows(np.flatnonzero(there))
+
+
+def _readings(golden: Golden, measured: Observations, joints: list[str]) -> np.ndarray:
+    """(rows, joints) encoder readings, rad or m."""
+    columns = np.zeros((len(measured), len(joints)))
+    for at, joint in enumerate(joints):
+        values = measured.joints.get(joint)
+        if values is None or not np.isfinite(values).all():
+            empty = [] if values is None else np.flatnonzero(~np.isfinite(values))
+            raise spec_error(
+                golden,
+                "target.measurements",
+                f"no position of joint {joint!r}, which moves {golden.target['frame']!r}",
+                value=f"measurement {measured.ids[empty[0]]}"
+                if len(empty)
+                else golden.target["measurements"],
+                expected=f"a column joint.{joint} with its encoder reading in every row, in rad "
+                "(m where it slides)",
+            )
+        columns[:, at] = values
+    return columns
