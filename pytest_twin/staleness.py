@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from pytest_twin.dependency import Part, Structure, canonical
 from pytest_twin.errors import SpecError
+from pytest_twin.formats.calibration_record import CalibrationRecord
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Reason
 from pytest_twin.twin import Affects, JointCalibration, Twin
@@ -186,6 +187,10 @@ def _twin_parts(twin: Twin, surroundings: Surroundings) -> dict[str, Part]:
         if pose is None
         else {"position [m]": list(pose.position), "quaternion": list(pose.quaternion)}
     )
+    gone = {name for entry in twin.calibrations for name in entry.supersedes}
+    for entry in twin.calibrations:
+        ident = entry.record.id
+        contents[f"record:{ident}"] = {**_record(entry.record), "superseded": ident in gone}
     for name, part in twin.parts.items():
         content: dict[str, Any] = {"id": part.id, "value": part.value}
         if part.file is not None:
@@ -196,6 +201,19 @@ def _twin_parts(twin: Twin, surroundings: Surroundings) -> dict[str, Part]:
 
 def _calibration(calibration: JointCalibration) -> dict[str, Any]:
     return {"offset [rad or m]": calibration.offset, "sign": calibration.sign}
+
+
+def _record(record: CalibrationRecord) -> dict[str, Any]:
+    """What a calibration estimated, and the files that it was made from."""
+    return {
+        "joint zeros [rad or m]": dict(record.joint_zeros),
+        "transforms": {
+            name: {"position [m]": list(xyz), "quaternion": None if turn is None else list(turn)}
+            for name, (xyz, turn) in record.transforms.items()
+        },
+        "points": {f"{name} [m]": list(xyz) for name, xyz in record.points.items()},
+        "data": dict(record.inputs),
+    }
 
 
 def _own_parts(

@@ -26,7 +26,7 @@ from pytest_twin.calibration.solve import Fit
 from pytest_twin.calibration.tangent import skew
 from pytest_twin.metrics.pose import quaternion_of
 
-_NOT_ASKED = {
+NOT_ASKED = {
     ("camera", "hand", "mounted"): "camera",
     ("camera", "hand", "world"): "target",
     ("camera", "world", "mounted"): "target",
@@ -95,7 +95,7 @@ def records(found: Estimate) -> dict[str, Any]:
         family, _, role = name.partition(".")
         mount = plan.mount if family == "camera" else "hand"
         asked = [one for one in records_of(role, family, mount) if one in plan.estimate]
-        for record in asked or [_NOT_ASKED[family, mount, role]]:
+        for record in asked or [NOT_ASKED[family, mount, role]]:
             made[record] = _pose_record(found, name, record, asked=bool(asked))
     made |= _points(found)
     for block, scalars in (("joint_zeros", _zeros), ("geometry", _geometry)):

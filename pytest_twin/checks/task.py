@@ -108,7 +108,8 @@ class Task(Check):
         parts |= {f"file:{name}" for name in golden.target.get("files", ())}
         parts |= {f"calibration:{joint}" for joint in structure.joint_body}
         # The function may ask for any variant.
-        parts |= {"controller:*", "payload:*", "calibration:*", "base:calibration"}
+        parts |= {"controller:*", "payload:*", "calibration:*", "record:*"}
+        parts.add("base:calibration")
         return parts
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:

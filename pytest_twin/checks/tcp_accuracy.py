@@ -212,16 +212,14 @@ def _readings(golden: Golden, measured: Observations, joints: list[str]) -> np.n
     """(rows, joints) encoder readings, rad or m."""
     columns = np.zeros((len(measured), len(joints)))
     for at, joint in enumerate(joints):
-        values = measured.joints.get(joint)
-        if values is None or not np.isfinite(values).all():
-            empty = [] if values is None else np.flatnonzero(~np.isfinite(values))
+        values = measured.joints.get(joint, np.full(len(measured), np.nan))
+        empty = np.flatnonzero(~np.isfinite(values))
+        if len(empty):
             raise spec_error(
                 golden,
                 "target.measurements",
                 f"no position of joint {joint!r}, which moves {golden.target['frame']!r}",
-                value=f"measurement {measured.ids[empty[0]]}"
-                if len(empty)
-                else golden.target["measurements"],
+                value=f"measurement {measured.ids[empty[0]]}",
                 expected=f"a column joint.{joint} with its encoder reading in every row, in rad "
                 "(m where it slides)",
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -13,6 +13,8 @@ from pytest_twin.errors import FormatError
 from pytest_twin.formats import limits
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.paths import decode_text, read_bytes
+
+Transform = tuple[tuple[float, ...], tuple[float, ...] | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +29,10 @@ class CalibrationRecord:
         joint_zeros: joint -> what is added to its reading, rad or m.
         base_world: position (m) and quaternion w x y z of the base in the world, or None.
         held_out: root mean squares on observations that nothing was fitted on, m and rad.
+        transforms: record -> position (m) and quaternion w x y z of its child in its parent; the
+            quaternion is None where a point was estimated.
+        points: marker, or ``pivot.NAME`` -> its place in the record's parent, m.
+        inputs: file, relative to the plan's folder -> SHA-256, hex.
     """
 
     id: str
@@ -36,6 +42,9 @@ class CalibrationRecord:
     joint_zeros: Mapping[str, float]
     base_world: tuple[tuple[float, ...], tuple[float, ...]] | None
     held_out: Mapping[str, float]
+    transforms: Mapping[str, Transform] = field(default_factory=dict)
+    points: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_calibration_record(path: Path) -> CalibrationRecord:
@@ -76,6 +85,18 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
                 for name, value in content["held_out"].items()
                 if name.endswith("_rms")
             },
+            transforms={
+                _text(name): _transform(one["transform"])
+                for name, one in records.items()
+                if "transform" in one
+            },
+            points={
+                _text(name): _numbers(one["xyz"], 3)
+                for name, one in records.get("points", {"values": {}})["values"].items()
+            },
+            inputs={
+                _text(name): _text(one["sha256"]) for name, one in content.get("inputs", {}).items()
+            },
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FormatError(
@@ -93,6 +114,14 @@ def _text(value: Any) -> str:
     if not isinstance(value, str) or not value or len(value) > limits.OBSERVATIONS.name_chars:
         raise ValueError("a name")
     return value
+
+
+def _transform(value: Any) -> Transform:
+    quaternion = value["quaternion_wxyz"]
+    return (
+        _numbers(value["xyz"], 3),
+        None if quaternion is None else _numbers(quaternion, 4),
+    )
 
 
 def _number(value: Any) -> float:

@@ -173,9 +173,9 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "an unknown kind",
         golden("kind: fk", "kind: fkk"),
-        "ARM/golden/home.yaml:2: kind: unknown kind (got 'fkk'; expected collision_distance, "
-        "contact, fk, frequency_response, joint_direction, limits, mass_properties, replay, "
-        "settling, step, task, tcp_accuracy)",
+        "ARM/golden/home.yaml:2: kind: unknown kind (got 'fkk'; expected calibration, "
+        "collision_distance, contact, fk, frequency_response, joint_direction, limits, "
+        "mass_properties, replay, settling, step, task, tcp_accuracy)",
     ),
     (
         "a tolerance without unit",
@@ -267,8 +267,8 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a kind that nobody installed",
         lambda root: check_of("weld"),
-        "kind: unknown kind (got 'weld'; expected collision_distance, contact, fk, "
-        "frequency_response, joint_direction, limits, mass_properties, replay, settling, "
+        "kind: unknown kind (got 'weld'; expected calibration, collision_distance, contact, "
+        "fk, frequency_response, joint_direction, limits, mass_properties, replay, settling, "
         "step, task, tcp_accuracy)",
     ),
 ]

@@ -100,6 +100,7 @@ def detect_files(
     if len(paths) > limits.IMAGES.files_count:
         raise LimitError(
             "too many images",
+            path=paths[0].parent,
             value=len(paths),
             expected=f"at most {limits.IMAGES.files_count} images",
         )

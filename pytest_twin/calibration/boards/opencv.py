@@ -21,11 +21,12 @@ def opencv() -> Any:
     try:
         import cv2
     except ImportError:
-        raise SpecError("images need OpenCV, which is not installed", expected=_INSTALL) from None
+        raise SpecError("OpenCV is not installed", where="images", expected=_INSTALL) from None
     # OpenCV 5 has no hand-eye solvers in Python; builds without contrib have no ArUco boards.
     if not (hasattr(cv2, "calibrateHandEye") and hasattr(cv2, "aruco")):
         raise SpecError(
             "this OpenCV has no hand-eye calibration or no ArUco markers",
+            where="images",
             value=cv2.__version__,
             expected=f"opencv-contrib-python-headless 4.10 to 4.x: {_INSTALL}",
         )

@@ -1,0 +1,78 @@
+"""A finished calibration's estimates as the state that predicts observations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.closed_form import inverse, rigid
+from pytest_twin.calibration.parameters import State
+from pytest_twin.calibration.problem import (
+    INVERTED_RECORDS,
+    TIP,
+    Problem,
+    marker_of,
+    records_of,
+    words_of,
+)
+from pytest_twin.calibration.records import NOT_ASKED
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.calibration_record import CalibrationRecord, Transform
+from pytest_twin.metrics.pose import rotation_of
+
+
+def recorded_state(problem: Problem, record: CalibrationRecord) -> State:
+    """The state of a problem with the transforms and points of a record.
+
+    Joint zeros and geometry are left at the chain's own: they belong to the robot.
+
+    Raises:
+        SpecError: the record lacks a transform or a point that the observations need.
+    """
+    poses = dict(problem.fixed.poses)
+    for name in problem.layout.poses:
+        poses[name] = _pose(problem, name, record)
+    points = dict(problem.fixed.points)
+    for name in problem.layout.points:
+        points[name] = _point(name, record)
+    return replace(problem.fixed, poses=poses, points=points)
+
+
+def _pose(problem: Problem, name: str, record: CalibrationRecord) -> FloatArray:
+    family, _, role = name.partition(".")
+    mount = problem.plan.mount if family == "camera" else "hand"
+    names = (*records_of(role, family, mount), NOT_ASKED[family, mount, role])
+    for one in names:
+        pose = _full(record.transforms, one)
+        if pose is not None:
+            return inverse(pose) if one in INVERTED_RECORDS else pose
+    raise _missing(record, f"no transform of {words_of(name, problem.plan.mount)}", names)
+
+
+def _full(transforms: Mapping[str, Transform], name: str) -> FloatArray | None:
+    xyz, quaternion = transforms.get(name, (None, None))
+    if xyz is None or quaternion is None:
+        return None
+    return rigid(rotation_of(quaternion), np.array(xyz))
+
+
+def _point(name: str, record: CalibrationRecord) -> FloatArray:
+    tip, quaternion = record.transforms.get("tcp", (None, None))
+    if name != TIP and marker_of(name) in record.points:
+        return np.array(record.points[marker_of(name)])
+    if tip is not None and quaternion is None:
+        return np.array(tip)
+    raise _missing(record, f"no place of {marker_of(name)}", ("tcp", "points"))
+
+
+def _missing(record: CalibrationRecord, problem: str, names: tuple[str, ...]) -> SpecError:
+    return SpecError(
+        problem,
+        path=record.path,
+        where="records",
+        value=", ".join(record.transforms) or None,
+        expected=" or ".join(dict.fromkeys(names)),
+    )

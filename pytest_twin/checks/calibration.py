@@ -1,0 +1,216 @@
+"""An accepted calibration, re-checked on its held-out observations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
+from pytest_twin.checks.fields import known_name, spec_error
+from pytest_twin.checks.files import find_file
+from pytest_twin.checks.tcp_accuracy import calibrations_of
+from pytest_twin.dependency import Structure
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.golden import Golden
+from pytest_twin.twin import CalibrationEntry, Twin
+
+if TYPE_CHECKING:
+    from pytest_twin.calibration.plan import Plan
+    from pytest_twin.realization import Realization
+    from pytest_twin.realization.serial_chain import SerialChain
+
+_TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
+_ERRORS = {"position": "translation", "orientation": "rotation"}
+
+
+class CalibrationCheck(Check):
+    """Predictions with a record of ``calibrations:``, against its held-out observations.
+
+    ``values``: ``held_out``, as in ``calibration.json``, and ``recorded``, the same root mean
+    squares when the calibration was made.
+    """
+
+    kind: ClassVar[str] = "calibration"
+    libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy", "pin")
+    tolerances: ClassVar[Mapping[str, str]] = {"position": "m", "orientation": "rad"}
+    required_tolerances: ClassVar[frozenset[str]] = frozenset({"position"})
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "record": {**_TEXT, "description": "Id of a calibration under calibrations:."},
+                "plan": {
+                    **_TEXT,
+                    "description": "calibration.yaml that the record was made from, relative to "
+                    "the twin's folder or to one of its roots.",
+                },
+                "observations": {
+                    **_TEXT,
+                    "description": "Observations that the record was made from, found as the plan.",
+                },
+                "flange": {
+                    **_TEXT,
+                    "description": "The plan's flange, where the plan has a robot.",
+                },
+            },
+            "required": ["record", "plan", "observations"],
+            "additionalProperties": False,
+        },
+        "stimulus": {"type": "object", "additionalProperties": False},
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """The record, its files, kinematics and joint zeros of the chain to the flange."""
+        target = golden.target
+        parts = {f"record:{target['record']}"}
+        parts |= {f"file:{target[name]}" for name in ("plan", "observations")}
+        if "flange" in target:
+            chain = structure.chain([target["flange"]])
+            parts |= chain | calibrations_of(structure, chain)
+        return parts
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Errors of the realization's forward kinematics with the record's transforms."""
+        from pytest_twin.calibration.coincident import without_coincident
+        from pytest_twin.calibration.observations import load_observations
+        from pytest_twin.calibration.plan import load_plan
+        from pytest_twin.calibration.problem import make_problem
+        from pytest_twin.calibration.recorded import recorded_state
+        from pytest_twin.calibration.run import held_out_errors
+        from pytest_twin.calibration.split import split
+
+        twin = _twin(golden, realization)
+        record = _entry(golden, twin).record
+        plan = load_plan(_file(golden, "plan", record.inputs, twin))
+        data = _file(golden, "observations", record.inputs, twin)
+        observations = load_observations(data)
+        if plan.streams or (observations.images and observations.camera_from_target is None):
+            raise spec_error(
+                golden,
+                "target.observations",
+                "observations that cannot be re-checked",
+                value="streams" if plan.streams else "images",
+                expected="a calibration from poses or points",
+            )
+        observations, _ = without_coincident(observations)
+        _, held = split(plan, observations)
+        if len(held) == 0:
+            raise spec_error(
+                golden,
+                "target.plan",
+                "the calibration held no observation out",
+                expected="hold_out: in the plan, with a fraction above 0 or ids",
+            )
+        chain = None
+        if plan.robot is not None and observations.joints:
+            chain = _chain(golden, plan, realization)
+        # Zeros and geometry are the realization's own.
+        kept = tuple(name for name in plan.estimate if name not in ("joint_zeros", "geometry"))
+        problem = make_problem(replace(plan, estimate=kept), observations.rows(held), chain)
+        errors, _ = held_out_errors(problem, recorded_state(problem, record))
+        progress(1.0)
+        return Observation(
+            {
+                "held_out": {**errors.summary(), "worst": errors.worst()},
+                "recorded": dict(record.held_out),
+            }
+        )
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Root mean squares of all coordinates, as ``accept`` of a plan bounds them."""
+        found, recorded = observation.values["held_out"], observation.values["recorded"]
+        measures = []
+        for name, bound in golden.tolerance.items():
+            field, unit = _ERRORS[name], self.tolerances[name]
+            if f"{field}_rms" not in found:
+                raise spec_error(
+                    golden,
+                    f"tolerance.{name}",
+                    "no orientation was measured",
+                    expected="a tolerance of position alone",
+                )
+            worst = found["worst"]
+            error = float(found[f"{field}_rms"])
+            measures.append(
+                Measure(
+                    name=name,
+                    subject=f"{golden.target['record']} on {found['count']} held-out observations "
+                    f"(worst: {worst['id']}, {worst[field]:.3g} {unit})",
+                    measured=error,
+                    golden=float(recorded.get(f"{field}_rms", 0.0)),
+                    error=error,
+                    tolerance=bound.value,
+                    unit=unit,
+                    against="record",
+                )
+            )
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Nothing: a twin that is set up has no calibration yet."""
+        raise NothingToProposeError(
+            "it needs an accepted calibration; docs/kinds/calibration.md has an example"
+        )
+
+
+def _twin(golden: Golden, realization: Realization) -> Twin:
+    if realization.twin is None:
+        raise spec_error(
+            golden,
+            "target.record",
+            "a calibration golden needs a twin.yaml",
+            expected="a twin.yaml in a folder above the golden, with calibrations:",
+        )
+    return realization.twin
+
+
+def _entry(golden: Golden, twin: Twin) -> CalibrationEntry:
+    entries = {entry.record.id: entry for entry in twin.calibrations}
+    name = golden.target["record"]
+    return entries[known_name(golden, "target.record", name, entries, "calibration")]
+
+
+def _file(golden: Golden, field: str, inputs: Mapping[str, str], twin: Twin) -> Path:
+    """A file of the calibration, once it is the one that the record was made from."""
+    where, reference = f"target.{field}", golden.target[field]
+    path = find_file(golden, where, reference, twin)
+    if file_sha256(path) not in inputs.values():
+        raise spec_error(
+            golden,
+            where,
+            f"not a file that {golden.target['record']} was made from",
+            value=reference,
+            expected=f"one of {', '.join(inputs) or 'no files'}, unchanged; calibrate again after "
+            "a change",
+        )
+    return path
+
+
+def _chain(golden: Golden, plan: Plan, realization: Realization) -> SerialChain:
+    """The realization's chain to the flange, with the signs and zeros of the twin."""
+    from pytest_twin.realization.encoders import Encoders, calibration_of
+    from pytest_twin.realization.serial_chain import load_serial_chain
+
+    stated = golden.target.get("flange")
+    if stated != plan.flange:
+        raise spec_error(
+            golden,
+            "target.flange",
+            "not the flange of the plan",
+            value=stated,
+            expected=plan.flange,
+        )
+    chain = load_serial_chain(realization.path, plan.flange)
+    encoders = Encoders.of(calibration_of(realization), chain.joints)
+    return replace(chain, signs=encoders.sign, offsets=encoders.offset)
