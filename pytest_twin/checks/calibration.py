@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from pytest_twin.checks.base import (
     Check,
     Measure,
@@ -25,6 +27,7 @@ from pytest_twin.twin import CalibrationEntry, Twin
 
 if TYPE_CHECKING:
     from pytest_twin.calibration.plan import Plan
+    from pytest_twin.calibration.residual_errors import Errors
     from pytest_twin.realization import Realization
     from pytest_twin.realization.serial_chain import SerialChain
 
@@ -35,8 +38,8 @@ _ERRORS = {"position": "translation", "orientation": "rotation"}
 class CalibrationCheck(Check):
     """Predictions with a record of ``calibrations:``, against its held-out observations.
 
-    ``values``: ``held_out``, as in ``calibration.json``, and ``recorded``, the same root mean
-    squares when the calibration was made.
+    ``values``: ``held_out``: root mean squares as in ``calibration.json``, and the worst
+    observation of each kind; ``recorded``: the root mean squares when the calibration was made.
     """
 
     kind: ClassVar[str] = "calibration"
@@ -120,7 +123,7 @@ class CalibrationCheck(Check):
         progress(1.0)
         return Observation(
             {
-                "held_out": {**errors.summary(), "worst": errors.worst()},
+                "held_out": {**errors.summary(), "worst": _worst(errors)},
                 "recorded": dict(record.held_out),
             }
         )
@@ -140,13 +143,13 @@ class CalibrationCheck(Check):
                     "no orientation was measured",
                     expected="a tolerance of position alone",
                 )
-            worst = found["worst"]
+            worst = found["worst"][field]
             error = float(found[f"{field}_rms"])
             measures.append(
                 Measure(
                     name=name,
                     subject=f"{golden.target['record']} on {found['count']} held-out observations "
-                    f"(worst: {worst['id']}, {worst[field]:.3g} {unit})",
+                    f"(worst: {worst['id']}, {worst['error']:.3g} {unit})",
                     measured=error,
                     golden=float(recorded.get(f"{field}_rms", 0.0)),
                     error=error,
@@ -162,6 +165,19 @@ class CalibrationCheck(Check):
         raise NothingToProposeError(
             "it needs an accepted calibration; docs/kinds/calibration.md has an example"
         )
+
+
+def _worst(errors: Errors) -> dict[str, dict[str, Any]]:
+    """``translation`` and ``rotation`` -> the observation that is furthest off, m and rad."""
+    sizes = {
+        "translation": np.linalg.norm(errors.translation, axis=1),
+        "rotation": np.linalg.norm(errors.rotation, axis=1),
+    }
+    return {
+        name: {"id": errors.ids[int(np.nanargmax(size))], "error": float(np.nanmax(size))}
+        for name, size in sizes.items()
+        if np.isfinite(size).any()
+    }
 
 
 def _twin(golden: Golden, realization: Realization) -> Twin:

@@ -9,6 +9,8 @@ from pytest_twin.gate.update import Update
 from pytest_twin.report.text import quantity
 
 MAX_CHANGES = 60
+_MEASURED_WITH = ("/kinematics", "/frame", "/coupling")
+"""Layers of a realization that a calibration was measured with."""
 
 
 def why_lines(plan: Plan) -> list[str]:
@@ -21,12 +23,40 @@ def why_lines(plan: Plan) -> list[str]:
             continue
         lines.append(f"stale  {task.key}")
         lines += [f"         {reason}" for reason in task.reasons]
+    lines += _records(plan)
     lines += [f"missing  {ident}" for ident in plan.missing]
     lines += [f"dropped  {key}  (retired, or its realization was removed)" for key in plan.dropped]
     lines += [f"orphaned trace  {name}" for name in plan.orphans]
     lines += list(plan.problems)
     lines.append(f"{len(plan.stale)} stale, {len(plan.fresh)} fresh")
     return lines
+
+
+def _records(plan: Plan) -> Iterator[str]:
+    """Records under ``calibrations:`` whose robot has changed, and those that nothing re-checks."""
+    changed: dict[str, set[str]] = {}
+    for task in plan.tasks.values():
+        if task.golden.kind == "calibration":
+            ident = f"record:{task.golden.target['record']}"
+            parts = {reason.part for reason in task.reasons}
+            changed.setdefault(ident, set()).update(
+                part for part in parts if _measured_with(part, new_record=ident in parts)
+            )
+    for ident, record in sorted(plan.parts.items()):
+        if not ident.startswith("record:") or record.content["superseded"]:
+            continue
+        if ident not in changed:
+            yield f"unchecked  {ident}  no golden of kind calibration re-checks it"
+        elif changed[ident]:
+            yield f"stale  {ident}  measured with parts that have changed"
+            yield from (f"         {part}" for part in sorted(changed[ident]))
+
+
+def _measured_with(part: str, *, new_record: bool) -> bool:
+    layer = part.partition(":")[0]
+    # A new record brings its own zeros.
+    zero = layer == "calibration" and not new_record
+    return zero or layer.endswith(_MEASURED_WITH)
 
 
 def update_lines(updates: Sequence[Update]) -> list[str]:

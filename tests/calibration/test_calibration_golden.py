@@ -17,7 +17,9 @@ from pytest_twin.checks.files import find_file
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.gate.parts import installed_version
+from pytest_twin.gate.plan import Plan, Task
 from pytest_twin.gate.specs import load_golden
+from pytest_twin.gate.why import why_lines
 from pytest_twin.golden import Golden
 from pytest_twin.realization import load
 from pytest_twin.staleness import Baseline, Model, Stock, Surroundings, staleness, take_stock
@@ -225,3 +227,55 @@ def test_a_change_makes_exactly_what_rests_on_it_stale(
     found = {key.split("/")[1].split("@")[0]: why for key, why in reasons.items() if why}
     assert found.keys() == stale
     assert not words or any(str(reason).startswith(words) for reason in found["hand_eye"])
+
+
+# -- what is said of the records themselves
+
+
+def told(root: Path, change: Callable[[Path], None]) -> list[str]:
+    """What ``--twin-why`` says of records after a change to a released twin."""
+    before = stock(root)
+    release = Baseline(1, before.parts, dict.fromkeys(before.rests_on, True), before.rests_on)
+    change(root)
+    now = stock(root)
+    twin = load_twin(root / "twin.yaml")
+    tasks = {}
+    for path in sorted((root / "golden").iterdir()):
+        golden = load_golden(path, twin)
+        key = f"{golden.id}@mujoco"
+        reasons = staleness(now, release)[key]
+        tasks[key] = Task(golden, "mujoco", tuple(now.rests_on[key]), reasons, None)
+    return [
+        line
+        for line in why_lines(Plan(tasks, now.parts))
+        if line.startswith(("stale  record", "unchecked"))
+    ]
+
+
+def test_a_record_is_stale_when_the_robot_that_it_was_measured_with_changes(cell: Path) -> None:
+    assert told(cell, other_link) == [
+        "stale  record:cell_hand_eye  measured with parts that have changed",
+        "stale  record:second  measured with parts that have changed",
+    ]
+
+
+def test_a_new_record_is_not_stale_itself(cell: Path) -> None:
+    def new_record(root: Path) -> None:
+        moved_mount(root)
+        other_zero(root)
+
+    # The zeros of the first are those of the robot, and the second was measured with others.
+    assert told(cell, new_record) == ["stale  record:second  measured with parts that have changed"]
+
+
+def test_a_record_that_no_golden_checks_is_named(cell: Path) -> None:
+    (cell / "golden" / "second.yaml").unlink()
+    assert told(cell, reworded) == [
+        "unchecked  record:second  no golden of kind calibration re-checks it"
+    ]
+
+
+def test_a_superseded_record_needs_no_golden(cell: Path) -> None:
+    (cell / "golden" / "hand_eye.yaml").unlink()
+    replaced(cell, "twin.yaml", "use: []", "supersedes: [cell_hand_eye]")
+    assert told(cell, reworded) == []
