@@ -9,6 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import inverse, rigid
+from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.problem import (
     INVERTED_RECORDS,
@@ -39,6 +40,42 @@ def recorded_state(problem: Problem, record: CalibrationRecord) -> State:
     for name in problem.layout.points:
         points[name] = _point(name, record)
     return replace(problem.fixed, poses=poses, points=points)
+
+
+def held_out_observations(observations: Observations, record: CalibrationRecord) -> Observations:
+    """The rows that a record held out, with the poses that it saw in their images.
+
+    Raises:
+        SpecError: the record names no held-out observation, or one that is not there.
+    """
+    if not record.held_out_ids:
+        raise SpecError(
+            "the calibration held no observation out",
+            path=record.path,
+            where="held_out.ids",
+            expected="hold_out: in its plan, with a fraction above 0 or ids",
+        )
+    place = {name: row for row, name in enumerate(observations.ids)}
+    for name in record.held_out_ids:
+        if name not in place:
+            raise SpecError(
+                "a held-out observation that the file does not have",
+                path=record.path,
+                where="held_out.ids",
+                value=name,
+                expected="ids of the observations that the record was made from",
+            )
+    held = observations.rows([place[name] for name in record.held_out_ids])
+    if not record.seen:
+        return held
+    poses = np.full((len(held), 4, 4), np.nan)
+    if held.camera_from_target is not None:
+        poses = held.camera_from_target.copy()
+    for row, name in enumerate(held.ids):
+        if name in record.seen:
+            numbers = record.seen[name]
+            poses[row] = rigid(rotation_of(numbers[3:]), np.array(numbers[:3]))
+    return replace(held, camera_from_target=poses)
 
 
 def _pose(problem: Problem, name: str, record: CalibrationRecord) -> FloatArray:

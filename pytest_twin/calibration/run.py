@@ -143,7 +143,8 @@ def calibrate(
     errors, gross = held_out_errors(held, fit.state)
     fitted = errors_of(fit.problem, fit.state, fit.kept)
     degenerate = bool(solved.estimate.directions)
-    document["held_out"] = _errors_json(errors)
+    held_ids = [problem.observations.ids[row] for row in held_rows]
+    document["held_out"] = {**_errors_json(errors), "ids": held_ids}
     document["fitted"] = fitted.summary()
     document["fitted"]["noise"] = dict(fit.noise)
     document["fitted"]["leave_one_out"] = dict(solved.estimate.leave_one_out)

@@ -87,38 +87,30 @@ class CalibrationCheck(Check):
         from pytest_twin.calibration.observations import load_observations
         from pytest_twin.calibration.plan import load_plan
         from pytest_twin.calibration.problem import make_problem
-        from pytest_twin.calibration.recorded import recorded_state
+        from pytest_twin.calibration.recorded import held_out_observations, recorded_state
         from pytest_twin.calibration.run import held_out_errors
-        from pytest_twin.calibration.split import split
 
         twin = _twin(golden, realization)
         record = _entry(golden, twin).record
         plan = load_plan(_file(golden, "plan", record.inputs, twin))
         data = _file(golden, "observations", record.inputs, twin)
         observations = load_observations(data)
-        if plan.streams or (observations.images and observations.camera_from_target is None):
-            raise spec_error(
-                golden,
-                "target.observations",
-                "observations that cannot be re-checked",
-                value="streams" if plan.streams else "images",
-                expected="a calibration from poses or points",
-            )
-        observations, _ = without_coincident(observations)
-        _, held = split(plan, observations)
-        if len(held) == 0:
+        if plan.streams:
             raise spec_error(
                 golden,
                 "target.plan",
-                "the calibration held no observation out",
-                expected="hold_out: in the plan, with a fraction above 0 or ids",
+                "streams cannot be re-checked",
+                value=golden.target["plan"],
+                expected="a calibration from observations.csv",
             )
+        observations, _ = without_coincident(observations)
+        held = held_out_observations(observations, record)
         chain = None
         if plan.robot is not None and observations.joints:
             chain = _chain(golden, plan, realization)
         # Zeros and geometry are the realization's own.
         kept = tuple(name for name in plan.estimate if name not in ("joint_zeros", "geometry"))
-        problem = make_problem(replace(plan, estimate=kept), observations.rows(held), chain)
+        problem = make_problem(replace(plan, estimate=kept), held, chain)
         errors, _ = held_out_errors(problem, recorded_state(problem, record))
         progress(1.0)
         return Observation(

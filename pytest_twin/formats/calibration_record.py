@@ -32,6 +32,9 @@ class CalibrationRecord:
         transforms: record -> position (m) and quaternion w x y z of its child in its parent; the
             quaternion is None where a point was estimated.
         points: marker, or ``pivot.NAME`` -> its place in the record's parent, m.
+        held_out_ids: observations that nothing was fitted on.
+        seen: observation -> position (m) and quaternion w x y z of the target in the camera, from
+            its image.
         inputs: file, relative to the plan's folder -> SHA-256, hex.
     """
 
@@ -44,6 +47,8 @@ class CalibrationRecord:
     held_out: Mapping[str, float]
     transforms: Mapping[str, Transform] = field(default_factory=dict)
     points: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    held_out_ids: tuple[str, ...] = ()
+    seen: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -93,6 +98,12 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             points={
                 _text(name): _numbers(one["xyz"], 3)
                 for name, one in records.get("points", {"values": {}})["values"].items()
+            },
+            held_out_ids=tuple(_text(name) for name in content["held_out"].get("ids", ())),
+            seen={
+                _text(name): _numbers(one["camera_from_target"], 7)
+                for name, one in content.get("images", {}).items()
+                if "camera_from_target" in one
             },
             inputs={
                 _text(name): _text(one["sha256"]) for name, one in content.get("inputs", {}).items()

@@ -144,6 +144,14 @@ def test_a_record_without_a_needed_transform_is_refused(cell: Path) -> None:
         measured(cell)
 
 
+def test_a_record_without_held_out_observations_is_refused(cell: Path) -> None:
+    document = json.loads((cell / "record.json").read_text())
+    del document["held_out"]["ids"]
+    (cell / "record.json").write_text(json.dumps(document))
+    with pytest.raises(SpecError, match="the calibration held no observation out"):
+        measured(cell)
+
+
 def test_nothing_is_proposed_without_a_calibration(cell: Path) -> None:
     with pytest.raises(NothingToProposeError, match=r"docs/kinds/calibration\.md"):
         check_of("calibration").first(load(cell / "fr3.urdf"))

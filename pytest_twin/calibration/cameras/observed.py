@@ -27,6 +27,7 @@ from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.paths import Roots
+from pytest_twin.metrics.pose import pose_vector
 
 MISFIT_RATIO = 1.5
 """Estimated intrinsics that reduce the reprojection error by this factor say that the given ones
@@ -131,6 +132,7 @@ class Images:
                 "size": list(detection.size),
                 "blur": detection.sharpness,
                 "reprojection_rms": pose.rms,
+                "camera_from_target": pose_vector(pose.camera_from_target).tolist(),
                 "corner_ids": detection.corner_ids.tolist(),
                 "pixels": detection.pixels.tolist(),
                 "residuals": residuals.tolist(),
