@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from test_calibrate_command import written
 
+from pytest_twin.calibration.exports import export_files
 from pytest_twin.calibration.run import calibrate_file
 from pytest_twin.checks import check_of
 from pytest_twin.checks.base import Measure, NothingToProposeError
@@ -106,6 +107,30 @@ def test_a_moved_link_fails(cell: Path) -> None:
 def test_a_twin_without_the_zeros_fails(cell: Path) -> None:
     replaced(cell, "twin.yaml", "{file: record.json}", "{file: record.json, use: []}")
     assert not all(m.passed for m in measured(cell))
+
+
+def test_a_record_with_geometry_passes_on_the_calibrated_urdf_alone(tmp_path: Path) -> None:
+    plan = (
+        "estimate: [joint_zeros, geometry, base_world, hand_eye]\ncamera: {mount: hand}\n"
+        "hold_out: {fraction: 0.33, seed: 1}\naccept: {translation: 0.002, rotation: 0.0035}\n"
+    )
+    written(tmp_path, plan=plan)
+    document = calibrate_file(str(tmp_path / "calibration.yaml"))
+    nominal = (tmp_path / "fr3.urdf").read_text()
+    texts = export_files(str(tmp_path / "calibration.yaml"), document, str(tmp_path))
+    (tmp_path / "record.json").write_text(json.dumps(document))
+    (tmp_path / "golden").mkdir()
+    (tmp_path / "golden" / "hand_eye.yaml").write_text(SPEC)
+    # The exported file has the zeros in its origins.
+    (tmp_path / "twin.yaml").write_text(
+        "model: fr3.urdf\ncalibrations: [{file: record.json, use: []}]\n"
+    )
+    (tmp_path / "fr3.urdf").write_text(texts["calibrated.urdf"])
+    assert [m.error for m in measured(tmp_path)] == pytest.approx(
+        [m.golden for m in measured(tmp_path)], rel=1e-3
+    )
+    (tmp_path / "fr3.urdf").write_text(nominal)
+    assert not all(m.passed for m in measured(tmp_path))
 
 
 @pytest.mark.parametrize(
