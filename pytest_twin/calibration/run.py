@@ -145,6 +145,8 @@ def calibrate(
     degenerate = bool(solved.estimate.directions)
     held_ids = [problem.observations.ids[row] for row in held_rows]
     document["held_out"] = {**_errors_json(errors), "ids": held_ids}
+    if gross:
+        document["held_out"]["with_excluded"] = errors_of(held, fit.state).summary()
     document["fitted"] = fitted.summary()
     document["fitted"]["noise"] = dict(fit.noise)
     document["fitted"]["leave_one_out"] = dict(solved.estimate.leave_one_out)

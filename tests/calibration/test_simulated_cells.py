@@ -117,6 +117,24 @@ def test_outliers_are_named_and_do_not_move_the_estimate() -> None:
     np.testing.assert_allclose(xyz, cell.mounted[:3, 3], atol=6e-4)
 
 
+def test_a_held_out_observation_that_measured_something_else_is_named_and_still_counted() -> None:
+    rng = np.random.default_rng(1)
+    chain = cells.arm(6, rng)
+    cell = cells.joint_cell(rng, chain, 40)
+    observations = cells.with_outliers(cell.observations, [9], 0.03)
+    plan = cells.plan("hand_eye", "base_world", hold_out=HoldOut(ids=("0", "5", "9", "20", "30")))
+    found = calibrate(plan, observations, chain)
+    (excluded,) = found["excluded"]
+    assert excluded["id"] == "9"
+    assert excluded["why"].startswith("held out; ")
+    held_out = found["held_out"]
+    assert held_out["count"] == 4
+    assert held_out["with_excluded"]["count"] == 5
+    # 52 mm at one of five: root mean square over coordinates of 0.052 / sqrt(3 * 5) m.
+    assert held_out["with_excluded"]["translation_rms"] == pytest.approx(0.0134, rel=0.05)
+    assert held_out["translation_rms"] < 0.1 * held_out["with_excluded"]["translation_rms"]
+
+
 def test_a_few_poses_are_refused_or_have_intervals_that_hold() -> None:
     inside = []
     for seed in range(20):
