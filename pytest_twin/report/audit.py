@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
+from pytest_twin.report.page import style_of, template
 from pytest_twin.report.text import number, printable
 from pytest_twin.words import counted
 
@@ -201,10 +199,7 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
         audit: the content of the JSON file.
         renders: ``title``, ``caption`` and ``png`` (base64) of each picture.
     """
-    folder = resources.files(__package__)
-    style = folder.joinpath("report.css").read_text("utf-8")
-    style += folder.joinpath("audit.css").read_text("utf-8")
-    style_hash = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    style = style_of("report.css", "audit.css")
     kinds = groups(audit["findings"])
     unknown = [kind for kind in kinds if kind.severity == "unknown"]
     sources = [
@@ -214,8 +209,8 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
     return _template().render(
         audit=audit,
         good=not audit["counts"]["critical"],
-        style=style,
-        style_hash=style_hash,
+        style=style.text,
+        style_hash=style.sha256,
         layers=[(name, _TITLES[name]) for name in audit["layers"]],
         faults=[kind for kind in kinds if kind.severity in ("critical", "warning")],
         sources=sources,
@@ -228,19 +223,6 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
     )
 
 
-def _printable(found: object) -> object:
-    return printable(found) if type(found) is str else found
-
-
 @cache
 def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=_printable,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        loader=jinja2.PackageLoader("pytest_twin.report", "."),
-    )
-    environment.filters.update(number=number, place=place, value=value)
-    return environment.get_template("audit.html.j2")
+    return template("audit.html.j2", number=number, place=place, value=value)

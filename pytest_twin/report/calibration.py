@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 from collections.abc import Mapping
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ from pytest_twin.report.calibration_plots import (
     residuals_figure,
     solvers_figure,
 )
-from pytest_twin.report.text import printable
+from pytest_twin.report.page import style_of, svg_uri, template
 
 MOST_OVERLAYS = 6
 """Images that are shown, those with the largest reprojection error first."""
@@ -39,23 +37,20 @@ def render(document: Mapping[str, Any], images: Path) -> str:
         document: ``calibration.json``.
         images: folder that the images' paths are relative to.
     """
-    folder = resources.files(__package__)
-    style = "".join(
-        folder.joinpath(name).read_text("utf-8") for name in ("report.css", "diagnosis.css")
-    )
+    style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]
     seen = document.get("images", {})
     return _template().render(
         document=document,
-        style=style,
-        style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
+        style=style.text,
+        style_hash=style.sha256,
         headline=headline,
         mood=mood,
         overlays=_overlays(seen, images),
-        residuals=_svg(residuals_figure(document)) if seen else None,
-        solvers=_svg(solvers_figure(document)) if any(document["solvers"].values()) else None,
+        residuals=svg_uri(residuals_figure(document)) if seen else None,
+        solvers=svg_uri(solvers_figure(document)) if any(document["solvers"].values()) else None,
         ellipses=[
-            (name, _svg(covariance_figure(record, name)))
+            (name, svg_uri(covariance_figure(record, name)))
             for name, record in document["records"].items()
             if "transform" in record and len(record["covariance"]) == 6
         ],
@@ -77,22 +72,6 @@ def _overlays(seen: Mapping[str, Any], images: Path) -> list[tuple[str, str]]:
     return found
 
 
-def _svg(figure: bytes) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(figure).decode()
-
-
-def _printable(value: object) -> object:
-    return printable(value) if type(value) is str else value
-
-
 @cache
 def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=_printable,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        loader=jinja2.PackageLoader("pytest_twin.report", "."),
-    )
-    return environment.get_template("calibration.html.j2")
+    return template("calibration.html.j2")

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib import resources
 from typing import Any
 
 import jinja2
@@ -28,7 +25,8 @@ from pytest_twin.report.finding_words import (
     to_confirm,
 )
 from pytest_twin.report.law_plot import law_figure
-from pytest_twin.report.text import number, printable, quantity
+from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.text import number, quantity
 
 MAX_FIGURES = 12
 """Joints with a figure, those with the largest error first."""
@@ -118,17 +116,14 @@ def _score_shown(score: float | None) -> str:
 
 def render(view: DiagnosisView) -> str:
     """The report as one HTML document without external files."""
-    folder = resources.files(__package__)
-    style = "".join(
-        folder.joinpath(name).read_text("utf-8") for name in ("report.css", "diagnosis.css")
-    )
+    style = style_of("report.css", "diagnosis.css")
     said = view.said
     drawn = view.joints[:MAX_FIGURES]
     figures = Forks(usable_cores()).map(joint_figure, drawn)
     return _template().render(
         view=view,
-        style=style,
-        style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
+        style=style.text,
+        style_hash=style.sha256,
         headline=headline(said),
         mood=_MOOD[said["verdict"]],
         findings=[_shown(f, view) for f in said["findings"]],
@@ -139,7 +134,7 @@ def render(view: DiagnosisView) -> str:
         ],
         left=_left(said),
         what_to_do=_WHAT_TO_DO,
-        figures=[(v.joint, _data_uri(f)) for v, f in zip(drawn, figures, strict=True)],
+        figures=[(v.joint, svg_uri(f)) for v, f in zip(drawn, figures, strict=True)],
         figures_left_out=[v.joint for v in view.joints[MAX_FIGURES:]],
         at_floor=view.at_floor,
         share_left=view.share_left,
@@ -163,7 +158,7 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
         "windows": [(n, spans_said(w)) for n, w in finding["where"]["windows"].items()],
         "equation": equation,
         "source": source,
-        "curve": _data_uri(law_figure(law, finding["joint"])) if law is not None else None,
+        "curve": svg_uri(law_figure(law, finding["joint"])) if law is not None else None,
     }
 
 
@@ -192,25 +187,10 @@ def spans_said(windows: Sequence[Sequence[float]]) -> str:
     return f"{said} s, and {more} shorter" if more else f"{said} s"
 
 
-def _data_uri(svg: bytes) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
-
-
-def _printable(value: object) -> object:
-    return printable(value) if type(value) is str else value
-
-
 @cache
 def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=_printable,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        loader=jinja2.PackageLoader("pytest_twin.report", "."),
-    )
-    environment.filters.update(
+    return template(
+        "diagnosis.html.j2",
         number=number,
         quantity=quantity,
         percent=percent,
@@ -218,4 +198,3 @@ def _template() -> jinja2.Template:
         errors=errors_shown,
         score=_score_shown,
     )
-    return environment.get_template("diagnosis.html.j2")

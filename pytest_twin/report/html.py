@@ -6,12 +6,9 @@ come from robots' files.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Any
 
 import jinja2
@@ -19,7 +16,8 @@ import jinja2
 from pytest_twin.outcome import Measure, Reason, use_of_tolerance
 from pytest_twin.report.failure import headline
 from pytest_twin.report.model import Entry, Report, Verdict
-from pytest_twin.report.text import number, printable, quantity, use
+from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.text import number, quantity, use
 
 MAX_PLOT_BYTES = 32 * 2**20
 """All plots of one report together; the failed ones are shown first."""
@@ -62,8 +60,7 @@ class _Row:
 
 def render(report: Report) -> str:
     """The report as one HTML document."""
-    style = resources.files(__package__).joinpath("report.css").read_text("utf-8")
-    style_hash = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    style = style_of("report.css")
     rows = _rows(report.entries)
     ran = [row for row in rows if row.entry.release is None and not row.entry.not_run]
     not_run = [row for row in rows if row.entry.not_run]
@@ -72,8 +69,8 @@ def render(report: Report) -> str:
         report=report,
         verdict=_WORDS[report.verdict],
         good=report.verdict in ("released", "holds", "passed"),
-        style=style,
-        style_hash=style_hash,
+        style=style.text,
+        style_hash=style.sha256,
         failed=[row for row in ran if row.state != "passed"],
         passed=[row for row in ran if row.state == "passed"],
         not_run=not_run,
@@ -106,7 +103,7 @@ def _rows(entries: Iterable[Entry]) -> list[_Row]:
         plot = None
         if entry.plot is not None and len(entry.plot) <= plot_room:
             plot_room -= len(entry.plot)
-            plot = "data:image/svg+xml;base64," + base64.b64encode(entry.plot).decode()
+            plot = svg_uri(entry.plot)
         rows.append(
             _Row(
                 entry=entry,
@@ -167,26 +164,13 @@ def _bar_width(used: float, full: float = 100.0) -> str:
     return f"{full * min(max(share, 0.01), 1.0):.1f}"
 
 
-def _printable(value: object) -> object:
-    """Every text that the template shows; what it made itself has its line breaks."""
-    return printable(value) if type(value) is str else value
-
-
 @cache
 def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=_printable,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        loader=jinja2.PackageLoader("pytest_twin.report", "."),
-    )
-    environment.filters.update(
+    return template(
+        "report.html.j2",
         number=number,
         quantity=quantity,
         use=use,
         used=use_of_tolerance,
         bar=_bar_width,
     )
-    return environment.get_template("report.html.j2")
