@@ -41,6 +41,13 @@ class Errors:
     rotation: FloatArray
     reach: FloatArray
 
+    def only(self, kept: np.ndarray) -> Errors:
+        """Those of some measurements, (m,) truth values."""
+        ids = tuple(name for name, there in zip(self.ids, kept, strict=True) if there)
+        return Errors(
+            ids, self.rows[kept], self.translation[kept], self.rotation[kept], self.reach[kept]
+        )
+
     @property
     def distance(self) -> FloatArray:
         """(m,) m."""

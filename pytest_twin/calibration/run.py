@@ -140,13 +140,14 @@ def calibrate(
         "verdict": "degenerate",
         "records": records(solved.estimate),
     }
-    errors, gross = held_out_errors(held, fit.state)
+    of_all = errors_of(held, fit.state)
+    errors, gross = without_gross(of_all)
     fitted = errors_of(fit.problem, fit.state, fit.kept)
     degenerate = bool(solved.estimate.directions)
     held_ids = [problem.observations.ids[row] for row in held_rows]
     document["held_out"] = {**_errors_json(errors), "ids": held_ids}
     if gross:
-        document["held_out"]["with_excluded"] = errors_of(held, fit.state).summary()
+        document["held_out"]["with_excluded"] = of_all.summary()
     document["fitted"] = fitted.summary()
     document["fitted"]["noise"] = dict(fit.noise)
     document["fitted"]["leave_one_out"] = dict(solved.estimate.leave_one_out)
@@ -202,9 +203,8 @@ def solve_problem(problem: Problem) -> Solved:
     return Solved(found, gauges, kept)
 
 
-def held_out_errors(held: Problem, state: State) -> tuple[Errors, tuple[LeftOut, ...]]:
+def without_gross(errors: Errors) -> tuple[Errors, tuple[LeftOut, ...]]:
     """Errors on held-out observations, without those that measured something else."""
-    errors = errors_of(held, state)
     if len(errors.ids) < 4:
         return errors, ()
     angles = np.linalg.norm(errors.rotation, axis=1)
@@ -221,17 +221,7 @@ def held_out_errors(held: Problem, state: State) -> tuple[Errors, tuple[LeftOut,
         )
         for at in np.flatnonzero(gross)
     )
-    keep = ~gross
-    return (
-        Errors(
-            tuple(name for name, kept in zip(errors.ids, keep, strict=True) if kept),
-            errors.rows[keep],
-            errors.translation[keep],
-            errors.rotation[keep],
-            errors.reach[keep],
-        ),
-        left_out,
-    )
+    return errors.only(~gross), left_out
 
 
 def _errors_json(errors: Errors) -> dict[str, Any]:
@@ -249,14 +239,7 @@ def _solvers(held: Problem, solved: Solved, errors: Errors) -> dict[str, Any]:
     chosen = set(errors.ids)
     for name, state in solved.candidates.items():
         each = errors_of(held, state)
-        inside = np.array([one in chosen for one in each.ids], dtype=bool)
-        each = Errors(
-            tuple(one for one in each.ids if one in chosen),
-            each.rows[inside],
-            each.translation[inside],
-            each.rotation[inside],
-            each.reach[inside],
-        )
+        each = each.only(np.array([one in chosen for one in each.ids], dtype=bool))
         found[name] = {k: v for k, v in each.summary().items() if k in kept}
     found["least_squares"] = {k: v for k, v in errors.summary().items() if k in kept}
     return found

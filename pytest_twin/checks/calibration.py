@@ -19,7 +19,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.fields import known_name, spec_error
 from pytest_twin.checks.files import find_file
-from pytest_twin.checks.tcp_accuracy import calibrations_of
+from pytest_twin.checks.poses import encoder_parts
 from pytest_twin.dependency import Structure
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.golden import Golden
@@ -78,7 +78,7 @@ class CalibrationCheck(Check):
         parts |= {f"file:{target[name]}" for name in ("plan", "observations")}
         if "flange" in target:
             chain = structure.chain([target["flange"]])
-            parts |= chain | calibrations_of(structure, chain)
+            parts |= chain | encoder_parts(structure, chain)
         return parts
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
@@ -88,7 +88,8 @@ class CalibrationCheck(Check):
         from pytest_twin.calibration.plan import load_plan
         from pytest_twin.calibration.problem import make_problem
         from pytest_twin.calibration.recorded import held_out_observations, recorded_state
-        from pytest_twin.calibration.run import held_out_errors
+        from pytest_twin.calibration.residual_errors import errors_of
+        from pytest_twin.calibration.run import without_gross
 
         twin = _twin(golden, realization)
         record = _entry(golden, twin).record
@@ -111,7 +112,7 @@ class CalibrationCheck(Check):
         # Zeros and geometry are the realization's own.
         kept = tuple(name for name in plan.estimate if name not in ("joint_zeros", "geometry"))
         problem = make_problem(replace(plan, estimate=kept), held, chain)
-        errors, _ = held_out_errors(problem, recorded_state(problem, record))
+        errors, _ = without_gross(errors_of(problem, recorded_state(problem, record)))
         progress(1.0)
         return Observation(
             {

@@ -474,3 +474,13 @@ class _Coupled:
         still_open = np.abs(residual) > 1e-7
         touched = np.any(np.abs(jacobian[still_open]) > 0.0, axis=0)
         return frozenset(dof_joint[d] for d in np.flatnonzero(touched).tolist() if d in dof_joint)
+
+
+def encoder_parts(structure: Structure, chain: Iterable[str]) -> frozenset[str]:
+    """Parts of the encoders of all joints that move the bodies of a chain."""
+    placed = frozenset(chain)
+    return frozenset(
+        f"calibration:{joint}"
+        for joint, body in structure.joint_body.items()
+        if f"{structure.realization}/kinematics:{body}" in placed
+    )

@@ -18,7 +18,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.fields import known_name, spec_error
 from pytest_twin.checks.files import find_file
-from pytest_twin.checks.poses import configuration, joints_above, joints_to_give
+from pytest_twin.checks.poses import configuration, encoder_parts, joints_above, joints_to_give
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import orientation_error, position_error
@@ -66,7 +66,7 @@ class TcpAccuracy(Check):
         chain = structure.chain([golden.target["frame"]])
         return (
             chain
-            | calibrations_of(structure, chain)
+            | encoder_parts(structure, chain)
             | {"base:calibration", f"file:{golden.target['measurements']}"}
         )
 
@@ -107,7 +107,7 @@ class TcpAccuracy(Check):
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
         """The worst measurement, or the root mean square over all, as the spec bounds them."""
-        return error_measures(golden, observation.values, golden.target["frame"], self.tolerances)
+        return _measures(golden, observation.values, golden.target["frame"], self.tolerances)
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """Nothing: only an instrument knows where the frame is."""
@@ -116,17 +116,7 @@ class TcpAccuracy(Check):
         )
 
 
-def calibrations_of(structure: Structure, chain: Iterable[str]) -> frozenset[str]:
-    """Parts of the encoders of all joints that move the bodies of a chain."""
-    placed = frozenset(chain)
-    return frozenset(
-        f"calibration:{joint}"
-        for joint, body in structure.joint_body.items()
-        if f"{structure.realization}/kinematics:{body}" in placed
-    )
-
-
-def error_measures(
+def _measures(
     golden: Golden,
     errors: Mapping[str, Mapping[str, float]],
     subject: str,

@@ -13,6 +13,9 @@ from pytest_twin.effects.base import Effect, Values
 EffectValues = Mapping[str, Values]
 """Effect id -> parameter name -> (rows, joints) values."""
 
+ActiveEffects = Sequence[tuple[Effect, Values]]
+"""Effects with their parameters for rows."""
+
 BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "gear")
 
 

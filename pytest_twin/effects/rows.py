@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.acting import (
+    ActiveEffects,
     EffectValues,
     acting,
     between_steps,
@@ -49,7 +50,6 @@ from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.quiet import quiet
 
 Result = TypeVar("Result")
-ActiveEffects = Sequence[tuple[Effect, Values]]
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(steps + 1, rows, joints) positions, velocities and efforts."""
 

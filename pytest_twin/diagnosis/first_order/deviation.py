@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along
-from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Forces
+from pytest_twin.diagnosis.first_order.laws import Forces
 from pytest_twin.diagnosis.first_order.rigid_terms import slopes, upsampled
+from pytest_twin.effects.acting import ActiveEffects
 from pytest_twin.effects.rows import RowSimulator
 
 _HELD = 1e4

@@ -8,7 +8,7 @@ what the motion asks for, up to its level.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.along import Along
 from pytest_twin.diagnosis.first_order.rigid_terms import Rigid, upsampled
-from pytest_twin.effects.acting import hooks_between_steps, there
-from pytest_twin.effects.base import Effect, ModelFields, Values, World, moving_apart
+from pytest_twin.effects.acting import ActiveEffects, hooks_between_steps, there
+from pytest_twin.effects.base import ModelFields, World, moving_apart
 from pytest_twin.effects.roll_in import act
 from pytest_twin.effects.row_models import OF_ROWS
 from pytest_twin.effects.rows import RowSimulator
@@ -38,7 +38,6 @@ _PER_ROW = (
 )  # fmt: skip
 _AT_ONCE, _SAMPLES, _STEPS = 0, 1, 2
 """Pace of a joint's laws: all samples at once, sample by sample, at the model's own step."""
-ActiveEffects = Sequence[tuple[Effect, Values]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.first_order.along import Along, along
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
-from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Forces, Laws, force_slopes
+from pytest_twin.diagnosis.first_order.laws import Forces, Laws, force_slopes
 from pytest_twin.diagnosis.first_order.readings import Column, Readings
 from pytest_twin.diagnosis.first_order.rigid_terms import (
     Efforts,
@@ -34,7 +34,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_val
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.start import FreeStart, free_shifts, free_start
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.acting import BETWEEN_STEPS, in_turn, with_fixed
+from pytest_twin.effects.acting import BETWEEN_STEPS, ActiveEffects, in_turn, with_fixed
 from pytest_twin.effects.base import Effect, Values
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores

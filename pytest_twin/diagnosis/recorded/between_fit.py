@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.prepare import NOISE
 from pytest_twin.diagnosis.recorded.command_between import (
@@ -21,6 +20,7 @@ from pytest_twin.diagnosis.recorded.command_between import (
     Between,
     Left,
     decide,
+    level,
     without_own_recording,
 )
 from pytest_twin.diagnosis.recorded.joint_fit import DELAY, JointFit, Parameters, fit_joints
@@ -135,23 +135,17 @@ def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> J
     if any(int(s) not in defect for s in group) or not np.isfinite(fit.residual).all():
         return fit
     error = np.concatenate([defect[int(s)].position for s in group])
-    best, least = fit, _level(fit.residual, space.noise) - _CLEARLY
+    best, least = fit, level(fit.residual, space.noise) - _CLEARLY
     for substeps in SUBSTEPS:
         residual = fit.residual + error / substeps
         step = space.step(fit.theta, residual, fit.slopes)
         residual = residual - np.einsum("npj,pj->nj", fit.slopes, step)
-        level = _level(residual, space.noise)
-        if level < least:
+        left = level(residual, space.noise)
+        if left < least:
             nominal, theta = fit.nominal + error / substeps, fit.theta + step
             best = replace(fit, residual=residual, nominal=nominal, theta=theta)
-            least = level
+            least = left
     return best
-
-
-def _level(residual: FloatArray, noise: FloatArray) -> float:
-    """Sum over joints of the logarithm of the RMS residual, which is at least the noise."""
-    rms = np.sqrt(np.mean(residual**2, axis=0))
-    return float(np.sum(np.log(np.maximum(rms, noise))))
 
 
 def _left(fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Sequence[int]) -> Left:

@@ -104,7 +104,7 @@ def decide(
     if not usable:
         return Between(unknown("the model diverges under these commands"), COMMAND_BETWEEN, period)
     rms = {b: np.sqrt(np.mean(x.residual**2, axis=0)) for b, x in usable.items()}
-    told = {b: float(np.sum(np.log(np.maximum(r, noise)))) for b, r in rms.items()}
+    told = {b: level(x.residual, noise) for b, x in usable.items()}
     best = min(told, key=lambda b: told[b])
     possible, nats = [best], np.inf
     for other in usable:
@@ -128,6 +128,17 @@ def decide(
         unknown(f"{words}: {' and '.join(sorted(possible))} explain the positions alike"),
         tuple(possible), period,
     )  # fmt: skip
+
+
+def level(residual: FloatArray, noise: FloatArray) -> float:
+    """Sum over joints of the logarithm of the RMS residual, which is at least the noise.
+
+    Args:
+        residual: (samples, joints) rad or m.
+        noise: (joints,) the same.
+    """
+    rms = np.sqrt(np.mean(residual**2, axis=0))
+    return float(np.sum(np.log(np.maximum(rms, noise))))
 
 
 def _ratio(
