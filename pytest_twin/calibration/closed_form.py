@@ -101,7 +101,7 @@ def scale_of_seen(flange: FloatArray, seen: FloatArray) -> tuple[float, FloatArr
     matrix[:, :, 3:6] = -np.eye(3)
     matrix[:, :, 6] = -(seen[:, :3, 3] @ world.T)
     right = -flange[:, :3, 3]
-    # Columns of one size, so that positions in mm leave the rank as it is.
+    # Columns of unit length: the rank must not depend on the unit of the positions.
     size = np.linalg.norm(matrix.reshape(-1, 7), axis=0) + 1e-300
     found = _solved(matrix.reshape(-1, 7) / size, right.reshape(-1)) / size
     return float(found[6]), rigid(mounted, found[:3]), rigid(world, found[3:6])

@@ -114,7 +114,7 @@ def calibrated_urdf(robot: Path, records: Mapping[str, Any], folder: Path) -> st
     """A URDF's text with joint zeros and link geometry in its joints' origins, and new frames.
 
     Args:
-        robot: the URDF as it is.
+        robot: the URDF before calibration.
         records: of ``calibration.json``.
         folder: where the text will lie; relative paths of meshes are rewritten for it.
     """

@@ -1,7 +1,7 @@
 """What each observation says when it is left out of the fit, and what follows for the covariance.
 
-Markers that are measured together share the error of the robot's pose, so that an observation, and
-not a marker, is what is left out.
+Markers that are measured together share the error of the robot's pose. So whole observations are
+left out, never single markers.
 """
 
 from __future__ import annotations

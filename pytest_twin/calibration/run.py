@@ -113,7 +113,7 @@ def calibrate(
         plan: what to estimate.
         observations: what was measured.
         chain: of the robot, None where flange poses are given.
-        progress: is told the share that is done.
+        progress: called with the fraction done, 0 to 1.
         images: of the observations, where there are any.
         rejected: images that are not usable.
 

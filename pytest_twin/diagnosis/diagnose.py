@@ -438,8 +438,9 @@ def _posed_away(
 
 
 def _share_of_whole(problem: Problem) -> float:
-    """Share of the simulations that are left for a search over whole recordings: half where the
-    model as it came departs from them as far as they move, for windows are searched then as well.
+    """Share of the remaining simulations that a search over whole recordings may use: all of them,
+    or half where the nominal model does not stay near the recordings. Short windows are searched
+    then as well, and need the other half.
     """
     near = stays_near(problem, left_everywhere(problem, EMPTY))
     return 1.0 if near else _OF_WHOLE

@@ -262,7 +262,7 @@ def test_a_change_makes_exactly_what_rests_on_it_stale(
     assert not words or any(str(reason).startswith(words) for reason in found["hand_eye"])
 
 
-# -- what is said of the records themselves
+# -- stale and unchecked records in --twin-why
 
 
 def told(root: Path, change: Callable[[Path], None]) -> list[str]:
