@@ -181,6 +181,11 @@ class Parameter:
         return units[1 if joint_type == "slide" else 0]
 
 
+def si_unit(quantity: Quantity, slide: bool) -> str:
+    """SI unit of a quantity on a slide or a hinge."""
+    return _UNITS[quantity][1 if slide else 0]
+
+
 @dataclass(slots=True)
 class World:
     """State of many simulations at one time step; arrays are (rows, joints) unless noted.

@@ -30,6 +30,7 @@ def load(
     search: SearchFolders | None = None,
     located: Located | None = None,
     accept_invalid_inertia: bool = False,
+    shapes: bool = True,
     limits: ModelLimits = LIMITS,
 ) -> Realization:
     """Load an MJCF or URDF file.
@@ -45,6 +46,8 @@ def load(
         located: where the files may lie, where that is known already.
         accept_invalid_inertia: of a URDF, repair inertias that no body can have and note it,
             rather than raise; ``source.inertia_repairs`` then holds what a twin's fit can state.
+        shapes: of a URDF, with the collision shapes. Without them its meshes need not be there;
+            what moves in contact with nothing moves the same.
         limits: bounds on what may be loaded.
 
     Raises:
@@ -73,6 +76,7 @@ def load(
             robot,
             UrdfFiles.of(robot.node, located.roots, located.packages),
             accept_invalid_inertia=accept_invalid_inertia,
+            shapes=shapes,
             inertia_patches={} if fit is None else fit.patches.get("body", {}),
             limits=limits,
         )

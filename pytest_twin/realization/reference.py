@@ -51,6 +51,18 @@ class Reference:
         self.notes: tuple[str, ...] = tuple(rigid.notes)
         self._data = self.model.createData()
 
+    def configuration(self, q: Mapping[str, Value]) -> Vector:
+        """(nq,) Pinocchio's configuration; joints left out stand at the model's reference."""
+        return self._configuration(q)
+
+    def zero_of(self, joint: str) -> float:
+        """Value at which the joint stands as it is drawn, in rad or m."""
+        return self._rigid.reference.get(joint, 0.0)
+
+    def armature_of(self, joint: str) -> float:
+        """Armature that the model states, in kg*m^2 or kg."""
+        return self._rigid.armature.get(joint, 0.0)
+
     def frame_pose(self, q: Mapping[str, Value], frame: str) -> Vector:
         """``transform_world_to_frame`` (4, 4) of a site or body, a site going first; m."""
         if frame not in self._rigid.frames:

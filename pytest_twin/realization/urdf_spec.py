@@ -73,6 +73,7 @@ def convert(
     *,
     accept_invalid_inertia: bool = False,
     inertia_patches: Mapping[str, Patch] | None = None,
+    shapes: bool = True,
     limits: ModelLimits = LIMITS,
 ) -> Converted:
     """Build the spec.
@@ -82,13 +83,15 @@ def convert(
         accept_invalid_inertia: repair inertias that no body can have, with a note, rather than
             raise.
         inertia_patches: link -> mass, com, inertia stated in their place.
+        shapes: with the collision shapes; without them no mesh is touched.
 
     Raises:
         ModelError: an inertia that no body can have, or a shape without size.
         PathError: a mesh outside the roots, or none.
         FormatError: a broken mesh.
     """
-    return _Converter(robot, files, accept_invalid_inertia, inertia_patches or {}, limits).run()
+    patches = inertia_patches or {}
+    return _Converter(robot, files, accept_invalid_inertia, patches, shapes, limits).run()
 
 
 class _Converter:
@@ -98,12 +101,14 @@ class _Converter:
         files: UrdfFiles,
         accept_invalid_inertia: bool,
         inertia_patches: Mapping[str, Patch],
+        shapes: bool,
         limits: ModelLimits,
     ) -> None:
         self.robot = robot
         self.files = files
         self.accept_invalid_inertia = accept_invalid_inertia
         self.inertia_patches = inertia_patches
+        self.shapes = shapes
         self.limits = limits
         self.spec = self._empty()
         self.out = Converted(self.spec)
@@ -132,7 +137,7 @@ class _Converter:
             self._mimic(joint)
             self._actuator(joint)
         self._inertias()
-        for link in self.robot.links.values():
+        for link in self.robot.links.values() if self.shapes else ():
             self._collisions(link)
         self._exclude_base()
         self._left_out()

@@ -1,0 +1,137 @@
+"""Base parameters: the combinations of parameters that motion and effort can determine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.regressor.columns import Column
+from pytest_twin.identification.regressor.regressor import Regressor
+
+RANK_TOLERANCE = 1e-8
+"""Relative size of a column's part that no other column expresses, below which it counts as zero.
+Exact regressors leave 1e-13; columns that motion really moves leave more than 1e-3."""
+_SAMPLES_PER_COLUMN = 4
+_COEFFICIENT_TOLERANCE = 1e-7
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """A minimal set of parameters and how they combine all others.
+
+    Attributes:
+        columns: (p,) all parameters.
+        independent: (b,) indices of the columns that are kept; their column of the regressor stays.
+        combination: (b, p) ``base = combination @ parameters``.
+    """
+
+    columns: tuple[Column, ...]
+    independent: NDArray[np.intp]
+    combination: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.independent)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(b,) name of the leading parameter of each, ``JOINT.KIND``."""
+        return tuple(self.columns[i].name for i in self.independent)
+
+    @property
+    def expressions(self) -> tuple[str, ...]:
+        """(b,) sums in the symbols of the literature: ``Izz1 + Ia1 + Iyy2``."""
+        return tuple(
+            " ".join(self._terms(row, lambda column: column.symbol))
+            for row in range(len(self.independent))
+        )
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """(b,) the same sums with the joints' names."""
+        return tuple(
+            " ".join(self._terms(row, lambda column: column.words))
+            for row in range(len(self.independent))
+        )
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """(b,) unit of each."""
+        return tuple(self.columns[i].unit for i in self.independent)
+
+    def matrix(self, regressor: FloatArray) -> FloatArray:
+        """(n, joints, b) the base columns of a regressor (n, joints, p)."""
+        return np.asarray(regressor[..., self.independent])
+
+    def values(self, parameters: FloatArray) -> FloatArray:
+        """(b,) base parameters of (p,) parameters."""
+        return np.asarray(self.combination @ parameters)
+
+    def _terms(self, row: int, said: Callable[[Column], str]) -> list[str]:
+        kept = self.independent[row]
+        others = [i for i in np.flatnonzero(self.combination[row]) if i != kept]
+        found = [said(self.columns[kept])]
+        for i in others:
+            factor = self.combination[row, i]
+            size = float(f"{abs(factor):.{_DIGITS}g}")
+            times = "" if size == 1.0 else f"{size:g}*"
+            found += ["-" if factor < 0 else "+", f"{times}{said(self.columns[i])}"]
+        return found
+
+
+def structural_base(regressor: Regressor, seed: int = 0) -> BaseParameters:
+    """The base parameters of a robot under any motion.
+
+    The regressor is evaluated at random positions, velocities and accelerations, so that the rank
+    is the robot's own and no trajectory's.
+
+    Args:
+        regressor: of the robot.
+        seed: of the random motion; the result does not depend on it.
+    """
+    count = len(regressor.joints)
+    samples = _SAMPLES_PER_COLUMN * max(1, len(regressor.columns) // count)
+    random = np.random.default_rng(seed)
+    motion = random.uniform(-np.pi, np.pi, (3, samples, count))
+    return base_of(regressor.matrix(*motion), regressor.columns)
+
+
+def base_of(matrix: FloatArray, columns: Sequence[Column]) -> BaseParameters:
+    """The base parameters that a regressor determines, by rank-revealing QR (Gautier, ICRA 1991).
+
+    Columns are kept from left to right: a parameter is regrouped into those before it.
+
+    Args:
+        matrix: (n, joints, p) at the instants of a motion.
+        columns: (p,) what each column is.
+    """
+    stacked = np.asarray(matrix).reshape(-1, len(columns))
+    sizes = np.linalg.norm(stacked, axis=0)
+    scale = np.where(sizes > RANK_TOLERANCE * sizes.max(initial=0.0), sizes, np.inf)
+    # The triangle has the same column dependencies and at most p rows.
+    triangle = scipy.linalg.qr(stacked / scale, mode="r")[0][: len(columns)]
+    pivoted = scipy.linalg.qr(triangle, mode="r", pivoting=True)[0]
+    diagonal = np.abs(np.diag(pivoted))
+    rank = int(np.sum(diagonal > RANK_TOLERANCE * diagonal.max(initial=0.0)))
+    kept: list[int] = []
+    basis = np.zeros((triangle.shape[0], 0))
+    for at in range(len(columns)):
+        if len(kept) == rank:
+            break
+        rest = triangle[:, at] - basis @ (basis.T @ triangle[:, at])
+        rest -= basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) > RANK_TOLERANCE:
+            kept.append(at)
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+    independent = np.array(kept, dtype=np.intp)
+    solved = np.linalg.lstsq(triangle[:, independent], triangle, rcond=None)[0]
+    own = np.where(np.isfinite(scale), scale, 0.0)
+    combination = solved * own / scale[independent][:, None]
+    combination[np.abs(solved) < _COEFFICIENT_TOLERANCE] = 0.0
+    combination[:, independent] = np.eye(len(independent))
+    return BaseParameters(tuple(columns), independent, combination)

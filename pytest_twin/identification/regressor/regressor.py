@@ -1,0 +1,111 @@
+"""The inverse dynamics of a realization with its drives, linear in all parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import SpecError
+from pytest_twin.identification.regressor.columns import Column, SharedMotor, columns
+from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics
+from pytest_twin.realization.named_model import NamedModel
+
+_KINDS = ("armature", "viscous_friction", "coulomb_friction", "effort_bias")
+
+
+class Regressor:
+    """``effort = matrix(motion) @ parameters``, at the joints' side of the gears.
+
+    effort = rigid bodies + Ia a + fv v + fs sign(v) + off (Khalil, Dombre, Modeling,
+    Identification and Control of Robots, 2002, ch. 12). A motor that two joints share adds
+    Iam a_other, fvm v_other to each of both and fsm sign(v_own + v_other) to both (Gautier, ICRA
+    1988, for the coupled wrist of the TX series).
+
+    Attributes:
+        joints: (joints,) names, the order of the columns of motion and effort.
+        slides: whether each joint is a slide (m, N) and not a hinge (rad, N*m).
+        columns: (p,) what each parameter is, with name, symbol and unit.
+        prior: (p,) what the model states, in the columns' units.
+
+    Args:
+        realization: the robot, with the variant's payload.
+        joints: those whose motion and effort are given; others stand at the model's reference.
+        shared: motors that two joints share.
+
+    Raises:
+        SpecError: a joint that the model lacks.
+        ModelError: a joint of more than one degree of freedom, or what Pinocchio cannot express.
+    """
+
+    def __init__(
+        self, realization: NamedModel, joints: Sequence[str], shared: Sequence[SharedMotor] = ()
+    ) -> None:
+        self._dynamics = InverseDynamics(realization, joints)
+        self.joints = self._dynamics.joints
+        self.slides = self._dynamics.slides
+        for motor in shared:
+            for joint in (motor.joint, motor.other):
+                if joint not in self.joints:
+                    raise SpecError(
+                        f"a shared motor turns joint {joint!r}, of which nothing is given",
+                        path=realization.path,
+                        expected="one of " + ", ".join(self.joints),
+                    )
+        self._shared = tuple(shared)
+        self.columns: tuple[Column, ...] = columns(
+            self.joints, self._dynamics.links, self.slides, self._shared
+        )
+        self._at = {(one.joint, one.kind): at for at, one in enumerate(self.columns)}
+        self.prior = self._prior(realization)
+
+    def matrix(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> FloatArray:
+        """(n, joints, p) derivative of the effort by the parameters, at n instants.
+
+        Args:
+            position: (n, joints) rad or m.
+            velocity: (n, joints) rad/s or m/s. At 0 the direction of Coulomb friction is unknown
+                and its column is 0.
+            acceleration: (n, joints) rad/s^2 or m/s^2.
+        """
+        n, count = position.shape
+        found = np.zeros((n, count, len(self.columns)))
+        bodies = self._dynamics.regressor(position, velocity, acceleration)
+        for at, link in enumerate(self._dynamics.links):
+            start = self._at[link, INERTIAL[0]]
+            found[:, :, start : start + len(INERTIAL)] = bodies[:, :, at]
+        own = (acceleration, velocity, np.sign(velocity), np.ones_like(velocity))
+        for row, joint in enumerate(self.joints):
+            for kind, values in zip(_KINDS, own, strict=True):
+                found[:, row, self._at[joint, kind]] = values[:, row]
+        for motor in self._shared:
+            one, two = self.joints.index(motor.joint), self.joints.index(motor.other)
+            ratio = motor.ratio
+            direction = np.sign(velocity[:, one] + ratio * velocity[:, two])
+            for kind, values in (
+                ("coupled_armature", acceleration),
+                ("coupled_viscous_friction", velocity),
+            ):
+                column = self._at[motor.joint, kind]
+                found[:, one, column] = ratio * values[:, two]
+                found[:, two, column] = ratio * values[:, one]
+            column = self._at[motor.joint, "coupled_coulomb_friction"]
+            found[:, one, column] = direction
+            found[:, two, column] = ratio * direction
+        return found
+
+    def _prior(self, realization: NamedModel) -> FloatArray:
+        values = np.zeros(len(self.columns))
+        for link, stated in zip(self._dynamics.links, self._dynamics.parameters, strict=True):
+            start = self._at[link, INERTIAL[0]]
+            values[start : start + len(INERTIAL)] = stated
+        model = realization.model
+        for row, joint in enumerate(self.joints):
+            dof = realization.joint_dof_index(joint)
+            values[self._at[joint, "armature"]] = self._dynamics.armature[row]
+            values[self._at[joint, "viscous_friction"]] = model.dof_damping[dof]
+            values[self._at[joint, "coulomb_friction"]] = model.dof_frictionloss[dof]
+        return values

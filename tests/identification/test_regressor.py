@@ -1,0 +1,172 @@
+"""The regressor against MuJoCo's inverse dynamics, base parameters against the textbook."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from pytest_twin.errors import SpecError
+from pytest_twin.identification.regressor.base_parameters import base_of, structural_base
+from pytest_twin.identification.regressor.columns import SharedMotor
+from pytest_twin.identification.regressor.covariance import predicted_covariance
+from pytest_twin.identification.regressor.regressor import Regressor
+from pytest_twin.realization import Realization, load
+from pytest_twin.strategies import robots
+
+TWO_LINKS = """<mujoco model="two_links">
+  <worldbody>
+    <body name="upper">
+      <inertial pos="0.3 0.01 0" mass="4" diaginertia="0.02 0.1 0.1"/>
+      <joint name="shoulder" axis="0 1 0" armature="0.4" damping="0.7" frictionloss="0.3" ref="20"/>
+      <body name="lower" pos="0.5 0 0">
+        <inertial pos="0.2 0 0.02" mass="2" diaginertia="0.01 0.05 0.05"/>
+        <joint name="elbow" axis="0 1 0" armature="0.1" damping="0.2" frictionloss="0.1"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+def model_of(text: str, folder: Path) -> Realization:
+    path = folder / "model.xml"
+    path.write_text(text)
+    return load(path)
+
+
+def motion(joints: int, samples: int = 40, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-2.0, 2.0, (3, samples, joints))
+
+
+def mujoco_effort(realization: Realization, q: np.ndarray, v: np.ndarray, a: np.ndarray):
+    """Rigid bodies, armature and damping by MuJoCo; dry friction is a constraint there."""
+    model, data = realization.model, mujoco.MjData(realization.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    found = []
+    for at in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[at], v[at], a[at]
+        mujoco.mj_inverse(model, data)
+        found.append(data.qfrc_inverse.copy())
+    return np.array(found)
+
+
+def check_effort(realization: Realization) -> None:
+    regressor = Regressor(realization, realization.joints)
+    q, v, a = motion(len(realization.joints))
+    dry = np.array([c.kind == "coulomb_friction" for c in regressor.columns])
+    ours = regressor.matrix(q, v, a) @ np.where(dry, 0.0, regressor.prior)
+    theirs = mujoco_effort(realization, q, v, a)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
+
+
+def test_two_links_have_mujocos_effort(tmp_path):
+    check_effort(model_of(TWO_LINKS, tmp_path))
+
+
+@given(robot=robots(links=(2, 5), mimics=False, meshes=False))
+@settings(max_examples=15, deadline=None)
+def test_random_robots_have_mujocos_effort(robot, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robot")
+    for form in ("urdf", "mjcf"):
+        check_effort(load(robot.write(folder, form)))
+
+
+def test_dry_friction_opposes_the_motion(tmp_path):
+    regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"])
+    at = [c.name for c in regressor.columns].index("elbow.coulomb_friction")
+    v = np.array([[1.0, 0.2], [1.0, -0.2], [1.0, 0.0]])
+    column = regressor.matrix(np.zeros((3, 2)), v, np.zeros((3, 2)))[:, :, at]
+    np.testing.assert_array_equal(column, [[0, 1], [0, -1], [0, 0]])
+    assert regressor.prior[at] == 0.1
+
+
+def test_two_links_have_the_textbooks_base_parameters(tmp_path):
+    """Khalil and Dombre (2002), ch. 9: the second joint's axis is parallel to the first one's."""
+    regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"])
+    base = structural_base(regressor)
+    assert base.expressions == (
+        "Iyy1 + Ia1 + 0.25*m2",
+        "mx1 + 0.5*m2",
+        "mz1",
+        "fv1", "fs1", "off1",
+        "Iyy2",
+        "mx2",
+        "mz2",
+        "Ia2",
+        "fv2", "fs2", "off2",
+    )  # fmt: skip
+    own = dict(zip(base.expressions, base.values(regressor.prior), strict=True))
+    assert own["mx1 + 0.5*m2"] == pytest.approx(4 * 0.3 + 2 * 0.5)
+    assert own["Iyy2"] == pytest.approx(0.05 + 2 * (0.2**2 + 0.02**2))
+    assert base.words[1] == (
+        "first moment along x of the link of 'shoulder' + 0.5*mass of the link of 'elbow'"
+    )
+    assert base.names[0] == "shoulder.Iyy"
+    assert base.units[:4] == ("kg*m^2", "kg*m", "kg*m", "N*m*s/rad")
+
+
+@given(robot=robots(links=(2, 6), mimics=False, meshes=False))
+@settings(max_examples=10, deadline=None)
+def test_base_parameters_predict_what_all_parameters_predict(robot, tmp_path_factory):
+    realization = load(robot.write(tmp_path_factory.mktemp("robot")))
+    regressor = Regressor(realization, realization.joints)
+    base = structural_base(regressor)
+    matrix = regressor.matrix(*motion(len(realization.joints), 60, seed=5))
+    ours = base.matrix(matrix) @ base.values(regressor.prior)
+    whole = matrix @ regressor.prior
+    np.testing.assert_allclose(ours, whole, rtol=0, atol=1e-7 * np.abs(whole).max())
+    reduced = base.matrix(matrix).reshape(-1, len(base))
+    assert np.linalg.matrix_rank(reduced / np.linalg.norm(reduced, axis=0)) == len(base)
+
+
+def test_a_motion_that_moves_one_joint_determines_fewer(tmp_path):
+    regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"])
+    q, v, a = motion(2)
+    for moved in (q, v, a):
+        moved[:, 1] = 0.0
+    found = base_of(regressor.matrix(q, v, a), regressor.columns)
+    assert "fv2" not in found.expressions
+    assert "fv1" in found.expressions
+    assert len(found) < len(structural_base(regressor))
+
+
+def test_a_shared_motor_couples_two_joints(tmp_path):
+    shared = SharedMotor("elbow", "shoulder")
+    regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"], [shared])
+    names = [c.symbol for c in regressor.columns]
+    q, v, a = motion(2, samples=1)
+    matrix = regressor.matrix(q, v, a)[0]
+    np.testing.assert_allclose(matrix[:, names.index("Iam2")], a[0, ::-1])
+    np.testing.assert_allclose(matrix[:, names.index("fvm2")], v[0, ::-1])
+    np.testing.assert_allclose(matrix[:, names.index("fsm2")], np.sign(v.sum()) * np.ones(2))
+    with pytest.raises(SpecError, match="shared motor turns joint 'wrist', of which nothing"):
+        Regressor(model_of(TWO_LINKS, tmp_path), ["elbow"], [SharedMotor("elbow", "wrist")])
+
+
+def test_predicted_covariance_is_that_of_repeated_fits(tmp_path):
+    regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"])
+    base = structural_base(regressor)
+    matrix = base.matrix(regressor.matrix(*motion(2, 100)))
+    std = np.array([0.5, 0.1])
+    predicted = predicted_covariance(matrix, std)
+    assert not predicted.undetermined.any()
+    weighted = (matrix / std[:, None]).reshape(-1, len(base))
+    noise = np.random.default_rng(3).standard_normal((len(weighted), 4000))
+    repeated = np.linalg.lstsq(weighted, noise, rcond=None)[0]
+    np.testing.assert_allclose(repeated.std(axis=1), predicted.std, rtol=0.05)
+
+
+def test_parameters_without_motion_are_undetermined(tmp_path):
+    regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"])
+    base = structural_base(regressor)
+    q, v, a = motion(2)
+    v[:, 0] = a[:, 0] = 0.0
+    predicted = predicted_covariance(base.matrix(regressor.matrix(q, v, a)), np.ones(2))
+    open_ = dict(zip(base.expressions, predicted.undetermined, strict=True))
+    assert open_["fv1"]
+    assert open_["Iyy1 + Ia1 + 0.25*m2"]
+    assert not open_["fv2"]
+    assert np.isinf(predicted.std[base.expressions.index("fv1")])
