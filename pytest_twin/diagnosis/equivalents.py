@@ -325,7 +325,7 @@ def _along(contest: Contest, view: View, own: Hypothesis, fits: Sequence[Polishe
     closest = min(residuals, key=lambda r: misfit(r, view.floor))
     samples = tempered(
         effective, np.mean(closest**2, axis=0), view.floor,
-        recordings_of(contest.problem, fitted=True),
+        recordings_of(contest.problem, fitted=True), len(contest.problem.joints),
     )  # fmt: skip
     values = np.array([
         log_likelihood(f.residual, NOISE_FLOORS * view.floor, samples)

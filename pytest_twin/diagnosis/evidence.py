@@ -46,22 +46,32 @@ def effective_samples(residual: FloatArray, lengths: Sequence[int]) -> FloatArra
 
 
 def tempered(
-    effective: FloatArray, mean_square: FloatArray, floor: FloatArray, recordings: int
+    effective: FloatArray,
+    mean_square: FloatArray,
+    floor: FloatArray,
+    recordings: int,
+    joints: int,
 ) -> FloatArray:
     """(signals,) effective samples where a part of the residual is error of the model.
 
     Noise averages out within a recording; what the model does wrong does not. A recording of m
     effective samples, of whose variance the share rho is model error, is worth
     m / (1 + (m - 1) rho) of them: the design effect of a cluster (Kish, Survey Sampling, 1965).
-    Model error is what the best set of effects leaves above ``NOISE_FLOORS`` floors.
+    Model error is what the best set of effects leaves above ``NOISE_FLOORS`` floors. A force that
+    the model lacks changes position and effort of its joint, so that the larger share of a joint's
+    signals applies to all of them.
 
     Args:
-        effective: (signals,) of all recordings, as :func:`effective_samples` has them.
+        effective: (signals,) of all recordings, as :func:`effective_samples` has them. The signals
+            are the positions of all joints, then their efforts where these are measured.
         mean_square: (signals,) that the best set of effects leaves.
         floor: (signals,) noise floor.
         recordings: how many there are.
+        joints: how many there are.
     """
     share = np.clip(1.0 - (NOISE_FLOORS * floor) ** 2 / np.maximum(mean_square, 1e-300), 0.0, 1.0)
+    by_quantity = share.reshape(-1, joints)
+    share = np.broadcast_to(by_quantity.max(axis=0), by_quantity.shape).ravel()
     each = np.maximum(effective / max(recordings, 1), 1.0)
     out: FloatArray = effective / (1.0 + (each - 1.0) * share)
     return out

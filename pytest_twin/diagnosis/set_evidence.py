@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.evidence import NOISE_FLOORS, effective_samples, log_
 from pytest_twin.diagnosis.first_order.polish import slopes_along
 from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.first_order.screen import price
-from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.rivals import Rival
@@ -40,22 +40,38 @@ def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]
     """How many switches of each set are neutral to within the noise: the set predicts the same
     without them, so they are no parameters of it. Each effect keeps one.
     """
+    tried, base = list(sets), list[dict[tuple[Term, int], int]]()
+    for h in sets:
+        base.append({})
+        for t in h.terms:
+            for k in _movable_switches(t, h):
+                base[-1][t, k] = len(tried)
+                theta = h.theta.copy()
+                theta[h.slice_of(t).start + k] = float(t.parameters[k].neutral or 0.0)
+                tried.append(h.with_theta(theta))
+    slopes = slopes_along(linear, tried)
     out = []
-    for h, slope in zip(sets, slopes_along(linear, sets), strict=True):
-        moves = np.sqrt(np.mean(slope**2, axis=0)) / problem.signal_floor[:, None]
+    for h, slope, neutral in zip(sets, slopes, base, strict=False):
         count = 0
         for t in h.terms:
-            place = h.slice_of(t)
-            theta = h.theta[place]
-            own = [k for k in t.switches(theta) if t.movable(theta)[k]]
-            off = [abs(theta[k] - float(t.parameters[k].neutral or 0.0)) for k in own]
-            idle = sum(
-                bool((moves[:, place.start + k] * by < _IDLE).all())
-                for k, by in zip(own, off, strict=True)
-            )
+            own, start = _movable_switches(t, h), h.slice_of(t).start
+            idle = 0
+            for k in own:
+                # The mean slope over the way: a tilt about an axis across all joints changes
+                # gravity in second order only.
+                mean = 0.5 * (slope[:, :, start + k] + slopes[neutral[t, k]][:, :, start + k])
+                off = abs(float(h.theta[start + k]) - float(t.parameters[k].neutral or 0.0))
+                change = off * np.sqrt(np.mean(mean**2, axis=0)) / problem.signal_floor
+                idle += bool((change < _IDLE).all())
             count += min(idle, max(len(own) - 1, 0))
         out.append(count)
     return out
+
+
+def _movable_switches(term: Term, h: Hypothesis) -> list[int]:
+    """Parameters of a term that are free and neutral at some value."""
+    theta = h.theta[h.slice_of(term)]
+    return [k for k in term.switches(theta) if term.movable(theta)[k]]
 
 
 def recordings_of(problem: Problem, *, fitted: bool) -> int:
@@ -107,8 +123,9 @@ def evidence_on(
     closest = min(residuals, key=lambda r: misfit(r, floor))
     effective = effective_samples(np.nan_to_num(closest), lengths)
     samples = tempered(
-        effective, np.mean(closest**2, axis=0), floor, recordings_of(problem, fitted=fitted)
-    )
+        effective, np.mean(closest**2, axis=0), floor,
+        recordings_of(problem, fitted=fitted), len(problem.joints),
+    )  # fmt: skip
     values = np.array([log_likelihood(r, NOISE_FLOORS * floor, samples) for r in residuals])
     if fitted:
         idle = idle or [0] * len(sets)

@@ -191,9 +191,16 @@ def test_subsets_begin_with_single_effects_and_hold_whole_joints() -> None:
 
 def test_model_error_does_not_average_out_within_a_recording() -> None:
     effective, floor = np.array([400.0]), np.array([1.0])
-    assert tempered(effective, floor**2, floor, 4)[0] == pytest.approx(400.0)
+    assert tempered(effective, floor**2, floor, 4, 1)[0] == pytest.approx(400.0)
     # Far above the floor each recording is one sample.
-    assert tempered(effective, (100 * floor) ** 2, floor, 4)[0] == pytest.approx(4.0, rel=0.05)
+    assert tempered(effective, (100 * floor) ** 2, floor, 4, 1)[0] == pytest.approx(4.0, rel=0.05)
+
+
+def test_the_model_error_of_a_position_applies_to_the_effort_of_its_joint() -> None:
+    # Positions of two joints, then their efforts; only the first position is far above its floor.
+    floor, effective = np.ones(4), np.full(4, 400.0)
+    samples = tempered(effective, np.array([1e4, 1.0, 1.0, 1.0]), floor, 4, 2)
+    assert samples == pytest.approx([4.0, 400.0, 4.0, 400.0], rel=0.05)
 
 
 def test_confidence_is_shared_by_the_odds_of_sets_that_lack_an_effect() -> None:
