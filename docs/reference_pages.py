@@ -30,6 +30,7 @@ RESULTS = {
     "diagnosis": "`diagnosis.json` and `diagnose --json -`",
     "fleet": "`fleet.json` and `diagnose --fleet --json -`",
     "calibrate": "`calibration.json` and `calibrate --json -`",
+    "identify": "`identification.json` and `identify --json -`",
     "replay": "the JSON file beside a prediction, and `replay --json -`",
     "audit": "`NAME.audit.json` and `audit --json -`",
     "init": "`.twin/init.json` and `init --json -`",

@@ -17,6 +17,7 @@ from pytest_twin.formats.calibration_record import CalibrationRecord, read_calib
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
+from pytest_twin.signals import NO_SIGNALS, Signals
 
 FILE_NAME = "twin.yaml"
 EFFECTS_FILE = "effects.json"
@@ -243,6 +244,7 @@ class Twin:
         roots: name -> folder outside ``root`` that files may come from.
         topics: ``state`` and ``command`` -> topic.
         recordings: how recordings are read: joint names, fields, clock, commands between stamps.
+        signals: what the recorded positions and efforts are.
         controllers: id -> actuator -> attribute -> value.
         payloads: id -> body -> mass.
         parts: name -> declared part.
@@ -260,6 +262,7 @@ class Twin:
     roots: Mapping[str, Path] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULT_TOPICS))
     recordings: RecordingOptions = NO_OPTIONS
+    signals: Signals = NO_SIGNALS
     controllers: Mapping[str, Mapping[str, Patch]] = field(default_factory=dict)
     payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
     calibration: Calibration | None = None
@@ -370,6 +373,7 @@ class _Reader:
             roots=self.named_roots,
             topics={**DEFAULT_TOPICS, **data.get("topics", {})},
             recordings=_recordings(data),
+            signals=Signals.from_json(data.get("signals", {})),
             controllers={
                 name: {actuator: _patch(patch) for actuator, patch in (actuators or {}).items()}
                 for name, actuators in data.get("controllers", {}).items()

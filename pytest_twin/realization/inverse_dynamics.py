@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -10,9 +11,11 @@ import pinocchio as pin
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import ModelError, SpecError
+from pytest_twin.realization import inertia
 from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.patch import suggest
 from pytest_twin.realization.reference import Reference
+from pytest_twin.realization.rigid import moments
 
 _PINOCCHIO_ORDER = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 INERTIAL = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
@@ -56,6 +59,16 @@ class InverseDynamics:
         moved = {below for joint in self._ids for below in self._model.subtrees[joint].tolist()}
         self._links = sorted(moved)
         self.links = tuple(self._model.names[index] for index in self._links)
+        self._bodies = _bodies_of(realization, reference)
+
+    @property
+    def link_ids(self) -> tuple[int, ...]:
+        """Pinocchio's joints of the links."""
+        return tuple(self._links)
+
+    def bodies_of(self, joint: int) -> list[LinkBody]:
+        """Bodies of the model on the link of one of Pinocchio's joints."""
+        return self._bodies.get(joint, [])
 
     @property
     def parameters(self) -> FloatArray:
@@ -92,6 +105,95 @@ class InverseDynamics:
             whole = whole.reshape(model.nv, -1)
             found[at] = whole[np.ix_(rows, columns)].reshape(len(rows), -1, 10)
         return found
+
+
+def body_patches(
+    dynamics: InverseDynamics, parameters: FloatArray
+) -> dict[str, dict[str, float | tuple[float, ...]]]:
+    """Body -> ``mass`` [kg], ``com`` [m], ``inertia`` (6,) [kg*m^2], as a twin's fit states them.
+
+    The bodies that are fixed to a link keep what the model states; the largest one takes up the
+    rest, or all of it where the rest alone could be no body.
+
+    Args:
+        dynamics: of the model.
+        parameters: (links, 10) of whole links, in the order of ``INERTIAL``; each one a body's.
+    """
+    found: dict[str, dict[str, float | tuple[float, ...]]] = {}
+    for at, stated, new in zip(dynamics.link_ids, dynamics.parameters, parameters, strict=True):
+        bodies = dynamics.bodies_of(at)
+        if not bodies:
+            continue
+        change = np.zeros(10)
+        change[_ORDER] = new - stated
+        main, *others = sorted(bodies, key=lambda body: -body.parameters[0])
+        own = main.parameters + change
+        if not _is_body(own):
+            own = own + sum((body.parameters for body in others), np.zeros(10))
+            for body in others:
+                found[body.name] = _patch(np.zeros(10), body.placement)
+        found[main.name] = _patch(own, main.placement)
+    return found
+
+
+def _is_body(parameters: FloatArray) -> bool:
+    return bool(parameters[0] > 0 and np.linalg.eigvalsh(pseudo_inertia(parameters)).min() > 0)
+
+
+def pseudo_inertia(parameters: FloatArray) -> FloatArray:
+    """(4, 4) of (10,) in Pinocchio's order; positive definite for every real body.
+
+    Wensing, Kim, Slotine, IEEE RA-L 3 (2018), eq. 9.
+    """
+    m, x, y, z, xx, xy, yy, xz, yz, zz = parameters
+    half = 0.5 * (xx + yy + zz)
+    return np.array(
+        [
+            [half - xx, -xy, -xz, x],
+            [-xy, half - yy, -yz, y],
+            [-xz, -yz, half - zz, z],
+            [x, y, z, m],
+        ]
+    )
+
+
+def _patch(parameters: FloatArray, placement: pin.SE3) -> dict[str, float | tuple[float, ...]]:
+    if parameters[0] <= 0:
+        return {"mass": 0.0, "com": (0.0, 0.0, 0.0), "inertia": (0.0,) * 6}
+    own = placement.actInv(pin.Inertia.FromDynamicParameters(parameters))
+    return {
+        "mass": float(own.mass),
+        "com": tuple(float(v) for v in own.lever),
+        "inertia": inertia.six(np.asarray(own.inertia)),
+    }
+
+
+@dataclass(frozen=True)
+class LinkBody:
+    """A body of the model on the link that a joint moves.
+
+    Attributes:
+        placement: of the body in the joint's frame.
+        parameters: (10,) in the joint's frame, in Pinocchio's order.
+    """
+
+    name: str
+    placement: pin.SE3
+    parameters: FloatArray
+
+
+def _bodies_of(realization: NamedModel, reference: Reference) -> dict[int, list[LinkBody]]:
+    model = realization.model
+    found: dict[int, list[LinkBody]] = {}
+    for name, (joint, placement) in reference.frames.items():
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        if index <= 0 or joint == 0:
+            continue
+        axes = pin.Quaternion(*model.body_iquat[index]).matrix()
+        tensor = axes @ np.diag(model.body_inertia[index]) @ axes.T
+        own = moments(float(model.body_mass[index]), model.body_ipos[index], tensor, placement)
+        found.setdefault(joint, []).append(LinkBody(name, placement, own))
+    return found
 
 
 def _one_joint(realization: NamedModel, reference: Reference, name: str) -> int:

@@ -55,6 +55,11 @@ class Reference:
         """(nq,) Pinocchio's configuration; joints left out stand at the model's reference."""
         return self._configuration(q)
 
+    @property
+    def frames(self) -> Mapping[str, tuple[int, pin.SE3]]:
+        """Site or body -> Pinocchio's joint that carries it, and its placement there."""
+        return self._rigid.frames
+
     def zero_of(self, joint: str) -> float:
         """Value at which the joint stands as it is drawn, in rad or m."""
         return self._rigid.reference.get(joint, 0.0)

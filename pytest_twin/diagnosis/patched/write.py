@@ -78,14 +78,14 @@ def write_realization(
     atomic.write_text(folder / MODEL_FILE, text)
     atomic.write_text(folder / EFFECTS_FILE, json.dumps(effects_json(patched), indent=2) + "\n")
     if realization.twin is not None:
-        atomic.write_text(folder / FILE_NAME, _twin_text(realization.twin, between))
+        atomic.write_text(folder / FILE_NAME, twin_text(realization.twin, between))
     elif between is not None:
         data = {"name": "diagnosed", "model": MODEL_FILE, "command_between": between}
         atomic.write_text(folder / FILE_NAME, yaml.safe_dump(data, sort_keys=False))
     return patched
 
 
-def _twin_text(twin: Twin, between: CommandBetween | None) -> str:
+def twin_text(twin: Twin, between: CommandBetween | None) -> str:
     """A ``twin.yaml`` for the patched model: what trials' metadata selects stays selectable."""
     data: dict[str, Any] = {
         "name": f"{twin.name}-diagnosed",

@@ -16,6 +16,8 @@ _JOINT: tuple[tuple[str, str, Quantity], ...] = (
     ("coulomb_friction", "fs", "effort"),
     ("effort_bias", "off", "effort"),
 )
+_IN_CURRENT = ["A*s^2/rad", "A*s/rad", "A", "A"]
+"""Units of these where the effort is recorded as a current; of a slide per m."""
 _COUPLED: tuple[tuple[str, str, Quantity], ...] = (
     ("coupled_armature", "Iam", "inertia"),
     ("coupled_viscous_friction", "fvm", "damping"),
@@ -26,6 +28,7 @@ _MEANING = {
     "viscous_friction": "viscous friction",
     "coulomb_friction": "Coulomb friction",
     "effort_bias": "constant effort",
+    "effort_scale": "recorded effort per unit of the model's effort",
     "coupled_armature": "armature that a shared motor couples into",
     "coupled_viscous_friction": "viscous friction that a shared motor couples into",
     "coupled_coulomb_friction": "Coulomb friction of the motor shared by",
@@ -93,6 +96,7 @@ def columns(
     links: Sequence[str],
     slides: Sequence[bool],
     shared: Sequence[SharedMotor] = (),
+    unscaled: Sequence[str] = (),
 ) -> tuple[Column, ...]:
     """All columns: those of each link with those of its joint, in the joints' order, then the rest.
 
@@ -101,6 +105,7 @@ def columns(
         links: joints whose links are carried; links of other joints come last.
         slides: whether each joint is a slide.
         shared: motors that two joints share.
+        unscaled: joints whose recorded effort is in A and not in N*m.
     """
     found = []
     order = [*joints, *(link for link in links if link not in joints)]
@@ -111,9 +116,14 @@ def columns(
             ]
         if joint in joints:
             slide = slides[joints.index(joint)]
+            units = [si_unit(quantity, slide) for _, _, quantity in _JOINT]
+            if joint in unscaled:
+                effort = si_unit("effort", slide)
+                found.append(Column(joint, "effort_scale", f"ks{number}", f"A/({effort})"))
+                units = _IN_CURRENT
             found += [
-                Column(joint, kind, f"{symbol}{number}", si_unit(quantity, slide))
-                for kind, symbol, quantity in _JOINT
+                Column(joint, kind, f"{symbol}{number}", unit)
+                for (kind, symbol, _), unit in zip(_JOINT, units, strict=True)
             ]
     for motor in shared:
         number = order.index(motor.joint) + 1

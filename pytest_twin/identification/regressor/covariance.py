@@ -50,7 +50,9 @@ def predicted_covariance(matrix: FloatArray, effort_std: FloatArray) -> Predicti
     sizes = np.linalg.norm(weighted, axis=0)
     moved = sizes > sizes.max(initial=0.0) / LARGEST_CONDITION
     scaled = weighted[:, moved] / sizes[moved]
-    _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
+    # The triangle has the same singular values and directions.
+    triangle = np.linalg.qr(scaled, mode="r")
+    _, singular, directions = np.linalg.svd(triangle, full_matrices=False)
     if not len(singular):
         count = weighted.shape[1]
         open_ = np.ones(count, dtype=bool)

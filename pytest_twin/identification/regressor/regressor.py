@@ -33,6 +33,9 @@ class Regressor:
         realization: the robot, with the variant's payload.
         joints: those whose motion and effort are given; others stand at the model's reference.
         shared: motors that two joints share.
+        unscaled: joints whose effort is a current of unknown constant. Their rows have the model's
+            own rigid bodies as one column, ``effort_scale`` [A/(N*m)], and their drive's parameters
+            in A; they say nothing of inertia.
 
     Raises:
         SpecError: a joint that the model lacks.
@@ -40,7 +43,11 @@ class Regressor:
     """
 
     def __init__(
-        self, realization: NamedModel, joints: Sequence[str], shared: Sequence[SharedMotor] = ()
+        self,
+        realization: NamedModel,
+        joints: Sequence[str],
+        shared: Sequence[SharedMotor] = (),
+        unscaled: Sequence[str] = (),
     ) -> None:
         self._dynamics = InverseDynamics(realization, joints)
         self.joints = self._dynamics.joints
@@ -55,8 +62,10 @@ class Regressor:
                     )
         self._shared = tuple(shared)
         self.columns: tuple[Column, ...] = columns(
-            self.joints, self._dynamics.links, self.slides, self._shared
+            self.joints, self._dynamics.links, self.slides, self._shared, unscaled
         )
+        self._unscaled = tuple(unscaled)
+        self._rigid = np.array([column.inertial for column in self.columns])
         self._at = {(one.joint, one.kind): at for at, one in enumerate(self.columns)}
         self.prior = self._prior(realization)
 
@@ -77,6 +86,11 @@ class Regressor:
         for at, link in enumerate(self._dynamics.links):
             start = self._at[link, INERTIAL[0]]
             found[:, :, start : start + len(INERTIAL)] = bodies[:, :, at]
+        for joint in self._unscaled:
+            row = self.joints.index(joint)
+            scale = found[:, row] @ np.where(self._rigid, self.prior, 0.0)
+            found[:, row] = 0.0
+            found[:, row, self._at[joint, "effort_scale"]] = scale
         own = (acceleration, velocity, np.sign(velocity), np.ones_like(velocity))
         for row, joint in enumerate(self.joints):
             for kind, values in zip(_KINDS, own, strict=True):
@@ -105,6 +119,8 @@ class Regressor:
         model = realization.model
         for row, joint in enumerate(self.joints):
             dof = realization.joint_dof_index(joint)
+            if joint in self._unscaled:
+                continue
             values[self._at[joint, "armature"]] = self._dynamics.armature[row]
             values[self._at[joint, "viscous_friction"]] = model.dof_damping[dof]
             values[self._at[joint, "coulomb_friction"]] = model.dof_frictionloss[dof]

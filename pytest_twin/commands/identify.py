@@ -1,0 +1,141 @@
+"""``pytest-twin identify``: a robot's parameters from recordings, stage by stage."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.recording_arguments import (
+    RECORDING_HELP,
+    add_recording_arguments,
+    recording_options,
+)
+from pytest_twin.commands.replay import find_model
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import PathError, TwinError
+from pytest_twin.formats import atomic
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report import identification
+from pytest_twin.report.text import printable
+
+HELP = "identify weights, inertia, friction and drives in stages, each tested on held-out motion"
+EXAMPLES = (
+    "pytest-twin identify twin.yaml fourier.mcap --held-out check.mcap --out identified",
+    "pytest-twin replay identified check.mcap --out predicted.mcap",
+)
+EXIT_STATUS = {
+    0: "accepted: every stage that the motion shows lowers the held-out error",
+    1: "a stage is rejected, or nothing is held out",
+}
+ACCEPTED, NOT_ACCEPTED = 0, 1
+FILE_NAME, PAGE_NAME = "identification.json", "identification.html"
+_SECONDS = 4 * 3600.0
+"""Bound on one identification, s."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "model",
+        metavar="MODEL",
+        type=Path,
+        help="MJCF or URDF file, twin.yaml, or the folder of a diagnosis or identification",
+    )
+    parser.add_argument(
+        "recordings", metavar="RECORDING", type=Path, nargs="+", help=RECORDING_HELP
+    )
+    parser.add_argument(
+        "--held-out",
+        metavar="RECORDING",
+        type=Path,
+        nargs="+",
+        action="extend",
+        default=[],
+        help="recordings that nothing is fitted on and every stage is judged on (default: those "
+        "whose metadata says role held_out, else the last of every four)",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"gets {FILE_NAME}, {PAGE_NAME} and realization/, the fitted model; replaced whole "
+        "where it is an earlier identification",
+    )
+    add_recording_arguments(parser)
+    model_files.add_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 accepted, 1 a stage is rejected.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
+    out: Path = args.out.absolute()
+    _check_out(out)
+    model = find_model(args.model)
+    with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
+        staging = Path(scratch) / "identification"
+        staging.mkdir()
+        with (
+            Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox,
+            Progress("identifying") as progress,
+        ):
+            document = sandbox.call(
+                "pytest_twin.identification.run:identify_files",
+                {
+                    "model": str(model),
+                    "recordings": [str(r.absolute()) for r in args.recordings],
+                    "held_out": [str(r.absolute()) for r in args.held_out],
+                    "out": str(staging),
+                    "topics": args.topics,
+                    "options": recording_options(args),
+                    **model_files.search_folders(args),
+                },
+                progress=progress,
+            )
+        atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
+        atomic.write_text(staging / PAGE_NAME, identification.render(document))
+        atomic.replace_directory(staging, out)
+    json_output.give(args, document)
+    show("\n".join(printable(line) for line in _words(document, args.out)))
+    return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
+
+
+def _words(document: dict[str, Any], out: Path) -> list[str]:
+    lines = [f"{document['verdict'].capitalize()}: identified from {document['way']}"]
+    for stage in document["stages"]:
+        lines.append(f"  {stage['stage']}: {stage['state'].replace('_', ' ')}: {stage['why']}")
+    lines += [f"error on {document['tested_on']}:"]
+    lines += [f"  {line}" for line in identification.error_lines(document)]
+    lines += [f"without a usable effort: {joint}" for joint in document.get("without_effort", ())]
+    lines += [
+        f"not observable: {one['expression']}; to identify it: {one['motion']}"
+        for one in document.get("unobservable", ())
+    ]
+    lines += [
+        f"correlated: {' and '.join(one['pair'])} ({one['correlation']:+.2f})"
+        for one in document.get("correlated", ())
+    ]
+    lines += [f"note: {note}" for note in document["notes"]]
+    lines.append(f"report: {out / PAGE_NAME}")
+    return lines
+
+
+def _check_out(out: Path) -> None:
+    if not out.parent.is_dir():
+        raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise PathError("is in the way of a folder", path=out, expected="a folder or nothing")
+    if out.is_dir() and any(out.iterdir()) and not (out / FILE_NAME).is_file():
+        raise PathError(
+            "a folder with other things in it is not replaced",
+            path=out,
+            expected="a new folder, or that of an earlier identification",
+        )

@@ -1,0 +1,1 @@
+"""Identification from measured effort: inverse dynamics, linear in the parameters."""

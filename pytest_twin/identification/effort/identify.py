@@ -1,0 +1,322 @@
+"""Identification from measured effort, stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import RecordingError
+from pytest_twin.identification.effort.essential import Essential, essential
+from pytest_twin.identification.effort.filtering import Filter, choose_filter
+from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
+from pytest_twin.identification.effort.least_squares import (
+    Linear,
+    Solution,
+    deviations,
+    dry_levels,
+    information,
+    linear,
+    solve,
+)
+from pytest_twin.identification.effort.sampled import Sampled, sample
+from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.physical import Physical, physical
+from pytest_twin.identification.regressor import (
+    BaseParameters,
+    Regressor,
+    SharedMotor,
+    base_of,
+    predicted_covariance,
+    structural_base,
+)
+from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
+from pytest_twin.realization import Realization
+from pytest_twin.signals import Signals
+
+_LINEAR_STAGES: tuple[StageName, ...] = ("gravity", "inertia", "friction", "drive")
+
+
+_ENOUGH_MOVING = 10
+"""Samples of a moving joint from which its rows at rest are not needed to judge a stage."""
+
+
+@dataclass(frozen=True)
+class EffortError:
+    """How well the effort of one joint is predicted from its measured motion.
+
+    Attributes:
+        relative: |measured - predicted| / |measured|.
+        rms: N*m or N (A where the effort is a current).
+        moving: ``relative`` over the samples at which the joint moves.
+    """
+
+    relative: float
+    rms: float
+    moving: float
+
+
+@dataclass(frozen=True)
+class EffortResult:
+    """What measured effort says.
+
+    Attributes:
+        regressor: of the robot, at the model's own parameters.
+        base: base parameters of the joints whose effort is known.
+        fitted: the essential ones of them.
+        stages: gravity, inertia, friction, drive.
+        stage_of: (b,) stage of each base parameter.
+        errors: joint -> error on what was held out, or on what was fitted where nothing was.
+        nominal: joint -> the same with the model's own parameters.
+        without_effort: joints whose effort is unknown.
+        unobservable: base parameters that the motion leaves open.
+        physical: full parameters.
+        filter: how motion was filtered.
+        samples: of the recordings that were fitted.
+        held_out: of those that were not.
+        notes: one line each.
+    """
+
+    regressor: Regressor
+    base: BaseParameters
+    fitted: Essential
+    stages: tuple[Stage, ...]
+    stage_of: tuple[StageName, ...]
+    errors: dict[str, EffortError]
+    nominal: dict[str, EffortError]
+    without_effort: tuple[str, ...]
+    unobservable: NDArray[np.bool_]
+    physical: Physical
+    filter: Filter
+    samples: tuple[Sampled, ...]
+    held_out: tuple[Sampled, ...]
+    notes: tuple[str, ...]
+
+
+def identify_effort(
+    realization: Realization, measured: MeasuredSet, signals: Signals
+) -> EffortResult:
+    """Fit the inverse dynamics to recordings with efforts.
+
+    Args:
+        realization: the model, as CAD or the maker states it.
+        measured: recordings of the same joints.
+        signals: what they record.
+
+    Raises:
+        RecordingError: no joint has an effort that can be used.
+        SpecError: a payload that the twin does not state.
+    """
+    everything = (*measured.fit, *measured.held_out)
+    joints = everything[0].joints
+    unscaled = [j for k, j in enumerate(joints) if any(m.unscaled[k] for m in measured.fit)]
+    shared = [
+        SharedMotor(j, own.joint, own.ratio)
+        for j in joints
+        if (own := signals.of(j).shared) is not None
+    ]
+    regressor = Regressor(realization, joints, shared, unscaled)
+    chosen = choose_filter(measured.fit)
+    regressors = [regressor] * len(everything)
+    sampled = sample(everything, regressors, chosen)
+    for recording, rows in zip(everything, sampled, strict=True):
+        _take_off_payload(realization, regressor, recording, rows)
+    fit, held = sampled[: len(measured.fit)], sampled[len(measured.fit) :]
+    known = np.array([
+        any(np.isfinite(s.effort[:, k]).any() for s in fit) for k in range(len(joints))
+    ])  # fmt: skip
+    if not known.any():
+        raise RecordingError(
+            "no joint has an effort that can be used",
+            path=measured.fit[0].path,
+            value="; ".join(measured.fit[0].notes) or None,
+            expected="signed efforts in N*m or signed currents",
+        )
+    base = _base(regressor, known)
+    stage_of = stages_of(regressor, base)
+    problem = _problem(fit, regressor, base)
+    open_ = _unobservable(problem)
+    columns = np.flatnonzero(~open_)
+    found = essential(problem.only(columns))
+    fitted = Essential(
+        columns[found.kept],
+        np.setdiff1d(np.arange(len(base)), columns[found.kept]),
+        found.solution,
+    )
+    tested = _problem(held or fit, regressor, base)
+    prior = base.values(regressor.prior)
+    stages = _stages(problem, tested, fitted, stage_of, prior, base, bool(held))
+    values = _accepted(fitted, stages, stage_of, prior)
+    full = solve(problem.only(columns))
+    said = np.zeros((len(base), len(base)))
+    said[np.ix_(columns, columns)] = _precision(problem.only(columns), full)
+    whole = np.zeros(len(base))
+    whole[columns] = full.values
+    return EffortResult(
+        regressor=regressor,
+        base=base,
+        fitted=fitted,
+        stages=stages,
+        stage_of=tuple(stage_of),
+        errors=_errors(tested, values, joints),
+        nominal=_errors(tested, prior, joints),
+        without_effort=tuple(j for j, k in zip(joints, known, strict=True) if not k),
+        unobservable=open_,
+        physical=physical(regressor.columns, regressor.prior, base.combination, whole, said),
+        filter=chosen,
+        samples=tuple(fit),
+        held_out=tuple(held),
+        notes=tuple(dict.fromkeys(n for m in everything for n in m.notes)),
+    )
+
+
+def _take_off_payload(
+    realization: Realization, regressor: Regressor, recording: Measured, rows: Sampled
+) -> None:
+    """Take what a known payload of the recording adds off its effort."""
+    payload = recording.metadata.get("payload")
+    if payload is None or realization.twin is None or payload not in realization.twin.payloads:
+        return
+    loaded = Regressor(realization.variant(payload=payload), regressor.joints)
+    change = loaded.prior - Regressor(realization, regressor.joints).prior
+    names = {c.name: k for k, c in enumerate(regressor.columns)}
+    columns = [names[c.name] for c in loaded.columns]
+    rows.effort[...] -= rows.matrix[..., columns] @ change
+
+
+def _base(regressor: Regressor, known: NDArray[np.bool_]) -> BaseParameters:
+    """Base parameters of the joints whose effort is known."""
+    if known.all():
+        return structural_base(regressor)
+    count = len(regressor.joints)
+    samples = 4 * len(regressor.columns)
+    motion = np.random.default_rng(0).uniform(-np.pi, np.pi, (3, samples, count))
+    return base_of(regressor.matrix(*motion)[:, known], regressor.columns)
+
+
+def _problem(samples: Sequence[Sampled], regressor: Regressor, base: BaseParameters) -> Linear:
+    dry = dry_of(regressor.columns, regressor.joints)[:, base.independent]
+    return linear(samples, base.independent, dry)
+
+
+def _unobservable(problem: Linear) -> NDArray[np.bool_]:
+    """(b,) parameters that the motion leaves open, whatever the noise."""
+    size = np.sqrt(np.sum(problem.effort**2, axis=0) / np.maximum(problem.known.sum(axis=0), 1))
+    rows = np.where(problem.known[..., None], problem.matrix, 0.0)
+    return predicted_covariance(rows, np.where(size > 0, size, 1.0)).undetermined
+
+
+def _stages(
+    problem: Linear,
+    tested: Linear,
+    fitted: Essential,
+    stage_of: Sequence[StageName],
+    prior: FloatArray,
+    base: BaseParameters,
+    held_out: bool,
+) -> tuple[Stage, ...]:
+    """Judge each stage: its parameters free against its parameters at the model's value.
+
+    Before a stage, the model's own values stand in for its parameters, and all other parameters are
+    fitted around them; after it, its own are fitted too. So nothing that is fitted later can pass
+    for it, and its values are those of the fit of all together.
+    """
+    found: list[Stage] = []
+    own = np.array(stage_of)
+    dry = dry_levels(problem, fitted.values)
+    for name in _LINEAR_STAGES:
+        mine = fitted.kept[own[fitted.kept] == name]
+        words = tuple(parameter_name(base, int(i)) for i in mine)
+        if not len(mine):
+            exists = bool((own == name).any())
+            why = (
+                "the motion tells none of its parameters from zero"
+                if exists
+                else "the robot has no such parameter that its efforts show"
+            )
+            found.append(Stage(name, "not_observable", why, (), None, EXCLUDES[name]))
+            continue
+        others = np.setdiff1d(fitted.kept, mine)
+        before = np.zeros(len(own))
+        held = np.flatnonzero(own == name)
+        before[held] = prior[held]
+        rest = Linear(
+            problem.matrix[..., others],
+            np.where(problem.known, problem.effort - problem.matrix @ before, 0.0),
+            problem.known, problem.resting, problem.dry[:, others], problem.lengths,
+        )  # fmt: skip
+        before[others] = solve(rest, intervals=False).values
+        one = HeldOut(
+            _weighted(tested, before, fitted.solution, dry),
+            _weighted(tested, fitted.values, fitted.solution, dry),
+            "standard deviations of the fit",
+        )
+        why = "" if held_out else "nothing is held out, the error is that of what was fitted"
+        found.append(judged(Stage(name, "accepted", why, words, None, EXCLUDES[name]), one))
+    return tuple(found)
+
+
+def _accepted(
+    fitted: Essential,
+    stages: Sequence[Stage],
+    stage_of: Sequence[StageName],
+    prior: FloatArray,
+) -> FloatArray:
+    """(b,) parameters: fitted where their stage was not rejected, else the model's."""
+    rejected = {stage.name for stage in stages if stage.state == "rejected"}
+    values = fitted.values
+    for i, name in enumerate(stage_of):
+        if name in rejected:
+            values[i] = prior[i]
+    return values
+
+
+def parameter_name(base: BaseParameters, at: int) -> str:
+    """``JOINT.KIND`` where a base parameter is one parameter, else its expression."""
+    alone = np.count_nonzero(base.combination[at]) == 1
+    return base.names[at] if alone else base.expressions[at]
+
+
+def _weighted(problem: Linear, values: FloatArray, fitted: Solution, dry: FloatArray) -> float:
+    """Root mean square of the residuals, each over what the fit leaves at its joint.
+
+    Of a joint that moves, its rows at rest do not count: dry friction of either sign hides there
+    what the stage has found, and a long rest is one observation.
+    """
+    deviation = deviations(problem.resting, fitted.noise, dry)
+    known = problem.known & np.isfinite(deviation)
+    moving = known & ~problem.resting
+    known = np.where(moving.sum(axis=0) >= _ENOUGH_MOVING, moving, known)
+    off = (problem.effort - problem.matrix @ values)[known] / deviation[known]
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def _errors(problem: Linear, values: FloatArray, joints: Sequence[str]) -> dict[str, EffortError]:
+    off = problem.effort - problem.matrix @ values
+    found = {}
+    for k, joint in enumerate(joints):
+        rows = problem.known[:, k]
+        if not rows.any():
+            continue
+        moving = rows & ~problem.resting[:, k]
+        found[joint] = EffortError(
+            relative=_ratio(off[rows, k], problem.effort[rows, k]),
+            rms=float(np.sqrt(np.mean(off[rows, k] ** 2))),
+            moving=_ratio(off[moving, k], problem.effort[moving, k]),
+        )
+    return found
+
+
+def _ratio(off: FloatArray, measured: FloatArray) -> float:
+    size = float(np.linalg.norm(measured))
+    return float(np.linalg.norm(off)) / size if size > 0 else 0.0
+
+
+def _precision(problem: Linear, solution: Solution) -> FloatArray:
+    """(b, b) inverse covariance of a fit, for residuals that are correlated in time."""
+    said = information(problem, solution.residual, solution.weight)
+    shrunk = np.trace(said.matrix) / max(np.trace(said.enlarged), 1e-300)
+    return np.asarray(said.matrix * shrunk)

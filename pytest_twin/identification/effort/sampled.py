@@ -1,0 +1,82 @@
+"""Recordings as rows of a linear problem: regressor, effort, and who is at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.effort.filtering import Filter, Motion, decimated, differentiate
+from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.regressor import Regressor
+
+_EDGE = 1.0
+"""Periods of the parallel filter that are left out at both ends, where it knows one side alone."""
+_REST = 0.002
+"""Of a joint's greatest speed: below, the direction of dry friction is unknown."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """One recording at the rate that is fitted.
+
+    Attributes:
+        name: of the recording.
+        time: (n,) s.
+        matrix: (n, joints, p) derivative of the effort by each parameter.
+        effort: (n, joints) measured, NaN where it is unknown.
+        velocity: (n, joints).
+        resting: (n, joints) where dry friction has no direction.
+        saturated: (n, joints) where the drive gives all it can.
+        metadata: of the recording.
+    """
+
+    name: str
+    time: FloatArray
+    matrix: FloatArray
+    effort: FloatArray
+    velocity: FloatArray
+    resting: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+
+
+def sample(
+    recordings: Sequence[Measured], regressors: Sequence[Regressor], chosen: Filter
+) -> list[Sampled]:
+    """Rows of every recording.
+
+    Args:
+        recordings: with the joints of the regressors.
+        regressors: of each recording, which may carry a payload of its own.
+        chosen: how motion is filtered.
+    """
+    motions = [differentiate(one, chosen) for one in recordings]
+    fastest = np.max([np.abs(m.velocity).max(axis=0) for m in motions], axis=0)
+    rest = np.maximum(_REST * fastest, 1e-9)
+    return [
+        _rows(one, motion, regressor, chosen, rest)
+        for one, motion, regressor in zip(recordings, motions, regressors, strict=True)
+    ]
+
+
+def _rows(
+    recording: Measured, motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray
+) -> Sampled:
+    moving = np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
+    matrix = regressor.matrix(motion.position, moving, motion.acceleration)
+    velocity = decimated(motion.velocity, motion.rate, chosen)
+    top = np.abs(motion.effort) >= 0.98 * recording.limit
+    edge = int(np.ceil(_EDGE * chosen.rate / chosen.parallel))
+    inner = slice(edge, max(len(velocity) - edge, edge + 1))
+    return Sampled(
+        name=recording.path.name,
+        time=motion.time[:: max(1, round(motion.rate / chosen.rate))][inner],
+        matrix=decimated(matrix, motion.rate, chosen)[inner],
+        effort=decimated(motion.effort, motion.rate, chosen)[inner],
+        velocity=velocity[inner],
+        resting=(np.abs(velocity) <= rest)[inner],
+        saturated=(decimated(top.astype(np.float64), motion.rate, chosen) > 0.01)[inner],
+    )

@@ -1,0 +1,280 @@
+"""Recorded states as joint positions and joint efforts, by what the signals are said to be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import JointSeries, Recording
+from pytest_twin.realization.named_model import NamedModel
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.signals import ANGLES, Signals
+from pytest_twin.trial import recordings_at
+from pytest_twin.trial.joints import in_model_names
+from pytest_twin.trial.table import sorted_rows
+
+_FEWEST = 50
+"""States below which nothing is differentiated."""
+_GAP = 5.0
+"""A pause this many times the usual interval cuts a recording."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One recording without holes, at the joints' side of the gears.
+
+    Attributes:
+        path: of the recording.
+        start: s from the recording's first state.
+        joints: names in the model.
+        time: (n,) s, increasing.
+        position: (n, joints) rad or m.
+        velocity: (n, joints) rad/s or m/s as recorded, or None.
+        effort: (n, joints) N*m or N; in the recorded unit where ``unscaled``; NaN where there is no
+            sensor.
+        unscaled: (joints,) whether the effort is a current of unknown constant.
+        limit: (joints,) greatest recorded effort that the drive gives, else infinity.
+        metadata: what the recording says of itself.
+        notes: what was done, one line each.
+    """
+
+    path: Path
+    start: float
+    joints: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray | None
+    effort: FloatArray
+    unscaled: NDArray[np.bool_]
+    limit: FloatArray
+    metadata: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rate(self) -> float:
+        """States per second."""
+        return float(1.0 / np.median(np.diff(self.time)))
+
+
+@dataclass(frozen=True)
+class MeasuredSet:
+    """Recordings by role.
+
+    Attributes:
+        fit: parameters are fitted on these.
+        held_out: predicted only.
+        notes: one line each.
+    """
+
+    fit: tuple[Measured, ...]
+    held_out: tuple[Measured, ...]
+    notes: tuple[str, ...] = field(default=())
+
+
+def read_measured(
+    path: Path,
+    realization: NamedModel,
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+    signals: Signals,
+) -> list[Measured]:
+    """The states of a recording, cut at its holes.
+
+    Raises:
+        RecordingError: no states, no positions, or too few of them.
+        TwinError: it cannot be read.
+    """
+    found = []
+    for recording in recordings_at(path, topics, options):
+        series = _states(recording, realization, topics, options)
+        found += _stretches(_at_joints(series, recording, signals))
+    return found
+
+
+def _states(
+    recording: Recording,
+    realization: NamedModel,
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+) -> JointSeries:
+    series = recording.series.get("state")
+    if series is None or not len(series.stamp):
+        raise RecordingError(
+            "no joint states",
+            path=recording.path,
+            where=topics.get("state"),
+            expected="positions and efforts of the joints; map the topic in twin.yaml or by "
+            "--topics state=/x",
+        )
+    named, _ = in_model_names(series, options.joints, realization.joints, recording.path)
+    if named.position is None:
+        raise RecordingError(
+            "no state has positions",
+            path=recording.path,
+            where=series.topic,
+            expected="positions of the joints, rad or m",
+        )
+    return named
+
+
+def _at_joints(series: JointSeries, recording: Recording, signals: Signals) -> Measured:
+    assert series.position is not None
+    order = sorted_rows(series.stamp)
+    stamp = series.stamp[order]
+    once = np.append(True, np.diff(stamp) > 0)
+    order, stamp = order[once], stamp[once]
+    time = np.asarray((stamp - stamp[0]) * 1e-9, dtype=np.float64)
+    raw = np.array(series.position[order], dtype=np.float64)
+    seen = np.isfinite(raw).mean(axis=0) > 0.5
+    names = tuple(n for n, use in zip(series.names, seen, strict=True) if use)
+    raw = raw[:, seen]
+    speed = None if series.velocity is None else np.array(series.velocity[order])[:, seen]
+    effort = (
+        np.full_like(raw, np.nan)
+        if series.effort is None
+        else np.array(series.effort[order], dtype=np.float64)[:, seen]
+    )
+    position, velocity, notes = _positions(names, raw, speed, signals)
+    effort, unscaled, limit, said = _efforts(names, effort, signals)
+    whole = np.isfinite(position).all(axis=1)
+    lost = int((~whole).sum())
+    if lost:
+        notes.append(f"{lost} states without the position of every joint left out")
+    return Measured(
+        path=recording.path,
+        start=0.0,
+        joints=names,
+        time=time[whole],
+        position=position[whole],
+        velocity=None if velocity is None else velocity[whole],
+        effort=effort[whole],
+        unscaled=unscaled,
+        limit=limit,
+        metadata=dict(recording.metadata),
+        notes=(*notes, *said),
+    )
+
+
+def _positions(
+    names: Sequence[str], raw: FloatArray, speed: FloatArray | None, signals: Signals
+) -> tuple[FloatArray, FloatArray | None, list[str]]:
+    """Joint positions and velocities from readings on either side of the gears."""
+    position = np.empty_like(raw)
+    velocity = None if speed is None else np.empty_like(raw)
+    notes = []
+    for name in _dependents_last(names, signals):
+        column = names.index(name)
+        own = signals.of(name)
+        factor = ANGLES[own.position.unit]
+        if own.position.side == "motor":
+            factor /= own.gear
+            notes.append(f"{name}: motor position divided by its gear ratio {own.gear:g}")
+        position[:, column] = raw[:, column] * factor
+        if velocity is not None and speed is not None:
+            velocity[:, column] = speed[:, column] * factor
+        if own.shared is not None and own.position.side == "motor":
+            other = names.index(own.shared.joint)
+            # The other joint's zero is no turn of this motor.
+            zero = signals.of(own.shared.joint).zero
+            position[:, column] -= own.shared.ratio * (position[:, other] - zero)
+            if velocity is not None:
+                velocity[:, column] -= own.shared.ratio * velocity[:, other]
+        position[:, column] += own.zero
+    return position, velocity, notes
+
+
+def _dependents_last(names: Sequence[str], signals: Signals) -> list[str]:
+    """Joints whose motor turns with another one after that one."""
+    return sorted(names, key=lambda name: signals.of(name).shared is not None)
+
+
+def _efforts(
+    names: Sequence[str], effort: FloatArray, signals: Signals
+) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, list[str]]:
+    """Joint efforts; those that are no measurement become NaN, and a note says why."""
+    effort = effort.copy()
+    unscaled = np.zeros(len(names), dtype=bool)
+    limit = np.full(len(names), np.inf)
+    notes = []
+    for column, name in enumerate(names):
+        own = signals.of(name).effort
+        values = effort[:, column]
+        known = values[np.isfinite(values)]
+        if not len(known) or not np.any(known):
+            if len(known):
+                notes.append(f"{name}: effort reads 0 throughout: no sensor, its effort is unknown")
+            effort[:, column] = np.nan
+            continue
+        if not own.signed or _unsigned(known):
+            notes.append(
+                f"{name}: effort never changes its sign: an amount and no torque; it is not used. "
+                "Record the signed current, or identify from commands and positions alone"
+            )
+            effort[:, column] = np.nan
+            continue
+        factor = 1.0
+        if own.quantity == "current":
+            if own.constant is None:
+                unscaled[column] = True
+                notes.append(
+                    f"{name}: effort is a current of unknown torque constant: the constant is "
+                    "identified against the model's inertia, and no inertia from this joint"
+                )
+            else:
+                factor *= own.constant
+        if own.side == "motor":
+            factor *= signals.of(name).gear
+        effort[:, column] = values * factor
+        if own.limit is not None:
+            limit[column] = abs(own.limit * factor)
+    for column, name in enumerate(names):
+        shared = signals.of(name).shared
+        if shared is not None and signals.of(name).effort.side == "motor":
+            # Virtual work: the motor's torque acts on both joints that turn it.
+            effort[:, names.index(shared.joint)] += shared.ratio * effort[:, column]
+            notes.append(
+                f"{name}: its motor's torque acts on {shared.joint} too and is added there"
+            )
+    return effort, unscaled, limit, notes
+
+
+def _unsigned(values: FloatArray) -> bool:
+    """Whether a drive that moves gives amounts alone: never below zero, and at zero often enough.
+
+    A joint that only carries weight has one sign too, but stays away from zero.
+    """
+    return bool(values.min() >= 0.0 and np.quantile(values, 0.05) < 0.1 * np.quantile(values, 0.95))
+
+
+def _stretches(whole: Measured) -> list[Measured]:
+
+    if len(whole.time) < _FEWEST:
+        raise RecordingError(
+            "too few states to differentiate",
+            path=whole.path,
+            value=len(whole.time),
+            expected=f"at least {_FEWEST}",
+        )
+    step = np.diff(whole.time)
+    cuts = np.flatnonzero(step > _GAP * np.median(step)) + 1
+    found = []
+    for some in np.split(np.arange(len(whole.time)), cuts):
+        if len(some) < _FEWEST:
+            continue
+        found.append(
+            replace(
+                whole,
+                start=float(whole.time[some[0]]),
+                time=whole.time[some] - whole.time[some[0]],
+                position=whole.position[some],
+                velocity=None if whole.velocity is None else whole.velocity[some],
+                effort=whole.effort[some],
+            )
+        )
+    return found

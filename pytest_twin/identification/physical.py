@@ -1,0 +1,192 @@
+"""Full parameters that real bodies can have, near the model's, and as the data say.
+
+The base parameters are measured; how they are shared among the links is the model's word. A link is
+parametrized by the log-Cholesky coordinates of its pseudo-inertia relative to the model's (Rucker,
+Wensing, IEEE RA-L 7, 2022), so that every value of them is a body, and the same relative deviation
+costs the same for every link (the prior is invariant under changes of frame and unit: Lee, Wensing,
+Park, IEEE T-RO 36, 2020).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.regressor import Column
+from pytest_twin.realization.inverse_dynamics import INERTIAL, pseudo_inertia
+
+_PRIOR_STD = 0.3
+"""Standard deviation of the log-Cholesky coordinates about the model's: 30 % of a link's mass or
+of its radius of gyration; what CAD models lack in cables, motors and covers."""
+_LIGHTEST = 1e-6
+"""kg; what the model has as lighter is a frame and no body."""
+_OFF_BOUND = 1e-4
+"""SI units by which a start is off its bound, so that the solver can move it."""
+_NOT_NEGATIVE = frozenset({"armature", "viscous_friction", "coulomb_friction", "effort_scale"})
+_PINOCCHIO = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+_TO_PINOCCHIO = [INERTIAL.index(name) for name in _PINOCCHIO]
+
+
+@dataclass(frozen=True)
+class Physical:
+    """Full parameters.
+
+    Attributes:
+        parameters: (p,) of all columns.
+        consistent: whether every link is a real body and no friction or armature is negative.
+        violations: where the unconstrained estimate is none, one line each.
+        cost: how much worse the data are predicted than by the unconstrained estimate: the
+            increase of the weighted sum of squares per base parameter.
+    """
+
+    parameters: FloatArray
+    consistent: bool
+    violations: tuple[str, ...]
+    cost: float
+
+
+def physical(
+    columns: Sequence[Column],
+    prior: FloatArray,
+    combination: FloatArray,
+    base: FloatArray,
+    information: FloatArray,
+) -> Physical:
+    """The full parameters nearest to the model's that the data allow.
+
+    Args:
+        columns: (p,) what they are.
+        prior: (p,) what the model states.
+        combination: (b, p) of the base parameters.
+        base: (b,) estimated base parameters.
+        information: (b, b) inverse covariance of these.
+    """
+    links = _links(columns, prior)
+    others = np.array([i for i, c in enumerate(columns) if not c.inertial], dtype=np.intp)
+    root = _root(information)
+    size = 10 * len(links)
+    lower = np.concatenate([
+        np.full(size, -np.inf),
+        [0.0 if columns[i].kind in _NOT_NEGATIVE else -np.inf for i in others],
+    ])  # fmt: skip
+
+    def whole(x: FloatArray) -> FloatArray:
+        out = prior.copy()
+        for k, link in enumerate(links):
+            out[link.at : link.at + 10] = link.parameters(x[10 * k : 10 * k + 10])
+        out[others] = x[size:]
+        return out
+
+    def residual(x: FloatArray) -> FloatArray:
+        off = root @ (combination @ whole(x) - base)
+        return np.concatenate([off, x[:size] / _PRIOR_STD])
+
+    def slope(x: FloatArray) -> FloatArray:
+        change = np.zeros((len(columns), len(x)))
+        for k, link in enumerate(links):
+            at = slice(10 * k, 10 * k + 10)
+            change[link.at : link.at + 10, at] = link.slope(x[at])
+        change[others, size + np.arange(len(others))] = 1.0
+        top = root @ combination @ change
+        bottom = np.zeros((size, len(x)))
+        bottom[:, :size] = np.eye(size) / _PRIOR_STD
+        return np.concatenate([top, bottom])
+
+    # The drives' share is linear: the links' coordinates start from its solution, off its bounds.
+    bodies = prior.copy()
+    bodies[others] = 0.0
+    drives = optimize.lsq_linear(
+        root @ combination[:, others],
+        root @ (base - combination @ bodies),
+        (lower[size:], np.inf),
+    ).x
+    start = np.concatenate([np.zeros(size), np.maximum(drives, lower[size:] + _OFF_BOUND)])
+    found = optimize.least_squares(
+        residual, start, slope, bounds=(lower, np.inf), x_scale="jac", max_nfev=200
+    )
+    values = whole(found.x)
+    off = root @ (combination @ values - base)
+    return Physical(
+        parameters=values,
+        consistent=_consistent(columns, values),
+        violations=tuple(_violations(columns, combination, base)),
+        cost=float(off @ off) / max(len(base), 1),
+    )
+
+
+class _Link:
+    """One link about the model's: J = L_0 U U^T L_0^T, U triangular with exp on its diagonal."""
+
+    def __init__(self, at: int, stated: FloatArray) -> None:
+        self.at = at
+        matrix = pseudo_inertia(stated[_TO_PINOCCHIO])
+        values, vectors = np.linalg.eigh(matrix)
+        # A model's link may be flat, or impossible; the nearest body with some thickness stands in.
+        values = np.maximum(values, 1e-6 * values.max())
+        self.root = np.linalg.cholesky(vectors @ np.diag(values) @ vectors.T)
+
+    def parameters(self, x: FloatArray) -> FloatArray:
+        """(10,) in the order of ``INERTIAL``."""
+        upper = np.zeros((4, 4))
+        upper[np.diag_indices(4)] = np.exp(x[:4])
+        upper[np.tril_indices(4, -1)] = x[4:]
+        whole = self.root @ upper @ upper.T @ self.root.T
+        return _of_pseudo(whole)
+
+    def slope(self, x: FloatArray) -> FloatArray:
+        """(10, 10) derivative."""
+        step = 1e-6
+        ends = [(self.parameters(x + step * e), self.parameters(x - step * e)) for e in np.eye(10)]
+        return np.array([(up - down) / (2.0 * step) for up, down in ends]).T
+
+
+def _of_pseudo(matrix: FloatArray) -> FloatArray:
+    """(10,) parameters in the order of ``INERTIAL``; the inverse of :func:`pseudo_inertia`."""
+    sigma, moment, mass = matrix[:3, :3], matrix[:3, 3], matrix[3, 3]
+    tensor = np.trace(sigma) * np.eye(3) - sigma
+    named = {
+        "Ixx": tensor[0, 0], "Ixy": tensor[0, 1], "Ixz": tensor[0, 2], "Iyy": tensor[1, 1],
+        "Iyz": tensor[1, 2], "Izz": tensor[2, 2], "mx": moment[0], "my": moment[1],
+        "mz": moment[2], "m": mass,
+    }  # fmt: skip
+    return np.array([named[name] for name in INERTIAL])
+
+
+def _links(columns: Sequence[Column], prior: FloatArray) -> list[_Link]:
+    starts = [i for i, c in enumerate(columns) if c.kind == INERTIAL[0]]
+    mass = INERTIAL.index("m")
+    return [_Link(i, prior[i : i + 10]) for i in starts if prior[i + mass] > _LIGHTEST]
+
+
+def _root(information: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray(np.sqrt(values.clip(0.0))[:, None] * vectors.T)
+
+
+def _consistent(columns: Sequence[Column], values: FloatArray) -> bool:
+    starts = [i for i, c in enumerate(columns) if c.kind == INERTIAL[0]]
+    mass = INERTIAL.index("m")
+    for i in starts:
+        own = values[i : i + 10]
+        if own[mass] <= _LIGHTEST:
+            continue
+        matrix = pseudo_inertia(own[_TO_PINOCCHIO])
+        if np.linalg.eigvalsh(matrix).min() < -1e-9 * np.trace(matrix):
+            return False
+    drives = [i for i, c in enumerate(columns) if c.kind in _NOT_NEGATIVE]
+    return bool((values[drives] >= 0.0).all())
+
+
+def _violations(columns: Sequence[Column], combination: FloatArray, base: FloatArray) -> list[str]:
+    """Drives whose unconstrained estimate no drive can have; only those that stand alone."""
+    found = []
+    for row, value in zip(combination, base, strict=True):
+        terms = np.flatnonzero(row)
+        if len(terms) == 1 and columns[terms[0]].kind in _NOT_NEGATIVE and value < 0.0:
+            column = columns[terms[0]]
+            found.append(f"{column.words} is negative: {value:.4g} {column.unit}")
+    return found

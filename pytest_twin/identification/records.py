@@ -1,0 +1,187 @@
+"""``identification.json``: what was found, how surely, and what was not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from pytest_twin import __version__
+from pytest_twin.identification.effort.groups import FRICTION
+from pytest_twin.identification.effort.identify import EffortResult, parameter_name
+from pytest_twin.identification.stages import Stage, in_order
+
+Verdict = Literal["accepted", "improved", "rejected"]
+
+_CORRELATED = 0.9
+"""Pairs of parameters beyond this correlation are named."""
+_Z95 = 1.959964
+
+
+def verdict_of(stages: Sequence[Stage], better: bool, held_out: bool, consistent: bool) -> Verdict:
+    """One word for an identification.
+
+    Args:
+        stages: what became of each.
+        better: whether the error of what was tested is below the nominal model's.
+        held_out: whether it was tested on what nothing was fitted on.
+        consistent: whether the parameters are those of real bodies.
+    """
+    states = {stage.state for stage in stages}
+    if not better or not consistent or not states & {"accepted", "reopened"}:
+        return "rejected"
+    return "accepted" if held_out and "rejected" not in states else "improved"
+
+
+def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, Any]:
+    """The content of ``identification.json`` of an identification from measured effort.
+
+    Args:
+        result: what was found.
+        stages: those of the result, and any other.
+    """
+    base, fitted = result.base, result.fitted
+    kept = fitted.kept
+    names = [parameter_name(base, int(i)) for i in kept]
+    values, half = fitted.solution.values, fitted.solution.half_width
+    rejected = {stage.name for stage in stages if stage.state == "rejected"}
+    parameters = {}
+    prior = base.values(result.regressor.prior)
+    for k, i in enumerate(kept):
+        alone = np.count_nonzero(base.combination[i]) == 1
+        column = base.columns[base.independent[i]]
+        drive = alone and column.kind in FRICTION | {"effort_bias", "effort_scale"}
+        parameters[names[k]] = {
+            "value": float(values[k]),
+            "unit": base.units[i],
+            "ci95": [float(values[k] - half[k]), float(values[k] + half[k])],
+            "prior": None if drive and not prior[i] else float(prior[i]),
+            "stage": result.stage_of[i],
+            "used": result.stage_of[i] not in rejected,
+        }
+    # Wider where leaving out recordings moves the values more than their noise does.
+    widths = half / _Z95
+    noise = np.sqrt(np.diag(fitted.solution.covariance).clip(1e-300))
+    covariance = fitted.solution.covariance * np.outer(widths / noise, widths / noise)
+    tested = bool(result.held_out)
+    errors = {
+        joint: {
+            "effort_relative": error.relative,
+            "effort_rms": error.rms,
+            "effort_unit": _effort_unit(result, joint),
+            "effort_relative_moving": error.moving,
+            "effort_relative_nominal": result.nominal[joint].relative,
+        }
+        for joint, error in result.errors.items()
+    }
+    better = _mean(result.errors) < _mean(result.nominal)
+    ordered = in_order(stages)
+    return {
+        "schema": 1,
+        "verdict": verdict_of(ordered, better, tested, result.physical.consistent),
+        "way": "measured effort",
+        "stages": [stage.to_json() for stage in ordered],
+        "parameters": parameters,
+        "covariance": {"names": names, "matrix": covariance.tolist()},
+        "correlated": _correlated(names, covariance),
+        "base_parameters": [_base_json(result, i, values, widths) for i in range(len(base))],
+        "held_out": errors,
+        "tested_on": "held-out recordings" if tested else "fitted recordings",
+        "physical": {
+            "consistent": result.physical.consistent,
+            "violations": list(result.physical.violations),
+            "cost": result.physical.cost,
+            "note": "the base parameters are measured; how they are shared among links is the "
+            "model's word under a prior",
+        },
+        "without_effort": list(result.without_effort),
+        "unobservable": _unobservable(result),
+        "filter": {
+            "cutoff": result.filter.cutoff,
+            "parallel": result.filter.parallel,
+            "rate": result.filter.rate,
+            "unit": "Hz",
+            "words": result.filter.words,
+        },
+        "noise": {
+            joint: float(value)
+            for joint, value in zip(result.regressor.joints, fitted.solution.noise, strict=True)
+            if np.isfinite(value)
+        },
+        "condition": fitted.solution.condition,
+        "notes": list(result.notes),
+        "software": {"pytest-twin": __version__},
+    }
+
+
+def _base_json(result: EffortResult, i: int, values: np.ndarray, std: np.ndarray) -> dict[str, Any]:
+    base = result.base
+    at = np.flatnonzero(result.fitted.kept == i)
+    found: dict[str, Any] = {
+        "expression": base.expressions[i],
+        "words": base.words[i],
+        "unit": base.units[i],
+        "prior": float(base.values(result.regressor.prior)[i]),
+        "stage": result.stage_of[i],
+    }
+    if not len(at):
+        why = "not moved" if result.unobservable[i] else "not told from zero"
+        return {**found, "value": 0.0, "relative_std": None, "essential": False, "why": why}
+    value, deviation = float(values[at[0]]), float(std[at[0]])
+    return {
+        **found,
+        "value": value,
+        "relative_std": deviation / abs(value) if value else None,
+        "std": deviation,
+        "essential": True,
+    }
+
+
+def _effort_unit(result: EffortResult, joint: str) -> str:
+    units = {c.unit for c in result.regressor.columns
+             if c.joint == joint and c.kind == "effort_bias"}  # fmt: skip
+    return units.pop()
+
+
+def _mean(errors: dict[str, Any]) -> float:
+    return float(np.mean([error.relative for error in errors.values()]))
+
+
+def _correlated(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, Any]]:
+    std = np.sqrt(np.diag(covariance).clip(1e-300))
+    correlation = covariance / np.outer(std, std)
+    found = []
+    for i in range(len(names)):
+        for k in range(i):
+            if abs(correlation[i, k]) >= _CORRELATED:
+                found.append(
+                    {"pair": [names[k], names[i]], "correlation": float(correlation[i, k])}
+                )
+    return sorted(found, key=lambda one: -abs(one["correlation"]))
+
+
+def _unobservable(result: EffortResult) -> list[dict[str, str]]:
+    """What the motion leaves open, and the motion that would tell it."""
+    found = []
+    for i in np.flatnonzero(result.unobservable):
+        column = result.base.columns[result.base.independent[i]]
+        found.append(
+            {
+                "expression": result.base.expressions[i],
+                "motion": _motion(result.stage_of[i], column.joint, column.kind),
+            }
+        )
+    return found
+
+
+def _motion(stage: str, joint: str, kind: str) -> str:
+    if stage == "gravity":
+        return f"hold poses in which gravity acts on the link of {joint} from several sides"
+    if stage == "inertia":
+        return f"accelerate {joint}, and the joints before it, in several poses at once"
+    if kind.endswith("viscous_friction"):
+        return f"move {joint} at two constant speeds a factor of four apart, both ways"
+    if stage == "friction":
+        return f"move {joint} slowly to and fro over the same path"
+    return f"move {joint} both ways at several loads"

@@ -1,0 +1,113 @@
+"""Which recordings are fitted and which are held out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.errors import RecordingError, TwinError
+from pytest_twin.identification.measured import Measured, MeasuredSet, read_measured
+from pytest_twin.realization.named_model import NamedModel
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.signals import Signals
+
+_ONE_HELD_OUT_OF = 4
+
+
+def read_by_role(
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    realization: NamedModel,
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+    signals: Signals,
+) -> MeasuredSet:
+    """Read every recording and decide its role.
+
+    ``held_out`` decides where it is given, else the recordings' own metadata ``role``, else the
+    last of every four whole recordings is set aside.
+
+    Args:
+        recordings, held_out: files and folders; the latter need not be among the former.
+        realization: the model.
+        topics: role -> topic.
+        options: how recordings are read.
+        signals: what they record.
+
+    Raises:
+        TwinError: a recording that cannot be read, or none to fit.
+    """
+    notes: list[str] = []
+    known: dict[Path, list[Measured]] = {}
+    errors: list[TwinError] = []
+    for path in dict.fromkeys([*recordings, *held_out]):
+        try:
+            known[path] = read_measured(path, realization, topics, options, signals)
+        except TwinError as error:
+            errors.append(error)
+            notes.append(f"left out: {error}")
+    aside = [path for path in held_out if path in known]
+    fit = [path for path in dict.fromkeys(recordings) if path in known and path not in held_out]
+    if not held_out:
+        aside = [p for p in fit if known[p] and known[p][0].metadata.get("role") == "held_out"]
+        if not aside and len(fit) > 1:
+            count = max(1, len(fit) // _ONE_HELD_OUT_OF)
+            aside = fit[-count:]
+            names = ", ".join(path.name for path in aside)
+            notes.append(f"held out (chosen automatically): {names}; choose with --held-out")
+        fit = [path for path in fit if path not in aside]
+    if not fit:
+        if errors:
+            raise errors[0]
+        raise RecordingError(
+            "no recording remains to fit",
+            path=(held_out or recordings)[0],
+            expected="at least one RECORDING that is not under --held-out",
+        )
+    if not aside:
+        notes.append(
+            "nothing is held out: no result can be accepted; make a second recording and name it "
+            "with --held-out"
+        )
+    fitted = [one for path in fit for one in known[path]]
+    tested = [one for path in aside for one in known[path]]
+    return _common(fitted, tested, notes)
+
+
+def _common(fit: list[Measured], held_out: list[Measured], notes: list[str]) -> MeasuredSet:
+    """The same joints, in the same order, in every recording."""
+    everything = [*fit, *held_out]
+    shared = [j for j in fit[0].joints if all(j in one.joints for one in everything)]
+    lost = dict.fromkeys(j for one in everything for j in one.joints if j not in shared)
+    if lost:
+        notes.append(f"left out, not in every recording: {', '.join(lost)}")
+    if not shared:
+        raise RecordingError(
+            "the recordings share no joint",
+            path=everything[-1].path,
+            value=", ".join(everything[-1].joints),
+            expected=f"joints of {fit[0].path.name}: {', '.join(fit[0].joints)}",
+        )
+    return MeasuredSet(
+        tuple(_only(one, shared) for one in fit),
+        tuple(_only(one, shared) for one in held_out),
+        tuple(notes),
+    )
+
+
+def _only(one: Measured, joints: list[str]) -> Measured:
+    if list(one.joints) == joints:
+        return one
+    at = np.array([one.joints.index(j) for j in joints])
+    return replace(
+        one,
+        joints=tuple(joints),
+        position=one.position[:, at],
+        velocity=None if one.velocity is None else one.velocity[:, at],
+        effort=one.effort[:, at],
+        unscaled=one.unscaled[at],
+        limit=one.limit[at],
+    )

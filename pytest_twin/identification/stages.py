@@ -1,0 +1,91 @@
+"""The stages of an identification: what each may touch, and what speaks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+StageName = Literal["delay", "encoder", "gravity", "inertia", "friction", "drive", "closed_loop"]
+State = Literal["accepted", "rejected", "reopened", "not_observable"]
+
+STAGES: tuple[StageName, ...] = (
+    "delay", "encoder", "gravity", "inertia", "friction", "drive", "closed_loop",
+)  # fmt: skip
+"""In order: a stage takes what those before it have found as given."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """The error of held-out recordings before a stage and after it.
+
+    Attributes:
+        before, after: root mean square over joints and samples.
+        unit: of both.
+    """
+
+    before: float
+    after: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One stage.
+
+    Attributes:
+        name: which.
+        state: what became of it.
+        why: in one sentence.
+        parameters: names of what it fitted.
+        held_out: where it was tested.
+        excludes: what could compensate for it, and how that was kept out.
+    """
+
+    name: StageName
+    state: State
+    why: str
+    parameters: tuple[str, ...] = ()
+    held_out: HeldOut | None = None
+    excludes: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """As it stands in ``identification.json``."""
+        found: dict[str, Any] = {
+            "stage": self.name,
+            "state": self.state,
+            "why": self.why,
+            "parameters": list(self.parameters),
+            "excludes": self.excludes,
+        }
+        if self.held_out is not None:
+            found["held_out"] = {
+                "before": self.held_out.before,
+                "after": self.held_out.after,
+                "unit": self.held_out.unit,
+            }
+        return found
+
+
+def in_order(stages: Sequence[Stage]) -> tuple[Stage, ...]:
+    """The stages in the order in which they are fitted."""
+    return tuple(sorted(stages, key=lambda stage: STAGES.index(stage.name)))
+
+
+def judged(stage: Stage, held_out: HeldOut, tolerance: float = 0.0) -> Stage:
+    """A stage accepted where its held-out error fell, else rejected.
+
+    Args:
+        stage: with what it fitted.
+        held_out: of whole recordings that nothing was fitted on.
+        tolerance: share by which the error may rise and the stage still be accepted.
+    """
+    better = held_out.after <= (1.0 + tolerance) * held_out.before
+    change = 100.0 * (held_out.after / max(held_out.before, 1e-300) - 1.0)
+    said = f"the held-out error changes by {change:+.1f} %"
+    return replace(
+        stage,
+        state="accepted" if better else "rejected",
+        why=f"{stage.why}; {said}" if stage.why else said,
+        held_out=held_out,
+    )

@@ -1,0 +1,67 @@
+"""The report of an identification: lines for a terminal, and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import jinja2
+
+from pytest_twin.report.page import style_of, template
+
+_VERDICT = {
+    "accepted": ("Accepted: every stage that the motion shows lowers the held-out error", "good"),
+    "improved": ("Improved, and not accepted: a stage is rejected, or nothing is held out", "bad"),
+    "rejected": ("Rejected: the fitted model predicts no better than the nominal one", "bad"),
+}
+
+
+def render(document: Mapping[str, Any]) -> str:
+    """``identification.json`` as one HTML document without external files."""
+    style = style_of("report.css", "diagnosis.css")
+    headline, mood = _VERDICT[document["verdict"]]
+    return _template().render(
+        document=document,
+        style=style.text,
+        style_hash=style.sha256,
+        headline=headline,
+        mood=mood,
+        errors=error_lines(document),
+        stages=[(stage, _held_out(stage)) for stage in document["stages"]],
+    )
+
+
+def error_lines(document: Mapping[str, Any]) -> list[str]:
+    """One line for each joint: how far prediction and measurement are apart."""
+    lines = []
+    for joint, error in document["held_out"].items():
+        parts = []
+        if "effort_relative" in error:
+            said = f"effort {100 * error['effort_relative']:.1f} %"
+            said += f" ({error['effort_rms']:.3g} {error['effort_unit']} root mean square"
+            if "effort_relative_moving" in error:
+                said += f"; while it moves {100 * error['effort_relative_moving']:.1f} %"
+            if "effort_relative_nominal" in error:
+                said += f"; nominal model {100 * error['effort_relative_nominal']:.1f} %"
+            parts.append(said + ")")
+        if "position_rms" in error:
+            scale, unit = (1e3, "m" + error["position_unit"])
+            said = f"position {scale * error['position_rms']:.3g} {unit} root mean square"
+            if "position_rms_nominal" in error:
+                said += f" (nominal model {scale * error['position_rms_nominal']:.3g} {unit})"
+            parts.append(said)
+        lines.append(f"{joint}: {', '.join(parts)}")
+    return lines
+
+
+def _held_out(stage: Mapping[str, Any]) -> str:
+    held = stage.get("held_out")
+    if held is None:
+        return ""
+    return f"{held['before']:.4g} to {held['after']:.4g} {held['unit']}"
+
+
+@cache
+def _template() -> jinja2.Template:
+    return template("identification.html.j2")
