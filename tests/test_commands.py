@@ -127,7 +127,7 @@ def test_a_command_loads_no_other_but_what_it_builds_on(name: str) -> None:
         [sys.executable, "-c", LOADED, name], capture_output=True, text=True, check=True
     )
     loaded = set(run.stdout.splitlines()[-1].split())
-    assert loaded == {name, *(["replay"] if name == "diagnose" else [])}
+    assert loaded == {name, *(["replay"] if name in ("diagnose", "identify") else [])}
 
 
 JSON_COMMANDS = {
@@ -143,12 +143,13 @@ JSON_COMMANDS = {
     "show": (["{golden}/recordings/moves.mcap"], "recordings"),
     "effects": ([], "viscous_friction"),
 }
-"""What each command is called with, and a field of its result; ``diagnose``, ``calibrate`` and
-``verify`` have tests of their own beside the others of the command."""
+"""What each command is called with, and a field of its result; ``diagnose``, ``calibrate``,
+``identify`` and ``verify`` have tests of their own beside the others of the command."""
 
 
 def test_every_command_that_writes_json_is_tested() -> None:
-    assert {*JSON_COMMANDS, "diagnose", "calibrate", "verify", "completion"} == set(cli.COMMANDS)
+    own = {"diagnose", "calibrate", "identify", "verify", "completion"}
+    assert {*JSON_COMMANDS, *own} == set(cli.COMMANDS)
 
 
 @pytest.mark.parametrize("name", JSON_COMMANDS)

@@ -123,7 +123,8 @@ def solve(problem: Linear, *, intervals: bool = True) -> Solution:
         # The triangle has the same solution and at most as many rows as columns.
         both = np.column_stack([rows, (problem.effort * weight).ravel()])
         triangle = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64).reshape(-1, count + 1)
-        values = np.linalg.lstsq(triangle[:, :count], triangle[:, count], rcond=None)[0]
+        found = np.linalg.lstsq(triangle[:, :count], triangle[:, count], rcond=None)[0]
+        values = np.asarray(found, dtype=np.float64)
         residual = np.where(problem.known, problem.effort - problem.matrix @ values, 0.0)
         weight, noise = _weights(problem, residual, values)
         if np.all(np.abs(values - before) <= _SETTLED * np.abs(values).max(initial=0.0)):
