@@ -37,6 +37,8 @@ RESULTS = {
     "convert": "the JSON file beside a converted recording, and `convert --json -`",
     "show": "`show --json -`",
     "verify": "`verify --json -`",
+    "stamp": "`stamp --json -`",
+    "fresh": "`fresh --json -`",
     "realize": "`realize --json -`",
     "intake": "the asset's `manifest.json` after `intake`, and `intake --json -`",
     "effects": "`effects --json -`",

@@ -27,6 +27,8 @@ COMMANDS: tuple[str, ...] = (
     "show",
     "effects",
     "verify",
+    "stamp",
+    "fresh",
     "completion",
 )
 READER_GONE = 141

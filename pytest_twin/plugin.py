@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_twin.session.options import Options, add_options, read_options
+from pytest_twin.session.released import TwinRelease, twin_release
 from pytest_twin.systems import unsupported_system
 
 if TYPE_CHECKING:
     from pytest_twin.session.session import TwinSession
+
+__all__ = ["TwinRelease", "twin_release"]
 
 _TWIN_FILE = "twin.yaml"
 _EFFECTS_FILE = "effects.json"

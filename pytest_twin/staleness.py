@@ -126,7 +126,7 @@ def take_stock(
     parts: dict[str, Part] = {}
     for model in models.values():
         parts.update(model.parts)
-    parts.update(_twin_parts(twin, surroundings))
+    parts.update(twin_parts(twin, lambda file: surroundings.file_digest(None, file)))
     rests_on = {}
     for golden in goldens:
         kind = surroundings.kind_of(golden.kind)
@@ -158,7 +158,13 @@ def _version_part(
     return ident
 
 
-def _twin_parts(twin: Twin, surroundings: Surroundings) -> dict[str, Part]:
+def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str, Part]:
+    """What ``twin.yaml`` states beside the model, by part id.
+
+    Args:
+        twin: the twin.
+        file_digest: path of a declared part's file -> SHA-256, None where there is no such file.
+    """
     contents: dict[str, dict[str, Any]] = {
         "topics:recordings": {**twin.topics, **twin.recordings.to_json()},
         # With any declared, a recording has to name its own.
@@ -194,7 +200,7 @@ def _twin_parts(twin: Twin, surroundings: Surroundings) -> dict[str, Part]:
     for name, part in twin.parts.items():
         content: dict[str, Any] = {"id": part.id, "value": part.value}
         if part.file is not None:
-            content["sha256"] = surroundings.file_digest(None, str(part.file))
+            content["sha256"] = file_digest(str(part.file))
         contents[f"declared:{name}"] = {k: v for k, v in content.items() if v is not None}
     return {ident: Part(ident, content) for ident, content in contents.items()}
 

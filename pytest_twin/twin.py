@@ -234,6 +234,19 @@ class ReleasePolicy:
 
 
 @dataclass(frozen=True, slots=True)
+class FreshPolicy:
+    """From which size on a change of the twin matters to data that it stamped.
+
+    Attributes:
+        translation: displacement of the tool centre point or of a slide joint, m.
+        rotation: of the tool centre point or of a hinge, rad.
+    """
+
+    translation: float = 1e-3
+    rotation: float = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
 class Twin:
     """One validated ``twin.yaml``; every path absolute and inside the declared roots.
 
@@ -252,6 +265,8 @@ class Twin:
         calibrations: records of ``pytest-twin calibrate``, the newest last.
         tcp: named frame of the tool centre point.
         retired: golden id -> reason.
+        release: rules for releases.
+        fresh: what size of a change matters to data that the twin stamped.
         lines: dotted field -> 1-based line in ``path``.
     """
 
@@ -272,6 +287,7 @@ class Twin:
     tcp: str | None = None
     retired: Mapping[str, str] = field(default_factory=dict)
     release: ReleasePolicy = field(default_factory=ReleasePolicy)
+    fresh: FreshPolicy = field(default_factory=FreshPolicy)
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
     @property
@@ -389,6 +405,7 @@ class _Reader:
             tcp=data.get("tcp"),
             retired=dict(data.get("retired", {})),
             release=ReleasePolicy(float(release.get("valid_days", ReleasePolicy().valid_days))),
+            fresh=FreshPolicy(**{k: float(v) for k, v in data.get("fresh", {}).items()}),
             lines=self.lines,
         )
 

@@ -1,30 +1,46 @@
-"""``pytest-twin verify``: whether a release holds."""
+"""``pytest-twin verify``: whether a release, or the stamp of a data set, holds."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from pytest_twin import release
 from pytest_twin.commands import json_output
+from pytest_twin.commands.release_folder import release_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
+from pytest_twin.formats.stamps import is_carrier
+from pytest_twin.release import stamps
 from pytest_twin.release.envelope import short
+from pytest_twin.release.folder import RELEASES
+from pytest_twin.release.stamp import StampVerdict
+from pytest_twin.release.verify import ENVELOPE
+from pytest_twin.report.text import printable
+from pytest_twin.twin import FILE_NAME
 from pytest_twin.words import counted
 
-HELP = "check a release: its signature, every digest, its age, and that no newer one is known"
+HELP = "check a release, or the stamp of a data set: signature, every digest, age"
 EXAMPLES = (
     "pytest-twin verify releases/0001",
+    "pytest-twin verify datasets/pick",
     "pytest-twin verify received/ --keys trusted-keys/ --json -",
 )
-EXIT_STATUS = {0: "the release holds", 1: "it does not hold; each reason is listed"}
+EXIT_STATUS = {
+    0: "the release or the stamp holds",
+    1: "it does not hold; each reason is listed",
+}
 HOLDS, DOES_NOT_HOLD = 0, 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "release", metavar="RELEASE", type=Path, help="a release's folder, or a twin's: its newest"
+        "release",
+        metavar="RELEASE|DATASET",
+        type=Path,
+        help="a release's folder, or a twin's: its newest; or a stamped data set or policy",
     )
     parser.add_argument(
         "--keys", metavar="DIR", type=Path, help="trusted public keys (default: the twin's keys/)"
@@ -32,18 +48,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 the release holds, 1 it does not.
+    """0 the release or stamp holds, 1 it does not.
 
     Raises:
         TwinError: there is nothing to check, or no keys can be read.
     """
-    folder = _folder(args.release)
     if args.keys is not None and not args.keys.is_dir():
         raise ReleaseError(
             "no such folder of keys",
             path=args.keys,
             expected="a folder with the public keys (.pub) of those who may sign",
         )
+    if not _is_release(args.release) and is_carrier(args.release):
+        return _verify_stamps(args)
+    folder = release_folder(args.release)
     if args.json not in (None, json_output.STANDARD_OUTPUT):
         _check_outside(Path(args.json), folder)
     verdict = release.check(folder, keys=args.keys, remember=True)
@@ -52,19 +70,45 @@ def run(args: argparse.Namespace) -> int:
     return HOLDS if verdict.holds else DOES_NOT_HOLD
 
 
-def _folder(given: Path) -> Path:
-    if not given.is_dir():
-        raise ReleaseError("no such release", path=given, expected="the folder of a release")
-    if (given / "twin.yaml").exists() or (given / "releases").is_dir():
-        found = release.newest(given)
-        if found is None:
-            raise ReleaseError(
-                "this twin has no release yet",
-                path=given,
-                expected="a signed release; pytest --twin-release writes one",
-            )
-        return found
-    return given
+def _verify_stamps(args: argparse.Namespace) -> int:
+    dataset: Path = args.release
+    found = stamps.read(dataset)
+    verdicts = stamps.judge(found, stamps.keys_of(dataset, found, args.keys))
+    holds = all(verdict.holds for verdict in verdicts.values())
+    first = next((one.stamp for one in found if one.stamp is not None), None)
+    listed = [
+        {"path": str(path), "holds": verdict.holds, "problems": list(verdict.problems)}
+        for path, verdict in verdicts.items()
+    ]
+    json_output.give(
+        args,
+        {
+            **_as_verdict(list(verdicts.values())).to_json(),
+            "path": str(dataset),
+            "stamp": None if first is None else {**first.ids, "stamped": first.stamped},
+            "files": listed,
+        },
+    )
+    of = "" if first is None else f": {first.name}, stamped {first.stamped}"
+    lines = [f"{'holds' if holds else 'does not hold'}: {dataset}{of}"]
+    if holds:
+        lines.append(f"  {counted(len(found), 'stamped file')}, signed by a trusted key")
+    lines += [f"  {path}: {problem}" for path, v in verdicts.items() for problem in v.problems]
+    show("\n".join(printable(line) for line in lines))
+    return HOLDS if holds else DOES_NOT_HOLD
+
+
+def _as_verdict(verdicts: Sequence[StampVerdict]) -> release.Verdict:
+    problems = (text for verdict in verdicts for text in verdict.problems)
+    authentic = next((v.release for v in verdicts if v.release is not None), None)
+    return release.Verdict(authentic, tuple(release.Problem("stamp", text) for text in problems))
+
+
+def _is_release(given: Path) -> bool:
+    """A release holds copies of recordings too; a twin's folder often lies around them."""
+    return given.parent.name == RELEASES or any(
+        (given / name).exists() for name in (ENVELOPE, FILE_NAME, RELEASES)
+    )
 
 
 def _check_outside(path: Path, folder: Path) -> None:
@@ -95,4 +139,4 @@ def _words(verdict: release.Verdict, folder: Path) -> str:
             )
     lines += [f"  {problem.text}" for problem in verdict.problems]
     # What a statement or a file name says may carry terminal escapes.
-    return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)
+    return "\n".join(printable(line) for line in lines)

@@ -103,6 +103,16 @@ class ObservationLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class StampLimits:
+    """Bounds on stamped files, and on the stamp, most of which is a signed release."""
+
+    stamp_bytes: int = 64 * 2**20
+    files_count: int = 10_000
+    onnx_bytes: int = 2 * 2**30
+    hdf5_bytes: int = 64 * 2**30
+
+
+@dataclass(frozen=True, slots=True)
 class ParquetLimits:
     """Bounds on a data set in Parquet: a file's content, images included, and how many files."""
 
@@ -136,3 +146,4 @@ OBSERVATIONS = ObservationLimits()
 PARQUET = ParquetLimits()
 IMAGES = ImageLimits()
 HASH = HashLimits()
+STAMPS = StampLimits()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from pytest_twin import staleness
 from pytest_twin.errors import TwinError
 from pytest_twin.gate import specs
+from pytest_twin.gate.identity import digests
 from pytest_twin.gate.parts import changed_since, look_around
 from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, gone, vouched
 from pytest_twin.gate.runner import Runner
@@ -249,16 +250,18 @@ class Gate:
 
     def ids(self) -> dict[str, object]:
         """The tuple of ids that people call this twin's parts by, with their files' digests."""
-        twin, files = self.twin, self.plan().files
+        twin, files, tasks = self.twin, self.plan().files, self.plan().tasks.values()
 
-        def digests(paths: Iterable[Path]) -> dict[str, str]:
+        def digests_of(paths: Iterable[Path]) -> dict[str, str]:
             return {
                 os.path.relpath(path, self.root): files[path] for path in paths if path in files
             }
 
         return {
-            "asset": digests(twin.source),
-            "realizations": {name: digests([ref.file]) for name, ref in twin.realizations.items()},
+            "asset": digests_of(twin.source),
+            "realizations": {
+                name: digests_of([ref.file]) for name, ref in twin.realizations.items()
+            },
             "calibration": twin.calibration.id if twin.calibration else None,
             "fit": twin.fit.id if twin.fit else None,
             "controllers": sorted(twin.controllers),
@@ -267,4 +270,5 @@ class Gate:
                 name: part.id if part.id is not None else part.value
                 for name, part in twin.parts.items()
             },
+            "digests": digests(twin, {t.golden.id: t.golden for t in tasks}.values(), files),
         }

@@ -6,12 +6,13 @@ signed: it guards against what reaches the machine, not against who owns it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 
 import platformdirs
 
-from pytest_twin.errors import PathError, ReleaseError
+from pytest_twin.errors import PathError, ReleaseError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
 
@@ -54,6 +55,28 @@ def remember(series: str, number: int) -> str | None:
             f"cannot remember this release in {path.parent}: an older release will not be noticed"
         )
     return None
+
+
+def remember_twin(series: str, root: Path) -> None:
+    """Remember where the twin of a series of releases lies; data that it stamped point to it."""
+    path = _twin_path(series)
+    with contextlib.suppress(OSError, PathError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        atomic.write_text(path, json.dumps({"root": str(root)}) + "\n")
+
+
+def twin_of(series: str) -> Path | None:
+    """The folder of a series' twin, where it was remembered and still is there."""
+    path = _twin_path(series)
+    try:
+        root = Path(json.loads(read_bytes(path, _MAX_BYTES))["root"])
+    except (TwinError, ValueError, KeyError, TypeError):
+        return None
+    return root if root.is_dir() else None
+
+
+def _twin_path(series: str) -> Path:
+    return platformdirs.user_state_path("pytest-twin") / "twins" / f"{series}.json"
 
 
 def _path(series: str) -> Path:

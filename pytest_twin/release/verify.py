@@ -22,7 +22,7 @@ REPORT = "report.html"
 FILES = "files"
 
 Code = Literal[
-    "envelope", "files", "folder", "twin", "order", "rollback", "expired", "future", "keys"
+    "envelope", "files", "folder", "twin", "order", "rollback", "expired", "future", "keys", "stamp"
 ]
 
 

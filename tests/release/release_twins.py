@@ -9,8 +9,10 @@ from pathlib import Path
 
 from pytest_twin import release
 from pytest_twin.dependency import Part
+from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.outcome import Measure, Outcome, Reason
 
+MEMBERS = ("asset", "calibration", "fit", "controller", "payload", "validation")
 NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
 
 MakeRelease = Callable[..., release.Release]
@@ -54,7 +56,12 @@ def make_draft(root: Path, *extra: Path, name: str = "arm", result: Outcome | No
     return release.Draft(
         twin=name,
         valid_days=90,
-        ids={"asset": "sha256:00ff", "controllers": ["kp100"], "firmware": "1.8.2"},
+        ids={
+            "asset": {"arm.xml": "00ff"},
+            "controllers": ["kp100"],
+            "parts": {"firmware": "1.8.2"},
+            "digests": {name: bytes_sha256(name.encode()) for name in MEMBERS},
+        },
         parts=parts,
         proofs=(release.Proof(result or outcome(), "Home pose", tuple(parts)),),
         environment={"python": "CPython 3.11.2", "mujoco": "4.0.0"},

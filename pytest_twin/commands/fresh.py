@@ -1,0 +1,147 @@
+"""``pytest-twin fresh``: what has changed in a twin since a data set was stamped."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from pytest_twin import release
+from pytest_twin.commands import json_output
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import ReleaseError
+from pytest_twin.provenance.past import lay_out, release_folder
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.release import stamps
+from pytest_twin.report.text import printable
+from pytest_twin.twin import FILE_NAME
+from pytest_twin.words import counted
+
+HELP = "say what has changed in the twin since a data set was stamped, and whether it matters to it"
+EXAMPLES = (
+    "pytest-twin fresh datasets/pick",
+    "pytest-twin fresh policy.onnx --twin cell/ --json -",
+)
+EXIT_STATUS = {
+    0: "nothing that matters to this data has changed",
+    1: "something has; each change and its size are listed",
+}
+FRESH, STALE = 0, 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "dataset", metavar="DATASET", type=Path, help="a stamped data set or policy"
+    )
+    parser.add_argument(
+        "--twin",
+        metavar="DIR",
+        type=Path,
+        help="folder of the twin (default: the one above DATASET or the working folder, else where "
+        "it lay when the data set was stamped)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 fresh, 1 not.
+
+    Raises:
+        TwinError: no stamp that holds, no twin, or a release that is not there.
+    """
+    dataset: Path = args.dataset
+    found = stamps.read(dataset)
+    root = stamps.twin_that_stamped(dataset, found) if args.twin is None else _root(args.twin)
+    stated = _released(dataset, found, root)
+    folder = release_folder(root, stated.number)
+    with (
+        tempfile.TemporaryDirectory(prefix="twin-") as scratch,
+        Sandbox() as sandbox,
+        Progress("comparing"),
+    ):
+        before = lay_out(stated, folder, root, Path(scratch).resolve())
+        document = sandbox.call(
+            "pytest_twin.provenance.differences:differences",
+            {
+                "before": str(before),
+                "today": str(root / FILE_NAME),
+                "dataset": str(dataset.absolute()),
+            },
+        )
+    newest = release.newest(root)
+    document = {
+        "schema": 1,
+        "dataset": str(dataset),
+        "twin": stated.twin,
+        "release": stated.number,
+        "newest": None if newest is None else int(newest.name),
+        **document,
+    }
+    json_output.give(args, document)
+    show("\n".join(printable(line) for line in _words(document)))
+    return FRESH if document["verdict"] == "fresh" else STALE
+
+
+def _root(given: Path) -> Path:
+    root = given.parent if given.name == FILE_NAME else given
+    if not (root / FILE_NAME).is_file():
+        raise ReleaseError("no twin", path=given, where="--twin", expected=f"a folder: {FILE_NAME}")
+    return root.absolute()
+
+
+def _released(dataset: Path, found: list[stamps.Stamped], root: Path) -> release.Release:
+    """The release that the stamp states, once the stamp holds."""
+    verdicts = stamps.judge(found, stamps.keys_of(dataset, found, root / "keys"))
+    for path, verdict in verdicts.items():
+        if not verdict.holds or verdict.release is None:
+            raise ReleaseError(
+                f"its stamp does not hold: {verdict.problems[0]}",
+                path=path,
+                expected="a stamp that pytest-twin verify accepts",
+            )
+    stated = next(iter(verdicts.values())).release
+    assert stated is not None
+    return stated
+
+
+def _words(document: dict[str, Any]) -> list[str]:
+    """What people read: what matters first."""
+    changes = document["changes"]
+    matter = [one for one in changes if one["matters"]]
+    verdict = "fresh" if document["verdict"] == "fresh" else "not fresh"
+    lines = [
+        f"{verdict}: {document['dataset']}, made with release {document['release']} of "
+        f"{document['twin']!r} (newest release: {document['newest']})"
+    ]
+    if not changes:
+        lines.append("  nothing has changed in the twin since")
+    for title, some in (("matters", matter), ("does not matter", changes)):
+        for one in some:
+            if title == "does not matter" and one["matters"]:
+                continue
+            lines.append(f"  {title}: {one['part']}: {'; '.join(map(_change, one['changed']))}")
+            lines.append(f"    {one['why']}")
+    total = document["moved"]
+    if total is not None:
+        lines.append(
+            f"  together: {document['tcp']!r} moves by up to {1e3 * total['translation']:.3g} mm "
+            f"and {1e3 * total['rotation']:.3g} mrad {document['poses']['source']} "
+            f"(root mean square {1e3 * total['translation_rms']:.3g} mm)"
+        )
+    bound = document["tolerance"]
+    if changes:
+        lines.append(
+            f"  {len(matter)} of {counted(len(changes), 'change')} beyond "
+            f"{1e3 * bound['translation']:g} mm or {1e3 * bound['rotation']:g} mrad, or of "
+            f"unknown size ('fresh:' in {FILE_NAME})"
+        )
+    return [*lines, *(f"  note: {note}" for note in document["notes"])]
+
+
+def _change(one: dict[str, Any]) -> str:
+    if not one["field"]:
+        return "changed"
+    values = f" {one['old']} -> {one['new']}" if one["old"] or one["new"] else ""
+    return f"{one['field']}{values}"

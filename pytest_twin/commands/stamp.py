@@ -1,0 +1,69 @@
+"""``pytest-twin stamp``: write into a data set which release of which twin it was made with."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from pytest_twin.commands import json_output
+from pytest_twin.commands.release_folder import release_folder
+from pytest_twin.commands.terminal import show
+from pytest_twin.release import stamps
+from pytest_twin.release.stamp import PARTS
+from pytest_twin.report.text import printable
+from pytest_twin.words import counted
+
+HELP = "write the IDs of a release, with digests and signature, into a data set or policy"
+EXAMPLES = (
+    "pytest-twin stamp datasets/pick --release releases/0007",
+    "pytest-twin stamp policy.onnx --release . --json -",
+)
+EXIT_STATUS = {0: "every file of the data set is stamped"}
+DONE = 0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "dataset",
+        metavar="DATASET",
+        type=Path,
+        help="LeRobot data set, MCAP, HDF5 or ONNX file, or a folder of such files",
+    )
+    parser.add_argument(
+        "--release",
+        metavar="RELEASE",
+        type=Path,
+        required=True,
+        help="folder of the release that it was made with, or of a twin: its newest",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once every file is stamped.
+
+    Raises:
+        TwinError: a release that does not hold, or a data set that cannot be stamped.
+    """
+    found = stamps.put(args.dataset, release_folder(args.release))
+    first = found[0].stamp
+    assert first is not None
+    json_output.give(
+        args,
+        {
+            "schema": 1,
+            "dataset": str(args.dataset),
+            **first.ids,
+            "files": [
+                {"path": str(one.carrier.path), "sha256": one.stamp.data}
+                for one in found
+                if one.stamp is not None
+            ],
+        },
+    )
+    lines = [f"stamped: {args.dataset} with {first.name} ({counted(len(found), 'file')})"]
+    for part in PARTS:
+        member = first.ids[part]
+        lines.append(f"  {part:<12} {member['id'] or 'none'}  {member['digest'][:16]}")
+    show("\n".join(printable(line) for line in lines))
+    return DONE

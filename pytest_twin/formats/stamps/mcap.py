@@ -1,0 +1,307 @@
+"""The stamp of an MCAP file: a metadata record ``twin``.
+
+The record goes to the end of the data section, and the index at the end of the file is written
+again; every message stays where it is, byte by byte. Format: https://mcap.dev/spec, version 0.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.formats import limits
+from pytest_twin.formats.atomic import open_replacement
+from pytest_twin.formats.mcap_walk import (
+    ATTACHMENT_INDEX,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    MAGIC,
+    METADATA,
+    METADATA_INDEX,
+    STATISTICS,
+    SUMMARY_OFFSET,
+)
+from pytest_twin.formats.paths import open_regular
+from pytest_twin.formats.stamps.base import NAME
+
+_KEY = "stamp"
+_HEAD = struct.Struct("<BQ")
+_FOOTER_BYTES = 20
+_SUMMARY_BYTES = 256 * 2**20
+_BLOCK_BYTES = 4 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """One record: its type, and the bytes from its head to its end."""
+
+    opcode: int
+    start: int
+    end: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Where things are in a file.
+
+    Attributes:
+        data_end: start of the record that ends it.
+        data_crc: its stated CRC, 0 where there is none.
+        summary: the parsed index, as (type, content).
+        offsets: whether the file lists where the groups of its index are.
+        summary_crc: the stated CRC of the index, 0 where there is none.
+        stamps: records of the data section that are stamps.
+    """
+
+    data_end: int
+    data_crc: int
+    summary: tuple[tuple[int, bytes], ...]
+    offsets: bool
+    summary_crc: int
+    stamps: tuple[_Record, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class McapStamp:
+    """A recording in MCAP.
+
+    The digest is over all records of the data section but stamps.
+    """
+
+    path: Path
+
+    def read(self) -> str | None:
+        """The text of the newest record."""
+        with open_regular(self.path) as stream:
+            layout = self._layout(stream)
+            if not layout.stamps:
+                return None
+            found = self._metadata(stream, layout.stamps[-1])
+        text = found.metadata.get(_KEY)
+        if not isinstance(text, str):
+            raise self._damaged(f"a metadata record {NAME!r} without {_KEY!r}")
+        return text
+
+    def write(self, text: str) -> None:
+        """Write the file again with the record, whole or not at all."""
+        from mcap.exceptions import EndOfFile
+
+        with open_regular(self.path) as stream, open_replacement(self.path) as target:
+            layout = self._layout(stream)
+            crc = 0
+            for start, end in _between(layout.stamps, layout.data_end):
+                crc = _copy(stream, target, start, end, crc)
+            place = target.tell()
+            record = _metadata_record(text)
+            target.write(record)
+            crc = zlib.crc32(record, crc)
+            target.write(_HEAD.pack(DATA_END, 4) + struct.pack("<I", crc if layout.data_crc else 0))
+            try:
+                target.write(_rest(layout, target.tell(), place, len(record)))
+            except (EndOfFile, struct.error, UnicodeDecodeError):
+                raise self._damaged("a record of its index is cut off") from None
+
+    def digest(self) -> str:
+        """Of the records, chunks as they are packed."""
+        hashed = hashlib.sha256()
+        with open_regular(self.path) as stream:
+            layout = self._layout(stream)
+            for start, end in _between(layout.stamps, layout.data_end):
+                stream.seek(start)
+                for block in _blocks(stream, end - start):
+                    hashed.update(block)
+        return hashed.hexdigest()
+
+    def _damaged(self, problem: str) -> FormatError:
+        return FormatError(
+            f"not a whole MCAP file: {problem}",
+            path=self.path,
+            expected="a finished file; pytest-twin convert writes one from what can be read",
+        )
+
+    def _layout(self, stream: BinaryIO) -> _Layout:
+        size = stream.seek(0, 2)
+        stream.seek(0)
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise self._damaged("no MCAP magic in its first 8 bytes")
+        tail = 9 + _FOOTER_BYTES + len(MAGIC)
+        stream.seek(max(0, size - tail))
+        footer = stream.read(tail)
+        if len(footer) < tail or footer[-len(MAGIC) :] != MAGIC or footer[0] != FOOTER:
+            raise self._damaged("no footer")
+        summary_start, offset_start, summary_crc = struct.unpack_from("<QQI", footer, 9)
+        stamps: list[_Record] = []
+        for record in self._records(stream, len(MAGIC), size - tail):
+            if record.opcode == DATA_END:
+                break
+            if record.opcode == METADATA and self._metadata(stream, record).name == NAME:
+                stamps.append(record)
+        else:
+            raise self._damaged("its data section does not end")
+        stream.seek(record.start + 9)
+        (data_crc,) = struct.unpack("<I", stream.read(4))
+        summary = self._summary(
+            stream, summary_start, offset_start or size - tail, record.end, size - tail
+        )
+        return _Layout(
+            record.start, data_crc, summary, bool(offset_start), summary_crc, tuple(stamps)
+        )
+
+    def _records(self, stream: BinaryIO, start: int, end: int) -> Iterator[_Record]:
+        count = 0
+        while start < end:
+            stream.seek(start)
+            head = stream.read(9)
+            opcode, length = _HEAD.unpack(head) if len(head) == 9 else (0, 0)
+            if not opcode or start + 9 + length > end:
+                raise self._damaged(f"a record at byte {start} is cut off")
+            count += 1
+            if count > limits.MCAP.messages_of(end):
+                raise LimitError("too many records", path=self.path, value=count)
+            yield _Record(opcode, start, start + 9 + length)
+            start += 9 + length
+
+    def _summary(
+        self, stream: BinaryIO, start: int, end: int, data_end: int, footer: int
+    ) -> tuple[tuple[int, bytes], ...]:
+        if not start:
+            return ()
+        if not data_end <= start <= end <= footer:
+            raise self._damaged("its footer points outside the index")
+        if end - start > _SUMMARY_BYTES:
+            raise LimitError("its index is too large", path=self.path, value=end - start)
+        found = []
+        for record in self._records(stream, start, end):
+            stream.seek(record.start + 9)
+            found.append((record.opcode, stream.read(record.end - record.start - 9)))
+        return tuple(found)
+
+    def _metadata(self, stream: BinaryIO, record: _Record) -> Any:
+        from mcap.data_stream import ReadDataStream
+        from mcap.exceptions import EndOfFile
+        from mcap.records import Metadata
+
+        length = record.end - record.start - 9
+        if length > limits.STAMPS.stamp_bytes:
+            raise LimitError("a metadata record is too large", path=self.path, value=length)
+        stream.seek(record.start + 9)
+        try:
+            return Metadata.read(ReadDataStream(io.BytesIO(stream.read(length))))
+        except (EndOfFile, struct.error, UnicodeDecodeError):
+            raise self._damaged(f"a metadata record at byte {record.start}") from None
+
+
+def _between(left_out: Sequence[_Record], end: int) -> Iterator[tuple[int, int]]:
+    """Stretches of a file from its start to ``end`` without some records."""
+    start = 0
+    for record in left_out:
+        yield start, record.start
+        start = record.end
+    yield start, end
+
+
+def _blocks(stream: BinaryIO, length: int) -> Iterator[bytes]:
+    while length > 0:
+        block = stream.read(min(length, _BLOCK_BYTES))
+        if not block:
+            return
+        yield block
+        length -= len(block)
+
+
+def _copy(stream: BinaryIO, target: BinaryIO, start: int, end: int, crc: int) -> int:
+    stream.seek(start)
+    for block in _blocks(stream, end - start):
+        target.write(block)
+        crc = zlib.crc32(block, crc)
+    return crc
+
+
+def _metadata_record(text: str) -> bytes:
+    from mcap.records import Metadata
+
+    return _bytes_of(Metadata(NAME, {_KEY: text}))
+
+
+def _bytes_of(record: Any) -> bytes:
+    """A record of the library with its head."""
+    from mcap.data_stream import RecordBuilder
+
+    builder: Any = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+def _rest(layout: _Layout, start: int, place: int, length: int) -> bytes:
+    """Index, offsets, footer and magic, for an index that begins at ``start``."""
+    from mcap.records import MetadataIndex
+
+    records = list(_moved(layout)) if layout.summary else []
+    if records:
+        index = _bytes_of(MetadataIndex(offset=place, length=length, name=NAME))
+        at = max((i for i, (op, _) in enumerate(records) if op == METADATA_INDEX), default=-1)
+        # A group of the index is contiguous: beside its kind, or a group of its own at the end.
+        records.insert(at + 1 if at >= 0 else len(records), (METADATA_INDEX, index[9:]))
+    body = bytearray()
+    groups: list[list[int]] = []
+    for opcode, content in records:
+        record = _HEAD.pack(opcode, len(content)) + content
+        if groups and groups[-1][0] == opcode:
+            groups[-1][2] += len(record)
+        else:
+            groups.append([opcode, start + len(body), len(record)])
+        body += record
+    offset_start = start + len(body) if layout.offsets and records else 0
+    if offset_start:
+        for opcode, begin, size in groups:
+            body += _HEAD.pack(SUMMARY_OFFSET, 17) + struct.pack("<BQQ", opcode, begin, size)
+    footer = _HEAD.pack(FOOTER, _FOOTER_BYTES)
+    footer += struct.pack("<QQ", start if records else 0, offset_start)
+    crc = zlib.crc32(footer, zlib.crc32(body)) if layout.summary_crc else 0
+    return bytes(body) + footer + struct.pack("<I", crc) + MAGIC
+
+
+def _moved(layout: _Layout) -> Iterator[tuple[int, bytes]]:
+    """Records of the index, for data without the earlier stamps and with one more to come."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex, Statistics
+
+    def now(offset: int) -> int:
+        return offset - sum(r.end - r.start for r in layout.stamps if r.start < offset)
+
+    for opcode, content in layout.summary:
+        stream = ReadDataStream(io.BytesIO(content))
+        record: Any
+        if opcode == CHUNK_INDEX:
+            record = ChunkIndex.read(stream)
+            record = replace(
+                record,
+                chunk_start_offset=now(record.chunk_start_offset),
+                message_index_offsets={
+                    channel: now(offset) for channel, offset in record.message_index_offsets.items()
+                },
+            )
+        elif opcode == ATTACHMENT_INDEX:
+            record = AttachmentIndex.read(stream)
+            record = replace(record, offset=now(record.offset))
+        elif opcode == METADATA_INDEX:
+            record = MetadataIndex.read(stream)
+            if record.name == NAME:
+                continue
+            record = replace(record, offset=now(record.offset))
+        elif opcode == STATISTICS:
+            record = Statistics.read(stream)
+            count = record.metadata_count - len(layout.stamps) + 1
+            record = replace(record, metadata_count=count)
+        else:
+            yield opcode, content
+            continue
+        yield opcode, _bytes_of(record)[9:]

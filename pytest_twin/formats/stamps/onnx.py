@@ -1,0 +1,88 @@
+"""The stamp of an ONNX model: its metadata property ``twin``."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.errors import FormatError
+from pytest_twin.formats import atomic, limits
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.paths import Roots, read_bytes
+from pytest_twin.formats.stamps.base import NAME
+
+
+@dataclass(frozen=True, slots=True)
+class OnnxStamp:
+    """A policy or a residual as an ONNX model.
+
+    The digest is over the model without this property, and the files of its external tensors.
+    """
+
+    path: Path
+
+    def read(self) -> str | None:
+        """The property's text."""
+        found = [entry.value for entry in self._model().metadata_props if entry.key == NAME]
+        return str(found[-1]) if found else None
+
+    def write(self, text: str) -> None:
+        """Write the file again with the property, whole or not at all."""
+        model = self._model()
+        _drop(model)
+        entry = model.metadata_props.add()
+        entry.key, entry.value = NAME, text
+        atomic.write_bytes(self.path, model.SerializeToString(deterministic=True))
+
+    def digest(self) -> str:
+        """Of the model's content."""
+        model = self._model()
+        _drop(model)
+        hashed = hashlib.sha256(model.SerializeToString(deterministic=True))
+        roots = Roots(self.path.parent)
+        for location in sorted(_external(model)):
+            file = roots.resolve(location, at=self.path, where="external data")
+            hashed.update(f"{file_sha256(file)} {location}\n".encode())
+        return hashed.hexdigest()
+
+    def _model(self) -> Any:
+        try:
+            import onnx
+            from google.protobuf.message import DecodeError
+        except ImportError:
+            raise FormatError(
+                "ONNX models are read by onnx, which is not installed",
+                path=self.path,
+                expected="pip install 'pytest-twin[onnx]'",
+            ) from None
+        data = read_bytes(self.path, limits.STAMPS.onnx_bytes)
+        model = onnx.ModelProto()
+        try:
+            model.ParseFromString(data)
+        except DecodeError as error:
+            raise FormatError(f"not an ONNX model: {str(error)[:80]}", path=self.path) from None
+        if not model.ir_version or not model.HasField("graph"):
+            raise FormatError(
+                "not an ONNX model", path=self.path, expected="a model with a version and a graph"
+            )
+        return model
+
+
+def _drop(model: Any) -> None:
+    kept = [(entry.key, entry.value) for entry in model.metadata_props if entry.key != NAME]
+    del model.metadata_props[:]
+    for key, value in kept:
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, value
+
+
+def _external(model: Any) -> set[str]:
+    """Files of tensors that lie outside the model, relative to it."""
+    return {
+        entry.value
+        for tensor in model.graph.initializer
+        for entry in tensor.external_data
+        if entry.key == "location"
+    }

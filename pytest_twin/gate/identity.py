@@ -1,0 +1,67 @@
+"""Digests of what a release is about: asset, calibration, fit, controller, payload, validation."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.dependency import canonical
+from pytest_twin.golden import Golden
+from pytest_twin.twin import Twin
+
+
+def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) -> dict[str, str]:
+    """Member of the tuple -> SHA-256, hex.
+
+    The asset and the validation are digests of files; the others are of what ``twin.yaml`` and its
+    files state, so that a comment changes none of them.
+
+    Args:
+        twin: the twin.
+        goldens: its goldens.
+        files: file -> SHA-256 of everything that the release depends on.
+    """
+    validation = {golden.path for golden in goldens}
+    validation |= {g.path.parent / g.trace.file for g in goldens if g.trace is not None}
+    stated = {twin.path, *(entry.record.path for entry in twin.calibrations)}
+    stated |= {part.path for part in (twin.calibration, twin.fit) if part is not None}
+    stated |= {part.file for part in twin.parts.values() if part.file is not None}
+    asset = files.keys() - validation - stated
+    calibration, fit = twin.calibration, twin.fit
+    return {
+        "asset": _of_files(twin, asset, files),
+        "calibration": _of(
+            None
+            if calibration is None
+            else {
+                "base": _plain(calibration.transform_world_to_base),
+                "joints": {name: _plain(joint) for name, joint in calibration.joints.items()},
+                "records": sorted(files.get(e.record.path, "") for e in twin.calibrations),
+            }
+        ),
+        "fit": _of(None if fit is None else {"patches": fit.patches, "option": fit.option}),
+        "controller": _of(twin.controllers),
+        "payload": _of(
+            {
+                name: {body: _plain(added) for body, added in bodies.items()}
+                for name, bodies in twin.payloads.items()
+            }
+        ),
+        "validation": _of_files(twin, validation, files),
+    }
+
+
+def _plain(item: Any) -> Any:
+    return None if item is None else asdict(item)
+
+
+def _of(content: object) -> str:
+    return hashlib.sha256(canonical(content)).hexdigest()
+
+
+def _of_files(twin: Twin, paths: Iterable[Path], files: Mapping[Path, str]) -> str:
+    return _of({os.path.relpath(p, twin.root): files[p] for p in paths if p in files})

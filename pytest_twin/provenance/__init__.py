@@ -1,0 +1,1 @@
+"""What a stamped data set was made with, and what has changed in the twin since."""

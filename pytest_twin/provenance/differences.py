@@ -1,0 +1,313 @@
+"""What differs between a twin as it was released and today, and whether it matters to some data.
+
+Runs in the child process: it loads both models. How a change is judged:
+
+- A change of where things are (joint zeros, link poses, base, tool frame) by how far the tool
+  centre point moves, over the data's own joint positions.
+- A change of how the robot moves (inertia, friction, drives, contacts, controllers) by how far
+  simulated joints move differently under the data's own commands.
+- A change that no part of the data's chain feels does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.dependency import Part
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.recording import Recording
+from pytest_twin.outcome import Reason
+from pytest_twin.provenance.displacement import Moved, moved, tool_poses
+from pytest_twin.provenance.poses import (
+    Poses,
+    drawn_poses,
+    first_seconds,
+    poses_of,
+    recordings_of,
+    variants_of,
+)
+from pytest_twin.provenance.simulated import simulated_differences
+from pytest_twin.realization import Realization, load
+from pytest_twin.realization.encoders import calibration_of
+from pytest_twin.staleness import changes, twin_parts
+from pytest_twin.twin import FreshPolicy, JointCalibration, Twin, load_twin
+
+PLACES = ("kinematics", "frame", "coupling", "base", "tcp", "calibration")
+"""Layers of parts that say where things are."""
+UNSEEN = ("keyframe", "sensor", "record", "variants", "geom")
+"""Layers that neither move the robot nor say where it is."""
+STATED = ("topics", "declared")
+"""Layers whose effect on data no model shows."""
+_REPLAYED_SECONDS = 30.0
+_TCP = "tcp:frame"
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """A twin at one time.
+
+    Attributes:
+        twin: as read.
+        realization: its first.
+        parts: part id -> part: of the realization and of ``twin.yaml``.
+        frame: the tool centre point: ``tcp:`` of ``twin.yaml``, else the last moving body.
+    """
+
+    twin: Twin
+    realization: Realization
+    parts: Mapping[str, Part]
+    frame: str
+
+    @classmethod
+    def of(cls, file: Path) -> Version:
+        """Load a ``twin.yaml`` and its first realization.
+
+        Raises:
+            TwinError: it does not load.
+        """
+        twin = load_twin(file)
+        name, reference = next(iter(twin.realizations.items()))
+        realization = load(reference.file, twin=twin, name=name)
+        structure = realization.structure
+        deepest = max(structure.body_tree, key=lambda b: len(structure.ancestors(b)), default="")
+        frame = twin.tcp or deepest
+        parts = {**realization.parts, **twin_parts(twin, _digest)}
+        parts[_TCP] = Part(_TCP, {"name": frame})
+        return cls(twin, realization, parts, frame)
+
+
+def _digest(file: str) -> str | None:
+    try:
+        return file_sha256(Path(file))
+    except TwinError:
+        return None
+
+
+def differences(before: str, today: str, dataset: str) -> dict[str, Any]:
+    """Every change between two versions of a twin, with its size and whether it matters.
+
+    Args:
+        before, today: ``twin.yaml`` of either version.
+        dataset: the data set or policy that was made with the first.
+
+    Raises:
+        TwinError: a version does not load, or the data set is damaged.
+    """
+    old, new = Version.of(Path(before)), Version.of(Path(today))
+    recordings = recordings_of(Path(dataset), new.twin)
+    poses = poses_of(recordings, new.realization.structure, new.twin)
+    shown = poses or drawn_poses(new.realization.structure)
+    known = _in_both(shown, old, new)
+    changed = {
+        ident: _reasons(ident, old.parts, new.parts)
+        for ident in sorted(old.parts.keys() | new.parts.keys())
+        if _digest_of(old.parts, ident) != _digest_of(new.parts, ident)
+    }
+    judged = _Judge(old, new, recordings, known, changed, new.twin.fresh)
+    listed = [judged.change(ident, reasons) for ident, reasons in changed.items()]
+    total = judged.total()
+    return {
+        "changes": listed,
+        "tcp": new.frame,
+        "moved": None if total is None else total.to_json(),
+        "poses": {"count": len(known.positions), "source": known.source},
+        "tolerance": {
+            "translation": new.twin.fresh.translation,
+            "rotation": new.twin.fresh.rotation,
+        },
+        "verdict": "stale" if any(one["matters"] for one in listed) else "fresh",
+        "notes": judged.notes,
+    }
+
+
+def _digest_of(parts: Mapping[str, Part], ident: str) -> str | None:
+    return parts[ident].digest if ident in parts else None
+
+
+def _reasons(ident: str, old: Mapping[str, Part], new: Mapping[str, Part]) -> list[Reason]:
+    if ident in old and ident in new:
+        return changes(old[ident], new[ident])
+    return [Reason(ident, "is new" if ident in new else "is gone")]
+
+
+def _in_both(poses: Poses, old: Version, new: Version) -> Poses:
+    """Poses of the joints that both versions have."""
+    joints = [
+        j
+        for j in poses.joints
+        if j in old.realization.structure.joint_type and j in new.realization.structure.joint_type
+    ]
+    columns = [poses.joints.index(joint) for joint in joints]
+    return replace(poses, joints=tuple(joints), positions=poses.positions[:, columns])
+
+
+class _Judge:
+    """Sizes of changes, each computed once."""
+
+    def __init__(
+        self,
+        old: Version,
+        new: Version,
+        recordings: Sequence[Recording],
+        poses: Poses,
+        changed: Mapping[str, Sequence[Reason]],
+        tolerance: FreshPolicy,
+    ) -> None:
+        self.old, self.new, self.poses, self.tolerance = old, new, poses, tolerance
+        self.recordings, self.changed = recordings, changed
+        self.variants = variants_of(recordings)
+        self.notes: list[str] = []
+        self._simulated: dict[str, float] | None = None
+        self._before: FloatArray | None = None
+        self._geometry: Moved | None = None
+        structures = (old.realization.structure, new.realization.structure)
+        frames = (old.frame, new.frame)
+        self.chain = frozenset().union(
+            *(s.chain([f]) for s, f in zip(structures, frames, strict=True))
+        )
+        self.dynamics = frozenset().union(
+            *(s.dynamics(poses.joints) | s.effects() for s in structures)
+        )
+
+    # -- one change
+
+    def change(self, ident: str, reasons: Sequence[Reason]) -> dict[str, Any]:
+        """One changed part in words and numbers."""
+        layer, _, name = ident.partition(":")
+        layer = layer.rpartition("/")[2]
+        size: dict[str, Any] | None = None
+        if layer in UNSEEN:
+            matters, why = False, "it neither moves the robot nor says where it is"
+        elif layer in STATED:
+            matters, why = True, "no model shows its effect on this data"
+        elif layer in ("controller", "payload") and self._unused(layer, name):
+            matters, why = False, f"no recording of this data names this {layer}"
+        elif layer == "calibration":
+            found = self._zero(name)
+            size = None if found is None else found.to_json()
+            matters, why = self._by_place(found, self._zero_in_words(name))
+        elif layer in PLACES:
+            if ident in self.chain or layer in ("base", "tcp"):
+                found = self.geometry()
+                size = found.to_json()
+                matters, why = self._by_place(found, "where the links are has changed")
+            elif ident in self.dynamics:
+                matters, why, size = self._by_motion()
+            else:
+                matters, why = False, f"it is not on the chain to {self.new.frame!r}"
+        elif ident in self.dynamics or layer in ("controller", "payload"):
+            matters, why, size = self._by_motion()
+        else:
+            matters, why = False, "nothing that this data's joints move feels it"
+        return {
+            "part": ident,
+            "changed": [
+                {"field": reason.field, "old": reason.old, "new": reason.new} for reason in reasons
+            ],
+            "matters": matters,
+            "why": why,
+            "size": size,
+        }
+
+    def _unused(self, layer: str, name: str) -> bool:
+        named = self.variants[layer]
+        return bool(self.recordings) and name not in named
+
+    def _by_place(self, found: Moved | None, what: str) -> tuple[bool, str]:
+        if found is None:
+            return False, "this data does not hold that joint"
+        matters = (
+            found.translation > self.tolerance.translation
+            or found.rotation > self.tolerance.rotation
+        )
+        words = (
+            f"{what}: {self.new.frame!r} moves by up to {1e3 * found.translation:.3g} mm and "
+            f"{1e3 * found.rotation:.3g} mrad {self.poses.source}"
+        )
+        return matters, words
+
+    def _by_motion(self) -> tuple[bool, str, dict[str, Any] | None]:
+        found = self.simulated()
+        if found is None:
+            return True, "how it moves has changed, and this data holds no commands to replay", None
+        worst = max(found, key=lambda joint: found[joint] / self._bound(joint))
+        slide = self.new.realization.structure.joint_type[worst] == "slide"
+        value = f"{1e3 * found[worst]:.3g} {'mm' if slide else 'mrad'}"
+        words = (
+            f"under this data's commands the simulated joint {worst!r} moves differently by up to "
+            f"{value} (all such changes together)"
+        )
+        matters = found[worst] > self._bound(worst)
+        return matters, words, {"joint": worst, "position": found[worst]}
+
+    def _bound(self, joint: str) -> float:
+        slide = self.new.realization.structure.joint_type[joint] == "slide"
+        return self.tolerance.translation if slide else self.tolerance.rotation
+
+    # -- sizes
+
+    def before(self) -> FloatArray:
+        """(n, 7) where the tool was."""
+        if self._before is None:
+            old = self.old
+            self._before = tool_poses(
+                old.realization, old.frame, calibration_of(old.realization), self.poses
+            )
+        return self._before
+
+    def _zero_in_words(self, joint: str) -> str:
+        was, now = (
+            calibration_of(version.realization).get(joint, JointCalibration())
+            for version in (self.old, self.new)
+        )
+        slide = self.new.realization.structure.joint_type.get(joint) == "slide"
+        if was.sign != now.sign:
+            return f"the direction of joint {joint!r} was turned round"
+        return f"the zero of joint {joint!r} moved by {abs(now.offset - was.offset):.4g} " + (
+            "m" if slide else "rad"
+        )
+
+    def _zero(self, joint: str) -> Moved | None:
+        """The displacement by the calibration of one joint alone."""
+        if joint not in self.poses.joints:
+            return None
+        old = self.old.realization
+        one = dict(calibration_of(old))
+        now = calibration_of(self.new.realization)
+        one.pop(joint, None)
+        if joint in now:
+            one[joint] = now[joint]
+        return moved(self.before(), tool_poses(old, self.old.frame, one, self.poses))
+
+    def geometry(self) -> Moved:
+        """The displacement by everything but the calibration of joints."""
+        if self._geometry is None:
+            new = self.new
+            before = calibration_of(self.old.realization)
+            after = tool_poses(new.realization, new.frame, before, self.poses)
+            self._geometry = moved(self.before(), after)
+        return self._geometry
+
+    def total(self) -> Moved | None:
+        """The displacement by all changes together; None where nothing has moved places."""
+        layers = {ident.partition(":")[0].rpartition("/")[2] for ident in self.changed}
+        if layers.isdisjoint(PLACES) or not self.poses.joints:
+            return None
+        new = self.new
+        after = tool_poses(new.realization, new.frame, calibration_of(new.realization), self.poses)
+        return moved(self.before(), after)
+
+    def simulated(self) -> dict[str, float] | None:
+        """Joint -> largest difference between replays of both versions, rad or m."""
+        if self._simulated is None:
+            part = first_seconds(self.recordings, _REPLAYED_SECONDS)
+            self._simulated, notes = simulated_differences(
+                self.old.realization, self.new.realization, part
+            )
+            self.notes += notes
+        return self._simulated or None

@@ -1,0 +1,125 @@
+"""Joint positions of a data set, in the model's names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.dependency import Structure
+from pytest_twin.errors import FormatError, RecordingError
+from pytest_twin.formats.recording import Recording
+from pytest_twin.formats.stamps import carriers_of
+from pytest_twin.trial.joints import in_model_names, named_by_actuators
+from pytest_twin.trial.read import recordings_at
+from pytest_twin.twin import Twin
+
+MOST_POSES = 4000
+_DRAWN_POSES = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Where a robot was.
+
+    Attributes:
+        joints: names in the model.
+        positions: (n, j) rad or m, as the encoders read them.
+        source: where they come from, in words.
+    """
+
+    joints: tuple[str, ...]
+    positions: FloatArray
+    source: str
+
+
+def recordings_of(dataset: Path, twin: Twin) -> list[Recording]:
+    """The recordings of a data set; none of a policy or of HDF5, which says no joint names.
+
+    Raises:
+        TwinError: a damaged recording.
+    """
+    try:
+        return recordings_at(dataset, twin.topics, twin.recordings)
+    except FormatError:
+        files = [c.path for c in carriers_of(dataset) if c.path.suffix.lower() == ".mcap"]
+        if files == [dataset]:
+            raise
+    return [one for file in files for one in recordings_at(file, twin.topics, twin.recordings)]
+
+
+def poses_of(recordings: Sequence[Recording], structure: Structure, twin: Twin) -> Poses | None:
+    """Joint positions of recordings, spread evenly over them; None where none can be read.
+
+    Args:
+        recordings: of one data set.
+        structure: of the model.
+        twin: says how recorded joints are called in the model.
+    """
+    tables: list[FloatArray] = []
+    joints: tuple[str, ...] = ()
+    scalar = [joint for joint, kind in structure.joint_type.items() if kind in ("hinge", "slide")]
+    for recording in recordings:
+        series = recording.series.get("state")
+        if series is None or series.position is None:
+            continue
+        series, _ = named_by_actuators(series, twin.recordings.joints, structure.actuator_joints)
+        try:
+            series, _ = in_model_names(series, twin.recordings.joints, scalar, recording.path)
+        except RecordingError:
+            continue
+        assert series.position is not None
+        if joints and series.names != joints:
+            continue
+        joints = series.names
+        tables.append(series.position[np.isfinite(series.position).all(axis=1)])
+    positions = np.concatenate(tables) if tables else np.zeros((0, 0))
+    if not len(positions):
+        return None
+    keep = np.unique(np.linspace(0, len(positions) - 1, MOST_POSES).astype(int))
+    return Poses(joints, positions[keep], f"over this data's poses ({len(keep)} of them)")
+
+
+def drawn_poses(structure: Structure) -> Poses:
+    """Poses drawn evenly within the joints' ranges, for data whose joint positions are not known.
+
+    Joints without a range are drawn from half a turn, or 0.1 m, on either side.
+    """
+    joints, low, high = [], [], []
+    for joint, kind in structure.joint_type.items():
+        if kind not in ("hinge", "slide"):
+            continue
+        free = (-np.pi, np.pi) if kind == "hinge" else (-0.1, 0.1)
+        lower, upper = structure.joint_range.get(joint) or free
+        joints.append(joint)
+        low.append(lower)
+        high.append(upper)
+    rng = np.random.default_rng(0)
+    drawn = rng.uniform(low, high, (_DRAWN_POSES, len(joints)))
+    words = f"over {_DRAWN_POSES} poses drawn within the joints' ranges"
+    return Poses(tuple(joints), drawn, words)
+
+
+def variants_of(recordings: Sequence[Recording]) -> dict[str, set[str]]:
+    """``controller`` and ``payload`` -> ids that the recordings name."""
+    return {
+        key: {one.metadata[key] for one in recordings if one.metadata.get(key)}
+        for key in ("controller", "payload")
+    }
+
+
+def first_seconds(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
+    """The first recordings that together last so long; always one, where there is any."""
+    found: list[Recording] = []
+    left = seconds
+    for one in recordings:
+        if left <= 0.0 and found:
+            break
+        found.append(one)
+        series = one.series.get("state")
+        if series is not None and len(series.stamp):
+            left -= 1e-9 * float(series.stamp[-1] - series.stamp[0])
+    return found

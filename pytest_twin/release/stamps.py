@@ -1,0 +1,191 @@
+"""Stamps on the disk: written into data sets, read from them, and held against trusted keys."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from securesystemslib.signer import Key
+
+from pytest_twin.errors import ReleaseError, TwinError
+from pytest_twin.formats.stamps import Carrier, carriers_of
+from pytest_twin.release import folder as folders
+from pytest_twin.release import keys as trusted_keys
+from pytest_twin.release import seen, stamp
+from pytest_twin.release.check import check
+from pytest_twin.release.stamp import Stamp, StampVerdict
+from pytest_twin.release.statement import Release
+from pytest_twin.twin import find_twin
+
+# Data recorded with a release keep it after it has expired or newer ones have followed.
+_OF_THE_PAST = ("expired", "rollback")
+_SERIES = frozenset("0123456789abcdef")
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """One file that bears a stamp.
+
+    Attributes:
+        carrier: the file.
+        stamp: None where it has none that can be read; ``problem`` then says why.
+    """
+
+    carrier: Carrier
+    stamp: Stamp | None
+    problem: str = ""
+
+
+def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> list[Stamped]:
+    """Stamp every file of a data set, or a policy, with a release.
+
+    All files are read before the first is written; each is replaced whole or not at all.
+
+    Args:
+        dataset: the file or folder.
+        release_folder: of a release that is authentic and undamaged.
+        now: the time to stamp; the clock's if None.
+
+    Raises:
+        ReleaseError: the release is not authentic, is damaged, or states no digests.
+        TwinError: a file that holds no stamp, is damaged, or cannot be written.
+    """
+    now = now or datetime.now(UTC)
+    released, envelope = _authentic(release_folder, now)
+    found = [
+        Stamped(carrier, stamp.make(released, envelope, carrier.digest(), now))
+        for carrier in carriers_of(dataset)
+    ]
+    for one in found:
+        assert one.stamp is not None
+        one.carrier.write(one.stamp.to_text())
+    seen.remember_twin(released.header.series, release_folder.absolute().parent.parent)
+    return found
+
+
+def _authentic(folder: Path, now: datetime) -> tuple[Release, bytes]:
+    verdict = check(folder, now=now)
+    problems = [p for p in verdict.problems if p.code not in _OF_THE_PAST]
+    envelope = folders.read_envelope(folder)
+    if verdict.release is None or problems or envelope is None:
+        raise ReleaseError(
+            f"the release does not hold: {problems[0].text if problems else 'it is not signed'}",
+            path=folder,
+            expected="a release that pytest-twin verify accepts",
+        )
+    return verdict.release, envelope
+
+
+def read(dataset: Path) -> list[Stamped]:
+    """The stamps of a data set or policy, one for each of its files.
+
+    Raises:
+        TwinError: nothing there that holds a stamp, or a damaged file.
+        ReleaseError: none of its files is stamped.
+    """
+    found = [_read(carrier) for carrier in carriers_of(dataset)]
+    if not any(one.stamp or one.problem for one in found):
+        raise ReleaseError(
+            "is not stamped",
+            path=dataset,
+            expected="the stamp that pytest-twin stamp DATASET --release RELEASE writes",
+        )
+    return found
+
+
+def _read(carrier: Carrier) -> Stamped:
+    text = carrier.read()
+    if text is None:
+        return Stamped(carrier, None)
+    try:
+        return Stamped(carrier, stamp.parse(text))
+    except ReleaseError as error:
+        return Stamped(carrier, None, str(error))
+
+
+def judge(
+    found: list[Stamped], keys: list[Key], *, now: datetime | None = None
+) -> dict[Path, StampVerdict]:
+    """Whether each stamp holds, and all are of one release.
+
+    Raises:
+        TwinError: a file cannot be read.
+    """
+    now = now or datetime.now(UTC)
+    first = next((one.stamp for one in found if one.stamp is not None), None)
+    verdicts: dict[Path, StampVerdict] = {}
+    for one in found:
+        path = one.carrier.path
+        if one.stamp is None:
+            verdicts[path] = StampVerdict(None, (one.problem or "is not stamped",))
+            continue
+        verdict = stamp.judge(one.stamp, keys, one.carrier.digest(), now)
+        if first is not None and one.stamp.ids != first.ids:
+            other = f"stamped with {one.stamp.name}, and other files with {first.name}"
+            verdict = StampVerdict(verdict.release, (*verdict.problems, other))
+        verdicts[path] = verdict
+    return verdicts
+
+
+def twins_near(dataset: Path, found: list[Stamped]) -> Iterator[Path]:
+    """Folders of twins that may have stamped a data set, the nearest first.
+
+    Above the data set, above the working folder, and where the twin lay when this user stamped.
+    """
+    given: dict[Path, None] = {}
+    for start in (dataset.absolute(), Path.cwd()):
+        file = find_twin(start)
+        if file is not None:
+            given[file.parent] = None
+    for one in found:
+        series = one.stamp.ids["series"] if one.stamp is not None else None
+        if isinstance(series, str) and len(series) == 32 and set(series) <= _SERIES:
+            root = seen.twin_of(series)
+            if root is not None:
+                given[root] = None
+    yield from given
+
+
+def keys_of(dataset: Path, found: list[Stamped], folder: Path | None) -> list[Key]:
+    """The trusted keys: those of a folder, else of the twin that stamped the data set; none where
+    no stamp can be read.
+
+    Raises:
+        ReleaseError: none can be found.
+    """
+    if folder is not None:
+        return trusted_keys.load_trusted(folder)
+    if not any(one.stamp for one in found):
+        return []
+    root = twin_that_stamped(dataset, found)
+    return trusted_keys.load_trusted(root / trusted_keys.FOLDER)
+
+
+def twin_that_stamped(dataset: Path, found: list[Stamped]) -> Path:
+    """The folder of the twin whose keys vouch for a stamp, else of the nearest twin with keys.
+
+    Raises:
+        ReleaseError: no twin is near.
+    """
+    nearest: Path | None = None
+    now = datetime.now(UTC)
+    for root in twins_near(dataset, found):
+        try:
+            keys = trusted_keys.load_trusted(root / trusted_keys.FOLDER)
+        except TwinError:
+            continue
+        if not keys:
+            continue
+        nearest = nearest or root
+        for one in found:
+            if one.stamp is not None and stamp.judge(one.stamp, keys, "", now).release is not None:
+                return root
+    if nearest is None:
+        raise ReleaseError(
+            "no trusted keys for this stamp",
+            path=dataset,
+            expected="--keys DIR, or to be run in the folder of the twin that stamped it",
+        )
+    return nearest

@@ -1,0 +1,170 @@
+"""``pytest-twin fresh``: what has changed since data were stamped, and how much it moves the tool.
+
+The arm is planar: a zero of the elbow that moves by d moves the tool, 0.25 m away, by
+2 * 0.25 m * sin(d / 2), whatever the pose.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from pytest_twin import cli
+from pytest_twin.formats.mcap import write_recording
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.formats.schema import load_schema
+
+JOINTS = ("shoulder", "elbow")
+
+
+@pytest.fixture
+def data(released) -> Path:
+    """One recording of a slow wave, stamped with release 1."""
+    time = np.arange(0.0, 2.0, 0.01)
+    stamps = np.rint(1e9 * time).astype(np.int64) + 10**18
+    wave = np.column_stack([0.4 * np.sin(3 * time), 0.8 * np.cos(2 * time)])
+    series = [
+        JointSeries("/joint_states", JOINTS, stamps, stamps, wave, None, None),
+        JointSeries("/joint_commands", JOINTS, stamps, stamps, wave, None, None),
+    ]
+    path = released.root.parent / "wave.mcap"
+    write_recording(path, series, {"controller": "soft"})
+    assert cli.main(["stamp", str(path), "--release", str(released.root)]) == 0
+    return path
+
+
+def fresh(data: Path, status: int) -> dict:
+    out = data.parent / "fresh.json"
+    assert cli.main(["fresh", str(data), "--json", str(out)]) == status
+    document = json.loads(out.read_text())
+    jsonschema.validate(document, load_schema("results/fresh.schema.json"))
+    return document
+
+
+def test_nothing_changed(released, data: Path) -> None:
+    document = fresh(data, 0)
+    assert document["changes"] == []
+    assert document["release"] == document["newest"] == 1
+
+
+def test_a_joint_zero_is_told_by_what_it_moves(
+    released, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration = "calibration: {id: after the fall, joints: {elbow: {offset: 0.3}}}\n"
+    released.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{calibration}")
+    document = fresh(data, 1)
+    (change,) = document["changes"]
+    assert change["part"] == "calibration:elbow"
+    expected = 0.5 * math.sin(0.15)
+    assert change["size"]["translation"] == pytest.approx(expected, rel=1e-9)
+    assert change["size"]["translation_rms"] == pytest.approx(expected, rel=1e-9)
+    assert change["size"]["rotation"] == pytest.approx(0.3, rel=1e-9)
+    said = capsys.readouterr().out
+    assert "the zero of joint 'elbow' moved by 0.3 rad: 'tcp' moves by up to 74.7 mm" in said
+    assert "over this data's poses (200 of them)" in said
+
+
+def test_a_change_below_what_matters_is_listed_and_fresh(released, data: Path) -> None:
+    calibration = "calibration: {id: again, joints: {elbow: {offset: 0.001}}}\n"
+    released.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{calibration}")
+    document = fresh(data, 0)
+    assert [one["matters"] for one in document["changes"]] == [False]
+    released.edit("twin.yaml", calibration, f"{calibration}fresh: {{translation: 0.0002}}\n")
+    assert fresh(data, 1)["moved"]["translation"] == pytest.approx(0.00025, rel=1e-5)
+
+
+def test_a_longer_tool_and_a_heavier_arm_are_each_told_by_their_own_size(
+    released, data: Path
+) -> None:
+    released.edit(
+        "arm.xml", '<site name="tcp" pos="0.25 0 0"/>', '<site name="tcp" pos="0.27 0 0"/>'
+    )
+    document = fresh(data, 1)
+    (change,) = document["changes"]
+    assert change["part"].endswith("frame:tcp")
+    assert change["size"]["translation"] == pytest.approx(0.02, rel=1e-9)
+    assert change["size"]["rotation"] < 1e-9
+    released.edit("arm.xml", 'mass="0.6"', 'mass="0.9"')
+    by_part = {one["part"].partition("/")[2]: one for one in fresh(data, 1)["changes"]}
+    heavier = by_part["inertia:fore"]
+    assert heavier["matters"]
+    assert "the simulated joint" in heavier["why"]
+    # The shoulder's servo of 40 N*m/rad stretches by the added 0.3 kg on up to 0.4 m.
+    assert 0.01 < heavier["size"]["position"] < 0.3 * 9.81 * 0.4 / 20 * 2
+
+
+def test_a_controller_that_the_data_do_not_name_does_not_matter(released, data: Path) -> None:
+    released.edit("twin.yaml", "tcp: tcp\n", "tcp: tcp\ncontrollers: {stiff: {elbow: {kp: 50}}}\n")
+    by_part = {one["part"]: one for one in fresh(data, 0)["changes"]}
+    assert not by_part["controller:stiff"]["matters"]
+    released.edit("twin.yaml", "stiff:", "soft: {elbow: {kp: 2}}, stiff:")
+    by_part = {one["part"]: one for one in fresh(data, 1)["changes"]}
+    assert by_part["controller:soft"]["matters"]
+    assert by_part["controller:soft"]["size"]["joint"] == "elbow"
+
+
+def test_a_policy_is_judged_over_the_joints_ranges(released) -> None:
+    onnx = pytest.importorskip("onnx")
+    from onnx import TensorProto, helper
+
+    ends = [helper.make_tensor_value_info(n, TensorProto.FLOAT, [1, 2]) for n in "xy"]
+    node = helper.make_node("Identity", ["x"], ["y"])
+    path = released.root / "policy.onnx"
+    onnx.save(helper.make_model(helper.make_graph([node], "p", ends[:1], ends[1:])), path)
+    assert cli.main(["stamp", str(path), "--release", str(released.root)]) == 0
+    released.edit("arm.xml", 'name="fore" pos="0.3 0 0"', 'name="fore" pos="0.31 0 0"')
+    document = fresh(path, 1)
+    assert document["poses"]["source"].endswith("drawn within the joints' ranges")
+    assert document["moved"]["translation"] == pytest.approx(0.01, rel=1e-9)
+
+
+def test_what_cannot_be_compared_is_one_line(
+    released, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (released.root / "releases" / "0001" / "files" / "arm.xml").write_text("<mujoco/>")
+    assert cli.main(["fresh", str(data)]) == 2
+    assert "not the file that was signed" in capsys.readouterr().err
+    bare = data.with_name("bare.mcap")
+    stamps = np.array([10**18, 10**18 + 10**7])
+    write_recording(
+        bare, [JointSeries("/joint_states", JOINTS, stamps, stamps, np.zeros((2, 2)), None, None)]
+    )
+    assert cli.main(["fresh", str(bare)]) == 2
+    assert "is not stamped" in capsys.readouterr().err
+
+
+USER_TEST = """
+import mujoco
+
+def test_it(twin_release):
+    assert twin_release.twin == "arm"
+    assert twin_release.number == 1
+    model = mujoco.MjModel.from_xml_path(str(twin_release.file("arm.xml")))
+    assert model.nu == 2
+    twin_release.require_stamp(DATA)
+"""
+
+
+def test_the_fixture_gives_users_tests_the_verified_release(released, data: Path) -> None:
+    released.write("tests/test_policy.py", f"DATA = {str(data)!r}\n{USER_TEST}")
+    released.run("tests").assert_outcomes(passed=1)
+    bare = data.with_name("other.mcap")
+    bare.write_bytes(data.read_bytes()[:-30])
+    released.write("tests/test_policy.py", f"DATA = {str(bare)!r}\n{USER_TEST}")
+    result = released.run("tests")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*other.mcap: not a whole MCAP file*"])
+
+
+def test_the_fixture_fails_without_a_release_that_holds(released) -> None:
+    released.write("tests/test_it.py", "def test_it(twin_release): pass\n")
+    results = released.root / "releases" / "0001" / "results.json"
+    results.write_text(results.read_text() + " ")
+    result = released.run("tests")
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*twin_release: *0001 does not hold: results.json: changed*"])

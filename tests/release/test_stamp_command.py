@@ -1,0 +1,266 @@
+"""``pytest-twin stamp`` and ``verify`` of data sets: every carrier, every way to break a stamp."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from release_twins import MakeRelease
+
+from pytest_twin import cli
+from pytest_twin.formats.schema import load_schema
+
+sys.path.append(str(Path(__file__).parents[1] / "formats"))
+
+from lerobot_files import episode, write_dataset
+
+KINDS = ("lerobot", "mcap", "hdf5", "onnx")
+
+
+def write_mcap(path: Path, messages: int = 300) -> Path:
+    from mcap.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=1024, enable_data_crcs=True)
+        writer.start(profile="ros2", library="test")
+        writer.add_metadata("trial", {"role": "fit"})
+        schema = writer.register_schema("text", "jsonschema", b"{}")
+        channel = writer.register_channel("/said", "json", schema)
+        for i in range(messages):
+            writer.add_message(channel, i * 1000, json.dumps({"i": i}).encode(), i * 1000)
+        writer.add_attachment(1, 2, "notes.txt", "text/plain", b"a note")
+        writer.finish()
+    return path
+
+
+def messages_of(path: Path) -> list[tuple[int, bytes]]:
+    """By the index at the end of the file, with the library's own reader."""
+    from mcap.reader import make_reader
+
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        return [(m.log_time, m.data) for _, _, m in reader.iter_messages(log_time_order=False)]
+
+
+def write(kind: str, folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    if kind == "lerobot":
+        return write_dataset(folder / "set", [episode(0, 30), episode(1, 20)])
+    if kind == "mcap":
+        return write_mcap(folder / "move.mcap")
+    if kind == "hdf5":
+        import h5py
+
+        with h5py.File(folder / "demo.hdf5", "w") as file:
+            file.attrs["env"] = "kitchen"
+            file.create_dataset("data/demo_0/actions", data=np.arange(40.0).reshape(20, 2))
+            file.create_dataset("data/demo_0/names", data=["pan", "elbow"])
+        return folder / "demo.hdf5"
+    from onnx import TensorProto, helper, save
+
+    x = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1, 2])
+    y = helper.make_tensor_value_info("y", TensorProto.FLOAT, [1, 2])
+    weights = helper.make_tensor("w", TensorProto.FLOAT, [1, 2], [1.0, 2.0])
+    graph = helper.make_graph(
+        [helper.make_node("Mul", ["x", "w"], ["y"])], "policy", [x], [y], [weights]
+    )
+    model = helper.make_model(graph)
+    helper.set_model_props(model, {"trained": "yesterday"})
+    save(model, folder / "policy.onnx")
+    return folder / "policy.onnx"
+
+
+def tamper(kind: str, path: Path) -> None:
+    """Change one number of the content."""
+    if kind == "lerobot":
+        info = json.loads((path / "meta/info.json").read_text())
+        (path / "meta/info.json").write_text(json.dumps({**info, "fps": 51}))
+    elif kind == "mcap":
+        data = bytearray(path.read_bytes())
+        at = data.index(b"a note")
+        data[at] = ord("A")
+        path.write_bytes(data)
+    elif kind == "hdf5":
+        import h5py
+
+        with h5py.File(path, "r+") as file:
+            file["data/demo_0/actions"][3, 1] += 1e-6
+    else:
+        import onnx
+
+        model = onnx.load(path)
+        model.graph.initializer[0].float_data[0] += 0.5
+        onnx.save(model, path)
+
+
+@pytest.fixture
+def two(root: Path, make: MakeRelease) -> Path:
+    for _ in range(2):
+        make(datetime.now(UTC))
+    return root
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_stamp_holds_until_the_data_change(kind: str, two: Path, tmp_path: Path) -> None:
+    data = write(kind, tmp_path / "data")
+    assert cli.main(["stamp", str(data), "--release", str(two / "releases" / "0001")]) == 0
+    assert cli.main(["verify", str(data)]) == 0
+    # A second stamp takes the place of the first.
+    assert cli.main(["stamp", str(data), "--release", str(two)]) == 0
+    out = tmp_path / "verdict.json"
+    assert cli.main(["verify", str(data), "--json", str(out)]) == 0
+    verdict = json.loads(out.read_text())
+    jsonschema.validate(verdict, load_schema("results/verify.schema.json"))
+    assert verdict["stamp"]["release"] == verdict["release"]["number"] == 2
+    assert verdict["stamp"]["controller"]["id"] == "kp100"
+    tamper(kind, data)
+    assert cli.main(["verify", str(data), "--json", str(out)]) == 1
+    (problem,) = json.loads(out.read_text())["problems"]
+    assert problem["text"].startswith("the data have changed since they were stamped")
+
+
+def test_content_beside_the_stamp_stays(two: Path, tmp_path: Path) -> None:
+    import h5py
+    import onnx
+
+    for kind in KINDS:
+        write(kind, tmp_path)
+    before = messages_of(tmp_path / "move.mcap")
+    for _ in range(2):
+        assert cli.main(["stamp", str(tmp_path / "set"), "--release", str(two)]) == 0
+        for name in ("move.mcap", "demo.hdf5", "policy.onnx"):
+            assert cli.main(["stamp", str(tmp_path / name), "--release", str(two)]) == 0
+    assert messages_of(tmp_path / "move.mcap") == before
+    assert len(before) == 300
+    with h5py.File(tmp_path / "demo.hdf5") as file:
+        assert file.attrs["env"] == "kitchen"
+        assert file["data/demo_0/actions"][19, 1] == 39.0
+        assert json.loads(file.attrs["twin"] + file.attrs.get("twin_1", ""))["twin"] == "arm"
+    model = onnx.load(tmp_path / "policy.onnx")
+    onnx.checker.check_model(model)
+    props = {p.key: p.value for p in model.metadata_props}
+    assert props["trained"] == "yesterday"
+    assert json.loads(props["twin"])["release"] == 2
+
+
+def test_the_index_of_a_stamped_recording_leads_to_everything(two: Path, tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    path = write("mcap", tmp_path)
+    for _ in range(3):
+        assert cli.main(["stamp", str(path), "--release", str(two)]) == 0
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics.message_count == 300
+        assert summary.statistics.metadata_count == 2
+        assert [m.name for m in reader.iter_metadata()] == ["trial", "twin"]
+        assert [a.data for a in reader.iter_attachments()] == [b"a note"]
+        late = [m.log_time for _, _, m in reader.iter_messages(starting_at=290_000)]
+        assert late == [i * 1000 for i in range(290, 300)]
+
+
+def edit(path: Path, **changes: object) -> None:
+    file = path / "meta/twin.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"release": 1}, "release: the stamp says 1, release 2 says 2"),
+        ({"calibration": {"id": "other", "digest": "00"}}, "calibration: the stamp says"),
+        ({"declared": {}}, "declared: the stamp says {}"),
+        ({"stamped": "2020-01-01T00:00:00Z"}, "before the release or in the future"),
+        ({"envelope": {}}, "not a DSSE envelope"),
+        ({"more": 1}, "not a stamp of pytest-twin"),
+    ],
+)
+def test_a_stamp_that_was_changed_does_not_hold(
+    changes: dict[str, object],
+    said: str,
+    two: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    data = write("lerobot", tmp_path)
+    assert cli.main(["stamp", str(data), "--release", str(two)]) == 0
+    edit(data, **changes)
+    assert cli.main(["verify", str(data)]) == 1
+    assert said in capsys.readouterr().out
+
+
+def test_a_stamp_by_a_key_that_is_not_trusted_does_not_hold(
+    two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from securesystemslib.signer import CryptoSigner
+
+    from pytest_twin.release.keys import public_pem
+
+    data = write("lerobot", tmp_path)
+    assert cli.main(["stamp", str(data), "--release", str(two)]) == 0
+    keys = tmp_path / "mine"
+    keys.mkdir()
+    (keys / "me.pub").write_bytes(public_pem(CryptoSigner.generate_ed25519()))
+    assert cli.main(["verify", str(data), "--keys", str(keys)]) == 1
+    assert "not trusted" in capsys.readouterr().out
+    assert cli.main(["verify", str(data), "--keys", str(two / "keys")]) == 0
+
+
+def test_files_of_one_data_set_bear_one_release(
+    two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    for name in ("a.mcap", "b.mcap"):
+        write_mcap(folder / name)
+    assert cli.main(["stamp", str(folder), "--release", str(two)]) == 0
+    assert cli.main(["verify", str(folder)]) == 0
+    older = str(two / "releases" / "0001")
+    assert cli.main(["stamp", str(folder / "b.mcap"), "--release", older]) == 0
+    assert cli.main(["verify", str(folder)]) == 1
+    assert "other files with release 2" in capsys.readouterr().out
+    write_mcap(folder / "b.mcap")
+    assert cli.main(["verify", str(folder)]) == 1
+    assert "b.mcap: is not stamped" in capsys.readouterr().out
+
+
+def test_what_cannot_be_stamped_is_one_line(
+    two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = write("mcap", tmp_path)
+    whole = data.read_bytes()
+    data.write_bytes(whole[:-40])
+    broken = data.read_bytes()
+    assert cli.main(["stamp", str(data), "--release", str(two)]) == 2
+    assert "no footer" in capsys.readouterr().err
+    assert data.read_bytes() == broken
+    (tmp_path / "a.csv").write_text("time\n")
+    assert cli.main(["stamp", str(tmp_path / "a.csv"), "--release", str(two)]) == 2
+    assert "pytest-twin convert" in capsys.readouterr().err
+    data.write_bytes(whole)
+    (two / "releases" / "0002" / "results.json").write_text("{}")
+    assert cli.main(["stamp", str(data), "--release", str(two)]) == 2
+    assert "the release does not hold: results.json: changed" in capsys.readouterr().err
+    assert data.read_bytes() == whole
+    assert cli.main(["verify", str(data)]) == 2
+    assert "is not stamped" in capsys.readouterr().err
+
+
+def test_a_stamp_outlives_the_releases_after_it_and_the_twin(
+    two: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = write("lerobot", tmp_path)
+    assert cli.main(["stamp", str(data), "--release", str(two / "releases" / "0001")]) == 0
+    keys = tmp_path / "keys"
+    shutil.copytree(two / "keys", keys)
+    shutil.rmtree(two)
+    assert cli.main(["verify", str(data), "--keys", str(keys)]) == 0
+    assert cli.main(["verify", str(data)]) == 2
