@@ -267,6 +267,8 @@ class Twin:
         retired: golden id -> reason.
         release: rules for releases.
         fresh: what size of a change matters to data that the twin stamped.
+        excitation: what a person approves for ``pytest-twin excite``, as written; None where
+            the section is not there.
         lines: dotted field -> 1-based line in ``path``.
     """
 
@@ -288,6 +290,7 @@ class Twin:
     retired: Mapping[str, str] = field(default_factory=dict)
     release: ReleasePolicy = field(default_factory=ReleasePolicy)
     fresh: FreshPolicy = field(default_factory=FreshPolicy)
+    excitation: Mapping[str, Any] | None = None
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
     @property
@@ -406,6 +409,7 @@ class _Reader:
             retired=dict(data.get("retired", {})),
             release=ReleasePolicy(float(release.get("valid_days", ReleasePolicy().valid_days))),
             fresh=FreshPolicy(**{k: float(v) for k, v in data.get("fresh", {}).items()}),
+            excitation=data.get("excitation"),
             lines=self.lines,
         )
 

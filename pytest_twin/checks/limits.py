@@ -26,18 +26,11 @@ from pytest_twin.checks.fields import (
     spec_error,
     tolerance,
 )
-from pytest_twin.checks.limits_bench import (
-    drivers_of,
-    fastest,
-    model_effort,
-    model_range,
-    pushed_past,
-    servo_range,
-    strongest,
-)
+from pytest_twin.checks.limits_bench import fastest, pushed_past, servo_range, strongest
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SimulationError
 from pytest_twin.golden import Golden
+from pytest_twin.realization.joint_limits import drivers_of, model_effort, model_range
 from pytest_twin.units import Quantity
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pytest_twin.checks.fields import POSITION_UNIT
 from pytest_twin.checks.poses import configuration
+from pytest_twin.realization.joint_limits import drivers_of, model_range
 
 if TYPE_CHECKING:
     import mujoco
@@ -15,41 +16,6 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
 _BEYOND = 1e3  # how many times past its range a command goes
-
-
-def model_range(model: mujoco.MjModel, index: int) -> list[float] | None:
-    """Stops of a joint, rad or m; None where it has none."""
-    return model.jnt_range[index].tolist() if model.jnt_limited[index] else None
-
-
-def drivers_of(realization: Realization, joint: str) -> list[str]:
-    """Actuators whose transmission is the joint alone."""
-    driven = realization.structure.actuator_joints
-    return [name for name in realization.actuators if driven.get(name) == (joint,)]
-
-
-def model_effort(realization: Realization, joint: str) -> list[float] | None:
-    """Least and greatest generalized force (N*m or N) that the model lets actuators apply.
-
-    Force ranges of the actuators through their gears, within the joint's own; None where
-    neither is limited.
-    """
-    model = realization.model
-    index = realization.joint_index(joint)
-    lower = upper = 0.0
-    for actuator in drivers_of(realization, joint):
-        i = realization.actuator_index(actuator)
-        gear = float(model.actuator_gear[model.actuator_outadr[i], 0])
-        ends = [-math.inf, math.inf]
-        if model.actuator_forcelimited[i]:
-            ends = [gear * float(end) for end in model.actuator_forcerange[i]]
-        lower, upper = lower + min(ends), upper + max(ends)
-    if not drivers_of(realization, joint):
-        lower, upper = -math.inf, math.inf
-    if model.jnt_actfrclimited[index]:
-        own = model.jnt_actfrcrange[index]
-        lower, upper = max(lower, float(own[0])), min(upper, float(own[1]))
-    return [lower, upper] if math.isfinite(lower) and math.isfinite(upper) else None
 
 
 def _bench(realization: Realization, free: frozenset[str]) -> mujoco.MjModel:

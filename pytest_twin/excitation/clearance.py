@@ -1,0 +1,196 @@
+"""Distances of a robot's shapes and places of its frames along a motion (coal, MuJoCo)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.realization.collision import Shapes, enabled_pairs
+from pytest_twin.realization.first_state import follow_joint_equalities
+from pytest_twin.realization.model import Realization
+
+GRID = 0.01
+"""Poses that lie within one cell of this size (rad or m in every joint) count as one: 1 cm at a
+reach of 1 m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """The pair that comes closest to, or furthest below, the distance that it must keep.
+
+    Attributes:
+        pair: two bodies or geoms.
+        distance: m, negative where they overlap.
+        required: m.
+        at: index of the pose.
+    """
+
+    pair: tuple[str, str]
+    distance: float
+    required: float
+    at: int
+
+    @property
+    def spare(self) -> float:
+        """Distance beyond what is required, m."""
+        return self.distance - self.required
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    names: tuple[str, str]
+    geoms: tuple[tuple[int, int], ...]
+    required: float
+
+
+class Surroundings:
+    """What a robot must not come near, and where its frames must stay.
+
+    Args:
+        realization: the robot.
+        approved: least distances, boxes, joints that move; other joints stand at the reference.
+    """
+
+    def __init__(self, realization: Realization, approved: Approved) -> None:
+        self._realization = realization
+        self._model = realization.model
+        self._data = mujoco.MjData(self._model)
+        self._approved = approved
+        self._joint_ids = [realization.joint_index(name) for name in approved.names]
+        self._columns = self._model.jnt_qposadr[self._joint_ids]
+        self._shapes = Shapes(realization)
+        self._pairs = tuple(self._required_pairs())
+        self._radius = np.where(self._model.geom_rbound > 0.0, self._model.geom_rbound, np.inf)
+
+    @property
+    def pairs(self) -> int:
+        """How many pairs are kept apart."""
+        return len(self._pairs)
+
+    def place(self, position: FloatArray) -> mujoco.MjData:
+        """Frames and shapes at one pose (j,); followers of joint equalities follow."""
+        data = self._data
+        data.qpos[:] = self._model.qpos0
+        data.qpos[self._columns] = position
+        follow_joint_equalities(self._model, data, set(self._joint_ids))
+        mujoco.mj_kinematics(self._model, data)
+        return data
+
+    def nearest(self, positions: FloatArray) -> Nearest | None:
+        """The pair with the least spare distance over poses (n, j); None without pairs."""
+        least: Nearest | None = None
+        for at in distinct(positions):
+            data = self.place(positions[at])
+            for pair in self._pairs:
+                bound = np.inf if least is None else least.spare
+                found = self._distance(data, pair, bound + pair.required)
+                if found is not None and (least is None or found - pair.required < least.spare):
+                    least = Nearest(pair.names, found, pair.required, int(at))
+        return least
+
+    def too_near(self, position: FloatArray) -> list[Nearest]:
+        """All pairs that are closer at one pose (j,) than they may be."""
+        data = self.place(position)
+        found = []
+        for pair in self._pairs:
+            distance = self._distance(data, pair, pair.required)
+            if distance is not None and distance < pair.required:
+                found.append(Nearest(pair.names, distance, pair.required, 0))
+        return found
+
+    def is_clear(self, position: FloatArray) -> bool:
+        """Whether one pose (j,) keeps all distances and boxes."""
+        data = self.place(position)
+        for pair in self._pairs:
+            distance = self._distance(data, pair, pair.required)
+            if distance is not None and distance < pair.required:
+                return False
+        return all(spare >= 0.0 for spare, _ in self._spare_in_boxes(data))
+
+    def least_box_spare(self, positions: FloatArray) -> tuple[float, str, int] | None:
+        """Least distance of a frame to the sides of its box, m: negative outside; the frame, and
+        the index of the pose. None without boxes."""
+        least: tuple[float, str, int] | None = None
+        if not self._approved.workspace:
+            return None
+        for at in distinct(positions):
+            for spare, frame in self._spare_in_boxes(self.place(positions[at])):
+                if least is None or spare < least[0]:
+                    least = (spare, frame, int(at))
+        return least
+
+    def _spare_in_boxes(self, data: mujoco.MjData) -> Iterator[tuple[float, str]]:
+        for box in self._approved.workspace:
+            origin = self._realization.frame_pose(data, box.frame)[:3, 3]
+            yield float(np.minimum(origin - box.lower, box.upper - origin).min()), box.frame
+
+    def _distance(self, data: mujoco.MjData, pair: _Pair, interesting: float) -> float | None:
+        """Distance of a pair, m; None where it is certainly more than ``interesting``."""
+        least: float | None = None
+        for a, b in pair.geoms:
+            between = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
+            if between - self._radius[a] - self._radius[b] > interesting:
+                continue
+            sides = frozenset({a}), frozenset({b})
+            found = self._shapes.distance_by_coal(data, *sides)
+            if not np.isfinite(found):
+                found = self._shapes.distance(data, *sides)
+            least = found if least is None else min(least, found)
+        return least
+
+    def _required_pairs(self) -> Iterator[_Pair]:
+        clearance = self._approved.clearance
+        if clearance is None:
+            return
+        keep = 1.0 + self._approved.margin
+        for names in enabled_pairs(self._realization):
+            fixed = [self._stands_still(name) for name in names]
+            own = clearance.pairs.get(names, clearance.pairs.get((names[1], names[0])))
+            if own is None:
+                if frozenset(names) in clearance.ignored or all(fixed) or self._adjacent(names):
+                    continue
+                own = clearance.to_environment if any(fixed) else clearance.between_links
+            yield self._pair(names, keep * own)
+        stated = set(enabled_pairs(self._realization))
+        for names, distance in clearance.pairs.items():
+            if names not in stated and (names[1], names[0]) not in stated:
+                yield self._pair(names, keep * distance)
+
+    def _pair(self, names: tuple[str, str], required: float) -> _Pair:
+        first, second = (sorted(self._shapes.geoms(name)) for name in names)
+        return _Pair(names, tuple((a, b) for a in first for b in second), required)
+
+    def _body(self, name: str) -> int:
+        geoms = self._shapes.geoms(name)
+        return int(self._model.geom_bodyid[next(iter(geoms))])
+
+    def _stands_still(self, name: str) -> bool:
+        """Whether no approved joint moves a body."""
+        moving = {int(self._model.jnt_bodyid[index]) for index in self._joint_ids}
+        body = self._body(name)
+        while body:
+            if body in moving:
+                return False
+            body = int(self._model.body_parentid[body])
+        return True
+
+    def _adjacent(self, names: Sequence[str]) -> bool:
+        """Whether one body carries the other by a joint: their shapes may overlap there."""
+        welds = [int(self._model.body_weldid[self._body(name)]) for name in names]
+        above = [int(self._model.body_weldid[self._model.body_parentid[weld]]) for weld in welds]
+        # Geoms of the world itself are surroundings, those of a base that is fixed to it are not.
+        if any(self._body(name) == 0 for name in names):
+            return False
+        return welds[0] == above[1] or welds[1] == above[0]
+
+
+def distinct(positions: FloatArray) -> FloatArray:
+    """Indices of poses (n, j) that are more than a cell of ``GRID`` apart, in order."""
+    cells = np.round(positions / GRID).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return np.sort(first)

@@ -1,0 +1,165 @@
+"""What the robot does under a motion's commands, as its model predicts it in the closed loop."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import SimulationError, SpecError
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.motion import Motion
+from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.realization.first_state import follow_joint_equalities
+from pytest_twin.realization.inputs import command_input
+from pytest_twin.realization.model import Realization
+from pytest_twin.recording_options import CommandMode
+from pytest_twin.replay import Row, replay_rows
+from pytest_twin.trial import Trial
+
+WORSE = 1.2
+"""Factor on masses, inertias, friction and armature of the worse model."""
+_SETTLE = 2.0
+"""Time in s before the motion, at rest: a servo gives way to gravity until it carries it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """What a model does under commands, in the model's sign and zero.
+
+    Attributes:
+        position, velocity, effort: (n, j) at the motion's stamps.
+        error: why the rest is NaN, where the simulation diverged.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    error: SimulationError | None = None
+
+
+class ClosedLoop:
+    """One robot, with or without payload, as it stands or worse.
+
+    Joints whose actuators take positions or velocities are simulated with these servos. Where one
+    takes neither, all follow their commands exactly, and efforts come from inverse dynamics.
+
+    Args:
+        realization: with the payload.
+        approved: the joints that are commanded.
+        factor: on all masses, inertias, friction and armature.
+    """
+
+    def __init__(self, realization: Realization, approved: Approved, factor: float = 1.0) -> None:
+        self._realization = realization
+        self._approved = approved
+        self._model = realization.model if factor == 1.0 else worse(realization.model, factor)
+        self._joint_ids = [realization.joint_index(name) for name in approved.names]
+        self._dofs = self._model.jnt_dofadr[self._joint_ids]
+        self.modes = servo_modes(realization, approved.names)
+
+    def responses(self, motions: Sequence[Motion]) -> list[Response]:
+        """What the model does under each motion."""
+        if self.modes is None:
+            return [self._followed(motion) for motion in motions]
+        rows = [
+            Row(self._trial(motion, self.modes), self._model, {}, self._realization.path)
+            for motion in motions
+        ]
+        return [
+            Response(
+                replayed.position[1:], replayed.velocity[1:], replayed.effort[1:], replayed.error
+            )
+            for replayed in replay_rows(rows)
+        ]
+
+    def _trial(self, motion: Motion, modes: tuple[CommandMode, ...]) -> Trial:
+        names = self._approved.names
+        count = len(motion.time)
+        command = np.where(
+            np.array([mode == "velocity" for mode in modes]), motion.velocity, motion.position
+        )
+        time = np.concatenate([[0.0], _SETTLE + motion.time])
+        return Trial(
+            path=Path(motion.name),
+            start=0,
+            joints=names,
+            time=time,
+            position=np.concatenate([motion.position[:1], motion.position]),
+            velocity=np.zeros((count + 1, len(names))),
+            effort=None,
+            command_joints=names,
+            command_time=time,
+            command=np.concatenate([command[:1], command]),
+            command_modes=modes,
+            metadata={},
+            command_between="interpolated",
+            between_source="option",
+        )
+
+    def _followed(self, motion: Motion) -> Response:
+        """Efforts of a robot that follows its commands exactly (inverse dynamics of MuJoCo)."""
+        model = copy.copy(self._model)
+        # Contacts and stops are looked at elsewhere; here they would push.
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        data = mujoco.MjData(model)
+        columns = model.jnt_qposadr[self._joint_ids]
+        effort = np.empty_like(motion.position)
+        for at in range(len(motion.time)):
+            data.qpos[:] = model.qpos0
+            data.qvel[:] = 0.0
+            data.qacc[:] = 0.0
+            data.qpos[columns] = motion.position[at]
+            data.qvel[self._dofs] = motion.velocity[at]
+            data.qacc[self._dofs] = motion.acceleration[at]
+            follow_joint_equalities(model, data, set(self._joint_ids))
+            mujoco.mj_inverse(model, data)
+            effort[at] = data.qfrc_inverse[self._dofs]
+        return Response(motion.position, motion.velocity, effort)
+
+
+def servo_modes(realization: Realization, joints: Sequence[str]) -> tuple[CommandMode, ...] | None:
+    """Which command each joint's servo takes, position or velocity; None where one has no servo."""
+    found: list[CommandMode] = []
+    for joint in joints:
+        for mode in ("position", "velocity"):
+            try:
+                taken = command_input(realization.model, joint, mode)
+            except SpecError:
+                continue
+            if taken is not None:
+                found.append(mode)
+                break
+        else:
+            return None
+    return tuple(found)
+
+
+def worse(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
+    """A copy with masses, inertias, friction and armature times ``factor``.
+
+    What a drive compensates of gravity stays as it is: the controller knows the nominal masses.
+    """
+    heavier = copy.copy(model)
+    for name in (
+        "body_mass",
+        "body_inertia",
+        "dof_damping",
+        "dof_frictionloss",
+        "dof_armature",
+    ):
+        values = getattr(heavier, name)
+        values[:] = factor * values
+    heavier.body_gravcomp[:] = heavier.body_gravcomp / factor
+    mujoco.mj_setConst(heavier, mujoco.MjData(heavier))
+    return heavier
+
+
+def as_read(realization: Realization, approved: Approved, position: FloatArray) -> FloatArray:
+    """Positions (n, j) as the robot's encoders read them and as its controller takes them."""
+    return Encoders.of(calibration_of(realization), approved.names).read_position(position)

@@ -1,0 +1,229 @@
+"""A motion that is designed, sampled at the command rate; and the pieces that it is made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+
+Role = Literal["fit", "held_out"]
+_QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
+"""Peaks of 10 s^3 - 15 s^4 + 6 s^5 over a unit distance in unit time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Commands of the approved joints over time, in the model's sign and zero.
+
+    Attributes:
+        name: of its files.
+        mechanisms: what it identifies.
+        kind: ``steps``, ``chirp``, ``reversals``, ``grid`` or ``fourier``.
+        role: to fit, or to hold out.
+        seed: it was drawn from.
+        moved: joints that it identifies; others only take a pose.
+        time: (n,) s from 0.
+        position, velocity, acceleration: (n, j) rad or m and their derivatives.
+        payload: id under ``payloads:`` of ``twin.yaml``, None for the robot without.
+        scale: share of the designed amplitude that was found safe.
+        settings: what describes it, for the report.
+    """
+
+    name: str
+    mechanisms: tuple[str, ...]
+    kind: str
+    role: Role
+    seed: int
+    moved: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    payload: str | None = None
+    scale: float = 1.0
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A motion before it is known to be safe.
+
+    Attributes:
+        name, mechanisms, kind, role, moved, payload: as of :class:`Motion`.
+        make: from a share of the amplitude, 0 to 1, and a seed, the motion's time and states. At
+            share 0 the robot stays at its start.
+        seed: to begin with.
+    """
+
+    name: str
+    mechanisms: tuple[str, ...]
+    kind: str
+    role: Role
+    moved: tuple[str, ...]
+    make: Callable[[float, int], Drawn]
+    seed: int
+    payload: str | None = None
+
+    def motion(self, scale: float, seed: int) -> Motion:
+        """The motion at a share of its amplitude."""
+        drawn = self.make(scale, seed)
+        return Motion(
+            name=self.name,
+            mechanisms=self.mechanisms,
+            kind=self.kind,
+            role=self.role,
+            seed=seed,
+            moved=self.moved,
+            time=drawn.time,
+            position=drawn.position,
+            velocity=drawn.velocity,
+            acceleration=drawn.acceleration,
+            payload=self.payload,
+            scale=scale,
+            settings=drawn.settings,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """States over time.
+
+    Attributes:
+        time: (n,) s from 0.
+        position, velocity, acceleration: (n, j).
+        settings: what describes them.
+    """
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def described(self, **settings: Any) -> Drawn:
+        """The same with settings."""
+        return replace(self, settings=settings)
+
+
+class Path:
+    """States that are joined piece by piece, each from where the last one ended, at rest.
+
+    Args:
+        start: (j,) where it begins.
+        speed, acceleration: (j,) greatest of each joint.
+        rate: samples per second, Hz.
+    """
+
+    def __init__(
+        self, start: FloatArray, speed: FloatArray, acceleration: FloatArray, rate: float
+    ) -> None:
+        self._speed, self._acceleration, self._rate = speed, acceleration, rate
+        self._at = np.array(start, dtype=np.float64)
+        rest = np.zeros_like(self._at)
+        self._pieces: list[tuple[FloatArray, FloatArray, FloatArray]] = [
+            (self._at[None].copy(), rest[None], rest[None])
+        ]
+        self.samples = 1
+
+    @property
+    def seconds(self) -> float:
+        """Time from its first to its last state."""
+        return (self.samples - 1) / self._rate
+
+    def time_to(self, target: FloatArray) -> float:
+        """Least time in s of a move to ``target`` (j,), whole samples."""
+        distance = np.abs(target - self._at)
+        least = max(
+            float((_QUINTIC_SPEED * distance / self._speed).max()),
+            float(np.sqrt(_QUINTIC_ACCELERATION * distance / self._acceleration).max()),
+        )
+        return math.ceil(least * self._rate - 1e-9) / self._rate
+
+    def move(self, target: FloatArray) -> None:
+        """Move all joints to ``target`` (j,) in least time, from rest to rest (quintic)."""
+        seconds = self.time_to(target)
+        count = round(seconds * self._rate)
+        if count == 0:
+            return
+        s = np.arange(1, count + 1)[:, None] / count
+        distance = (target - self._at)[None]
+        self._add(
+            self._at + distance * (10 * s**3 - 15 * s**4 + 6 * s**5),
+            distance * (30 * s**2 - 60 * s**3 + 30 * s**4) / seconds,
+            distance * (60 * s - 180 * s**2 + 120 * s**3) / seconds**2,
+        )
+
+    def dwell(self, seconds: float) -> None:
+        """Stay for at least ``seconds``."""
+        count = math.ceil(seconds * self._rate - 1e-9)
+        still = np.zeros((count, len(self._at)))
+        self._add(np.tile(self._at, (count, 1)), still, still)
+
+    def sweep(self, joint: int, speeds: Sequence[tuple[float, float]]) -> None:
+        """Turn one joint at constant speeds, one after another, and end at rest.
+
+        Args:
+            joint: its column.
+            speeds: (speed in rad/s or m/s, time in s at that speed with half of both blends).
+        """
+        knots = [(0.0, 0.0)]
+        now, last = 0.0, 0.0
+        blends: list[tuple[float, float, float, float]] = []
+        for speed, seconds in (*speeds, (0.0, 0.0)):
+            # A raised cosine: its steepest slope is pi/2 times the mean one.
+            blend = 0.5 * math.pi * abs(speed - last) / float(self._acceleration[joint])
+            blends.append((now, blend, last, speed))
+            now += blend + max(seconds - blend, 0.0)
+            knots.append((now, speed))
+            last = speed
+        count = math.ceil(now * self._rate - 1e-9)
+        time = np.arange(1, count + 1) / self._rate
+        x, v, a = (np.zeros(count) for _ in range(3))
+        place = 0.0
+        for at, (begin, blend, before, after) in enumerate(blends):
+            end = blends[at + 1][0] if at + 1 < len(blends) else max(now, count / self._rate)
+            inside = (time > begin) & (time <= end + 1e-12)
+            own = time[inside] - begin
+            x[inside], v[inside], a[inside] = _blended(own, blend, before, after)
+            x[inside] += place
+            place += float(_blended(np.array([end - begin]), blend, before, after)[0][0])
+        states = [np.zeros((count, len(self._at))) for _ in range(3)]
+        states[0][:] = self._at
+        states[0][:, joint] += x
+        states[1][:, joint], states[2][:, joint] = v, a
+        self._add(*states)
+
+    def drawn(self) -> Drawn:
+        """All states so far."""
+        position, velocity, acceleration = (
+            np.concatenate([piece[i] for piece in self._pieces]) for i in range(3)
+        )
+        time = np.arange(len(position)) / self._rate
+        return Drawn(time, position, velocity, acceleration)
+
+    def _add(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> None:
+        if len(position):
+            self._pieces.append((position, velocity, acceleration))
+            self._at = position[-1].copy()
+            self.samples += len(position)
+
+
+def _blended(
+    time: FloatArray, blend: float, before: float, after: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, velocity and acceleration of a change of speed by a raised cosine, then held."""
+    if blend <= 0.0:
+        return after * time, np.full_like(time, after), np.zeros_like(time)
+    inside = np.minimum(time, blend)
+    phase = math.pi * inside / blend
+    change = after - before
+    position = before * inside + change * (0.5 * inside - 0.5 * blend / math.pi * np.sin(phase))
+    velocity = before + 0.5 * change * (1.0 - np.cos(phase))
+    acceleration = 0.5 * math.pi * change / blend * np.sin(phase)
+    beyond = np.maximum(time - blend, 0.0)
+    return position + after * beyond, velocity, np.where(beyond > 0.0, 0.0, acceleration)

@@ -1,0 +1,228 @@
+"""Whether a motion keeps everything that was approved, and by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.closed_loop import Response
+from pytest_twin.excitation.motion import Motion
+
+_ROUNDING = 1e-9
+"""Share of a limit that sums of floats may be off by."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """One limit, and what a motion makes of it.
+
+    Attributes:
+        what: the limit in words, ``velocity of elbow, commanded``.
+        value: the worst value along the motion.
+        limit: what it must not pass.
+        unit: of both.
+        share: of the limit that is used; 1 is at the limit, more is beyond.
+    """
+
+    what: str
+    value: float
+    limit: float
+    unit: str
+    share: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the limit is kept."""
+        return self.share <= 1.0 + _ROUNDING
+
+    @property
+    def words(self) -> str:
+        """Limit, value and unit in a line."""
+        return f"{self.what}: {self.value:.4g} {self.unit}, limit {self.limit:.4g} {self.unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """All limits of a motion.
+
+    Attributes:
+        kept: each with its worst value.
+        tracking: (j,) largest distance of a simulated position from its command, rad or m.
+        notes: what was not checked.
+    """
+
+    kept: tuple[Kept, ...]
+    tracking: FloatArray = field(default_factory=lambda: np.zeros(0))
+    notes: tuple[str, ...] = ()
+
+    @property
+    def safe(self) -> bool:
+        """Whether every limit is kept."""
+        return all(one.holds for one in self.kept)
+
+    @property
+    def worst(self) -> Kept:
+        """The limit of which the largest share is used."""
+        return max(self.kept, key=lambda one: one.share)
+
+    def of_kind(self, kind: str) -> Kept | None:
+        """The limit of one kind (the first word of ``what``) with the largest share."""
+        own = [one for one in self.kept if one.what.split(" ")[0] == kind]
+        return max(own, key=lambda one: one.share) if own else None
+
+
+def commanded(motion: Motion, approved: Approved, around: Surroundings) -> Verdict:
+    """Limits of the commands themselves: derivatives by differences of what will be sent."""
+    lower, upper = approved.room
+    rate = approved.rate
+    velocity = np.diff(motion.position, axis=0) * rate
+    acceleration = np.diff(motion.position, 2, axis=0) * rate**2
+    kept = _positions(motion.position, lower, upper, approved, "commanded")
+    kept += _sizes("velocity", velocity, approved.speed, approved, "commanded", "/s")
+    kept += _sizes(
+        "acceleration", acceleration, approved.acceleration, approved, "commanded", "/s^2"
+    )
+    kept += _stops(motion, approved)
+    if all(one.holds for one in kept):
+        kept += _around(motion.position, around)
+    return Verdict(tuple(kept))
+
+
+def simulated(
+    motion: Motion,
+    approved: Approved,
+    around: Surroundings,
+    nominal: Response,
+    worse: Response,
+) -> Verdict:
+    """Limits of the simulated motion and efforts, of the nominal and of the worse model."""
+    kept: list[Kept] = []
+    tracking = np.zeros(len(approved.joints))
+    for name, response in (("nominal model", nominal), ("20 % worse model", worse)):
+        if response.error is not None:
+            kept.append(Kept(f"simulation of the {name}: {response.error}", 1.0, 0.0, "", np.inf))
+            return Verdict(tuple(kept), tracking)
+        is_nominal = response is nominal
+        share = 1.0 - approved.margin if is_nominal else 1.0
+        kept += _positions(
+            response.position, approved.array("lower"), approved.array("upper"), approved, name
+        )
+        kept += _sizes(
+            "velocity", response.velocity, approved.array("velocity"), approved, name, "/s"
+        )
+        kept += _sizes("effort", response.effort, share * approved.array("effort"), approved, name)
+        power = np.maximum(response.effort * response.velocity, 0.0).sum(axis=1)
+        most = float(power.max())
+        limit = share * approved.power
+        kept.append(Kept(f"power of all drives, {name}", most, limit, "W", most / limit))
+        tracking = np.maximum(tracking, np.abs(response.position - motion.position).max(axis=0))
+    if all(one.holds for one in kept):
+        kept += _around(nominal.position, around, ", nominal model")
+    return Verdict(tuple(kept), tracking)
+
+
+def _positions(
+    position: FloatArray, lower: FloatArray, upper: FloatArray, approved: Approved, whose: str
+) -> list[Kept]:
+    found = []
+    for at, joint in enumerate(approved.joints):
+        # As shares of the way from the start to the limit.
+        up = (position[:, at].max() - joint.start) / max(upper[at] - joint.start, 1e-12)
+        down = (joint.start - position[:, at].min()) / max(joint.start - lower[at], 1e-12)
+        value, limit, share = (
+            (position[:, at].max(), upper[at], up)
+            if up >= down
+            else (position[:, at].min(), lower[at], down)
+        )
+        found.append(
+            Kept(
+                f"position of {joint.name}, {whose}",
+                float(value),
+                float(limit),
+                joint.unit,
+                float(share),
+            )
+        )
+    return found
+
+
+def _sizes(
+    what: str,
+    values: FloatArray,
+    limits: FloatArray,
+    approved: Approved,
+    whose: str,
+    per: str | None = None,
+) -> list[Kept]:
+    most = np.abs(values).max(axis=0) if len(values) else np.zeros(len(limits))
+    return [
+        Kept(
+            f"{what} of {joint.name}, {whose}",
+            float(most[at]),
+            float(limits[at]),
+            joint.effort_unit if per is None else f"{joint.unit}{per}",
+            float(most[at] / limits[at]),
+        )
+        for at, joint in enumerate(approved.joints)
+    ]
+
+
+def _stops(motion: Motion, approved: Approved) -> list[Kept]:
+    """Where each joint comes to rest if the motion is aborted at any moment."""
+    found = []
+    reaction = approved.stop.reaction
+    for at, joint in enumerate(approved.joints):
+        speed = motion.velocity[:, at]
+        way = speed * reaction + np.sign(speed) * speed**2 / (2.0 * joint.acceleration)
+        end = motion.position[:, at] + way
+        for value, limit, sign in (
+            (float(end.max()), joint.stop_upper, 1.0),
+            (float(end.min()), joint.stop_lower, -1.0),
+        ):
+            if not np.isfinite(limit):
+                continue
+            room = sign * (limit - joint.start)
+            share = sign * (value - joint.start) / max(room, 1e-12)
+            found.append(Kept(f"stop of {joint.name}, aborted", value, limit, joint.unit, share))
+    return found
+
+
+def _around(position: FloatArray, around: Surroundings, whose: str = "") -> list[Kept]:
+    found = []
+    box = around.least_box_spare(position)
+    if box is not None:
+        spare, frame, _ = box
+        found.append(
+            Kept(f"workspace: room of {frame} in its box{whose}", spare, 0.0, "m", _share(spare))
+        )
+    nearest = around.nearest(position)
+    if nearest is not None:
+        first, second = nearest.pair
+        found.append(
+            Kept(
+                f"clearance of {first} and {second}{whose}",
+                nearest.distance,
+                nearest.required,
+                "m",
+                _share(nearest.spare, nearest.required),
+            )
+        )
+    return found
+
+
+def _share(spare: float, required: float = 0.0) -> float:
+    """1 where no distance is spare, less with more of it, more where it is below."""
+    scale = max(required, 0.01)
+    return scale / (scale + spare) if spare >= 0.0 else 1.0 - spare / scale
+
+
+def reasons(verdicts: Sequence[Verdict]) -> list[str]:
+    """The limits that verdicts do not keep, in words, each once, the worst first."""
+    broken = [one for verdict in verdicts for one in verdict.kept if not one.holds]
+    broken.sort(key=lambda one: -one.share)
+    return list(dict.fromkeys(one.words for one in broken))

@@ -1,0 +1,172 @@
+"""Motion of one joint at a time: steps, chirps, slow reversals under several loads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.motion import Drawn, Path, Role
+
+STEP_SHARE = 0.05
+"""Amplitude of steps and chirps as a share of the approved range: small, so that gravity and
+inertia hardly change along them."""
+SPEEDS = (0.02, 0.05, 0.1, 0.25, 0.6)
+"""Of slow reversals, as shares of the approved speed: Stribeck friction shows at the lowest,
+viscous friction at the highest."""
+_CYCLES = 2
+"""Reversals at each speed and direction, at least: a second cycle shows whether they repeat."""
+
+Make = Callable[[float, int], Drawn]
+
+
+def steps(approved: Approved, joint: int) -> Make:
+    """Steps of random height and length about the start, each as quick as the limits allow."""
+
+    def make(scale: float, seed: int) -> Drawn:
+        random = np.random.default_rng(seed)
+        height = scale * _amplitude(approved, joint)
+        path = _path(approved)
+        low, high = approved.band
+        path.dwell(0.5 / high)
+        start = approved.start
+        sign = 1.0
+        while True:
+            target = start.copy()
+            target[joint] += sign * height * random.uniform(0.5, 1.0)
+            back = 2.0 * path.time_to(target) + path.time_to(start)
+            # Long enough to settle, short enough that many steps fit.
+            rest = random.uniform(1.0, 2.0) * min(1.0 / high + 0.3, 0.5 / low)
+            if path.seconds + back + 2.0 * rest > approved.duration:
+                break
+            path.move(target)
+            path.dwell(rest)
+            sign = -sign
+        path.move(start)
+        path.dwell(0.5 / high)
+        return path.drawn().described(height=height)
+
+    return make
+
+
+def chirp(approved: Approved, joint: int, role: Role) -> Make:
+    """A sine whose frequency sweeps the task's band, upwards to fit and downwards to hold out."""
+
+    def make(scale: float, seed: int) -> Drawn:
+        random = np.random.default_rng(seed)
+        low, high = approved.band
+        seconds = math.floor(approved.duration * approved.rate) / approved.rate
+        time = np.arange(round(seconds * approved.rate) + 1) / approved.rate
+        share = random.uniform(0.8, 1.0)
+        ratio = math.log(high / low)
+        along = time if role == "fit" else seconds - time
+        phase = 2.0 * math.pi * low * seconds / ratio * np.expm1(ratio * along / seconds)
+        omega = 2.0 * math.pi * low * np.exp(ratio * along / seconds)
+        speed, acceleration = approved.speed[joint], approved.acceleration[joint]
+        amplitude = np.minimum(
+            scale * share * _amplitude(approved, joint),
+            scale * np.minimum(0.9 * speed / omega, 0.9 * acceleration / omega**2),
+        )
+        # One period at each end, or a tenth of the time, to come from rest and go back to it.
+        ramp = min(1.0 / low, 0.1 * seconds)
+        amplitude = amplitude * _smooth(time / ramp) * _smooth((seconds - time) / ramp)
+        wave = amplitude * np.sin(phase)
+        wave *= _within_limits(wave, approved, joint)
+        return _of_one(approved, joint, time, wave).described(
+            frequency=[low, high], amplitude=float(np.abs(wave).max())
+        )
+
+    return make
+
+
+def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> Make:
+    """Slow symmetric reversals at several speeds, while the other joints hold ``pose`` (j,)."""
+
+    def make(scale: float, seed: int) -> Drawn:
+        random = np.random.default_rng(seed)
+        path = _path(approved)
+        start = approved.start
+        centre = start + scale * (pose - start)
+        low, high = approved.band
+        lower, upper = approved.room
+        stroke_most = 2.0 * min(upper[joint] - centre[joint], centre[joint] - lower[joint])
+        path.dwell(0.5 / high)
+        there = path.time_to(centre)
+        free = approved.duration - 2.0 * there - 1.5 / high
+        count = len(SPEEDS)
+        while count > 1 and free / count / _CYCLES < 1.0 / high:
+            count -= 1
+        period = min(1.0 / low, max(free / count / (_CYCLES + 0.5), 1.0 / high))
+        path.move(centre)
+        used = []
+        for share in SPEEDS[-count:]:
+            jitter = 1.0 if role == "fit" else float(random.uniform(0.7, 1.0))
+            speed = share * jitter * approved.speed[joint]
+            # Half a period each way, no further than the room and no faster than the limits.
+            blend = math.pi * speed / approved.acceleration[joint]
+            half = min(0.5 * period, 0.95 * scale * stroke_most / speed)
+            if half <= 1.2 * blend:
+                # The room or the period is too short for this speed: as fast as still fits.
+                half = 0.5 * period
+                speed = min(
+                    half * approved.acceleration[joint] / (1.2 * math.pi),
+                    0.95 * scale * stroke_most / half,
+                )
+                if speed <= 0.0:
+                    continue
+            sweeps = [(speed, 0.5 * half)]
+            for _ in range(_CYCLES):
+                sweeps += [(-speed, half), (speed, half)]
+            sweeps[-1] = (speed, 0.5 * half)
+            path.sweep(joint, sweeps)
+            # Blends at the ends are shorter than between: come back to the very centre.
+            path.move(centre)
+            used.append(speed)
+        path.move(start)
+        path.dwell(0.5 / high)
+        return path.drawn().described(speeds=used, pose=centre.tolist())
+
+    return make
+
+
+def _path(approved: Approved) -> Path:
+    return Path(approved.start, approved.speed, approved.acceleration, approved.rate)
+
+
+def _amplitude(approved: Approved, joint: int) -> float:
+    """Amplitude of a small motion about the start, with the margin left free."""
+    lower, upper = approved.room
+    start = approved.start[joint]
+    whole = approved.joints[joint].upper - approved.joints[joint].lower
+    return min(STEP_SHARE * whole, upper[joint] - start, start - lower[joint])
+
+
+def _of_one(approved: Approved, joint: int, time: FloatArray, wave: FloatArray) -> Drawn:
+    states = [np.zeros((len(time), len(approved.joints))) for _ in range(3)]
+    states[0][:] = approved.start
+    states[0][:, joint] += wave
+    states[1][:, joint] = np.gradient(wave, time, edge_order=2)
+    states[2][1:-1, joint] = np.diff(wave, 2) * approved.rate**2
+    return Drawn(time, *states)
+
+
+def _within_limits(wave: FloatArray, approved: Approved, joint: int) -> float:
+    """Factor of 1 or less at which a wave keeps speed and acceleration."""
+    speed = np.abs(np.diff(wave)).max() * approved.rate
+    acceleration = np.abs(np.diff(wave, 2)).max() * approved.rate**2
+    return float(
+        min(
+            1.0,
+            approved.speed[joint] / max(speed, 1e-12),
+            approved.acceleration[joint] / max(acceleration, 1e-12),
+        )
+    )
+
+
+def _smooth(share: FloatArray) -> FloatArray:
+    s = np.clip(share, 0.0, 1.0)
+    smooth: FloatArray = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return smooth
