@@ -85,25 +85,30 @@ class InverseDynamics:
             position: (n, joints) rad or m, as the model counts them.
             velocity, acceleration: (n, joints) rad/s, rad/s^2, or m/s, m/s^2.
         """
-        found = np.empty((len(position), len(self.joints), len(self._links), 10))
         model, data = self._model, self._data
-        q, v, a = self._neutral.copy(), np.zeros(model.nv), np.zeros(model.nv)
         rows = np.array([model.joints[i].idx_v for i in self._ids], dtype=np.intp)
         starts = np.array([10 * (i - 1) for i in self._links], dtype=np.intp)
         columns = (starts[:, None] + _ORDER).ravel()
-        own = position - self._offsets
+        # One look-up for each instant: it costs more than the regressor itself otherwise.
+        places = (rows[:, None] * (10 * (model.njoints - 1)) + columns).ravel()
+        q = self._configurations(position)
+        v, a = np.zeros((2, len(position), model.nv))
+        v[:, rows], a[:, rows] = velocity, acceleration
+        found = np.empty((len(position), len(places)))
         for at in range(len(position)):
-            for joint, value in zip(self._ids, own[at], strict=True):
-                one = model.joints[joint]
-                if one.nq == 2:
-                    q[one.idx_q : one.idx_q + 2] = np.cos(value), np.sin(value)
-                else:
-                    q[one.idx_q] = value
-            v[rows], a[rows] = velocity[at], acceleration[at]
-            whole = pin.computeJointTorqueRegressor(model, data, q, v, a)
-            # One row comes back without its axis.
-            whole = whole.reshape(model.nv, -1)
-            found[at] = whole[np.ix_(rows, columns)].reshape(len(rows), -1, 10)
+            whole = pin.computeJointTorqueRegressor(model, data, q[at], v[at], a[at])
+            found[at] = whole.ravel()[places]
+        return found.reshape(len(position), len(rows), len(self._links), 10)
+
+    def _configurations(self, position: FloatArray) -> FloatArray:
+        """(n, nq) Pinocchio's configurations; unbounded hinges are cosine and sine."""
+        found = np.tile(self._neutral, (len(position), 1))
+        for value, joint in zip((position - self._offsets).T, self._ids, strict=True):
+            one = self._model.joints[joint]
+            if one.nq == 2:
+                found[:, one.idx_q], found[:, one.idx_q + 1] = np.cos(value), np.sin(value)
+            else:
+                found[:, one.idx_q] = value
         return found
 
 
