@@ -22,6 +22,7 @@ COMMANDS: tuple[str, ...] = (
     "replay",
     "diagnose",
     "calibrate",
+    "excite",
     "identify",
     "convert",
     "show",

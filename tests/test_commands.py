@@ -17,6 +17,7 @@ from pytest_twin import cli
 from pytest_twin.formats.schema import load_schema
 
 GOLDEN = Path(__file__).parents[1] / "golden"
+_BUILD_ON_REPLAY = ("diagnose", "excite", "identify")
 LOADED = """
 import sys
 from pytest_twin import cli
@@ -127,7 +128,7 @@ def test_a_command_loads_no_other_but_what_it_builds_on(name: str) -> None:
         [sys.executable, "-c", LOADED, name], capture_output=True, text=True, check=True
     )
     loaded = set(run.stdout.splitlines()[-1].split())
-    assert loaded == {name, *(["replay"] if name in ("diagnose", "identify") else [])}
+    assert loaded == {name, *(["replay"] if name in _BUILD_ON_REPLAY else [])}
 
 
 JSON_COMMANDS = {
@@ -144,7 +145,9 @@ JSON_COMMANDS = {
     "effects": ([], "viscous_friction"),
 }
 """What each command is called with, and a field of its result."""
-TESTED_ELSEWHERE = ("diagnose", "calibrate", "identify", "verify", "stamp", "fresh", "completion")
+TESTED_ELSEWHERE = (
+    "diagnose", "calibrate", "excite", "identify", "verify", "stamp", "fresh", "completion",
+)  # fmt: skip
 """Commands with tests of their JSON beside the others of the command."""
 
 

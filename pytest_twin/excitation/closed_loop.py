@@ -16,7 +16,7 @@ from pytest_twin.excitation.approved import Approved
 from pytest_twin.excitation.motion import Motion
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.first_state import follow_joint_equalities
-from pytest_twin.realization.inputs import command_input
+from pytest_twin.realization.inputs import LINEAR_GAINS, command_input, joint_inputs
 from pytest_twin.realization.model import Realization
 from pytest_twin.recording_options import CommandMode
 from pytest_twin.replay import Row, replay_rows
@@ -24,6 +24,10 @@ from pytest_twin.trial import Trial
 
 WORSE = 1.2
 """Factor on masses, inertias, friction and armature of the worse model."""
+_GAINS = {"stiffness": 1, "damping": 2}
+"""Gain of a servo -> its place in ``biasprm``."""
+_CHANGE = 0.02
+"""Share by which a gain is changed for its derivative."""
 _SETTLE = 2.0
 """Time in s before the motion, at rest: a servo gives way to gravity until it carries it."""
 
@@ -67,16 +71,55 @@ class ClosedLoop:
         """What the model does under each motion."""
         if self.modes is None:
             return [self._followed(motion) for motion in motions]
-        rows = [
-            Row(self._trial(motion, self.modes), self._model, {}, self._realization.path)
-            for motion in motions
-        ]
+        rows = [self._row(motion, self._model) for motion in motions]
         return [
             Response(
                 replayed.position[1:], replayed.velocity[1:], replayed.effort[1:], replayed.error
             )
             for replayed in replay_rows(rows)
         ]
+
+    def servo_derivatives(
+        self, motion: Motion, joint: int
+    ) -> dict[str, tuple[float, str, FloatArray]]:
+        """How the gains of a joint's servo change its motion.
+
+        Returns:
+            ``stiffness`` and ``damping`` -> nominal value at the joint, its unit, and the
+            derivative (n,) of the joint's position by the value, in rad or m per unit.
+        """
+        if self.modes is None or self.modes[joint] != "position":
+            return {}
+        limits = self._approved.joints[joint]
+        actuators = [
+            one.actuator
+            for one in joint_inputs(self._model, limits.name)
+            if one.mode == "position"
+            and int(self._model.actuator_gaintype[one.actuator]) in LINEAR_GAINS
+        ]
+        if len(actuators) != 1:
+            return {}
+        gear = float(self._model.actuator_gear[self._model.actuator_outadr[actuators[0]], 0])
+        found, rows = {}, [self._row(motion, self._model)]
+        for name, place in _GAINS.items():
+            value = -(gear**2) * float(self._model.actuator_biasprm[actuators[0], place])
+            if value > 0.0:
+                changed = copy.copy(self._model)
+                changed.actuator_biasprm[actuators[0], place] *= 1.0 + _CHANGE
+                if name == "stiffness":
+                    changed.actuator_gainprm[actuators[0], 0] *= 1.0 + _CHANGE
+                rows.append(self._row(motion, changed))
+                per = "" if name == "stiffness" else "*s"
+                found[name] = (value, f"{limits.effort_unit}{per}/{limits.unit}")
+        positions = [replayed.position[1:, joint] for replayed in replay_rows(rows)]
+        return {
+            name: (value, unit, (position - positions[0]) / (_CHANGE * value))
+            for (name, (value, unit)), position in zip(found.items(), positions[1:], strict=True)
+        }
+
+    def _row(self, motion: Motion, model: mujoco.MjModel) -> Row:
+        assert self.modes is not None
+        return Row(self._trial(motion, self.modes), model, {}, self._realization.path)
 
     def _trial(self, motion: Motion, modes: tuple[CommandMode, ...]) -> Trial:
         names = self._approved.names
@@ -150,6 +193,7 @@ def worse(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
         "body_mass",
         "body_inertia",
         "dof_damping",
+        "dof_dampingpoly",
         "dof_frictionloss",
         "dof_armature",
     ):

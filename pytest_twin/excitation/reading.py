@@ -22,6 +22,7 @@ from pytest_twin.excitation.approved import (
     Stop,
     missing_lines,
 )
+from pytest_twin.excitation.fourier import REST
 from pytest_twin.realization.collision import Shapes
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.joint_limits import model_effort, model_range
@@ -161,10 +162,18 @@ def _band(section: Mapping[str, Any], twin: Twin) -> tuple[float, float]:
             "excitation.rate", "too few commands for the task's highest frequency", value=rate,
             unit="Hz", expected=f"at least {COMMANDS_PER_PERIOD * high:g} Hz",
         )  # fmt: skip
-    if duration * low < 1.0:
+    least = 1.0 / low + 2.0 * REST
+    if duration < least:
         raise twin.error(
             "excitation.duration", "shorter than one period of the task's lowest frequency",
-            value=duration, unit="s", expected=f"at least {1.0 / low:g} s",
+            value=duration, unit="s", expected=f"at least {least:g} s",
+        )  # fmt: skip
+    periods = duration - 2.0 * REST
+    if math.floor(high * periods) - math.ceil(low * periods) < 1:
+        raise twin.error(
+            "excitation.task_band", "no two harmonics of the duration lie in the band",
+            value=f"{low:g} to {high:g}", unit="Hz",
+            expected="a wider band, or a longer duration:",
         )  # fmt: skip
     if duration * rate > MOST_COMMANDS:
         raise twin.error(

@@ -82,7 +82,9 @@ def commanded(motion: Motion, approved: Approved, around: Surroundings) -> Verdi
     rate = approved.rate
     velocity = np.diff(motion.position, axis=0) * rate
     acceleration = np.diff(motion.position, 2, axis=0) * rate**2
-    kept = _positions(motion.position, lower, upper, approved, "commanded")
+    seconds = float(motion.time[-1])
+    kept = [Kept("duration", seconds, approved.duration, "s", seconds / approved.duration)]
+    kept += _positions(motion.position, lower, upper, approved, "commanded")
     kept += _sizes("velocity", velocity, approved.speed, approved, "commanded", "/s")
     kept += _sizes(
         "acceleration", acceleration, approved.acceleration, approved, "commanded", "/s^2"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -85,38 +85,46 @@ def chirp(approved: Approved, joint: int, role: Role) -> Make:
 def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> Make:
     """Slow symmetric reversals at several speeds, while the other joints hold ``pose`` (j,)."""
 
+    low, high = approved.band
+
     def make(scale: float, seed: int) -> Drawn:
-        random = np.random.default_rng(seed)
-        path = _path(approved)
-        start = approved.start
-        centre = start + scale * (pose - start)
-        low, high = approved.band
+        centre = approved.start + scale * (pose - approved.start)
+        # Fewer speeds, then shorter periods, until all fits in the duration.
+        for count in range(len(SPEEDS), 0, -1):
+            for period in np.geomspace(1.0 / low, 1.0 / high, 4):
+                random = np.random.default_rng(seed)
+                path, used = attempt(centre, scale, SPEEDS[-count:], float(period), random)
+                if path.seconds <= approved.duration and used:
+                    return path.drawn().described(speeds=used, pose=centre.tolist())
+        return path.drawn().described(speeds=used, pose=centre.tolist())
+
+    def attempt(
+        centre: FloatArray,
+        scale: float,
+        shares: Sequence[float],
+        period: float,
+        random: np.random.Generator,
+    ) -> tuple[Path, list[float]]:
         lower, upper = approved.room
-        stroke_most = 2.0 * min(upper[joint] - centre[joint], centre[joint] - lower[joint])
+        room = 2.0 * scale * min(upper[joint] - centre[joint], centre[joint] - lower[joint])
+        path = _path(approved)
         path.dwell(0.5 / high)
-        there = path.time_to(centre)
-        free = approved.duration - 2.0 * there - 1.5 / high
-        count = len(SPEEDS)
-        while count > 1 and free / count / _CYCLES < 1.0 / high:
-            count -= 1
-        period = min(1.0 / low, max(free / count / (_CYCLES + 0.5), 1.0 / high))
         path.move(centre)
         used = []
-        for share in SPEEDS[-count:]:
+        for share in shares:
             jitter = 1.0 if role == "fit" else float(random.uniform(0.7, 1.0))
             speed = share * jitter * approved.speed[joint]
             # Half a period each way, no further than the room and no faster than the limits.
             blend = math.pi * speed / approved.acceleration[joint]
-            half = min(0.5 * period, 0.95 * scale * stroke_most / speed)
+            half = min(0.5 * period, 0.95 * room / speed)
             if half <= 1.2 * blend:
                 # The room or the period is too short for this speed: as fast as still fits.
                 half = 0.5 * period
                 speed = min(
-                    half * approved.acceleration[joint] / (1.2 * math.pi),
-                    0.95 * scale * stroke_most / half,
+                    half * approved.acceleration[joint] / (1.2 * math.pi), 0.95 * room / half
                 )
-                if speed <= 0.0:
-                    continue
+            if speed <= 0.0:
+                continue
             sweeps = [(speed, 0.5 * half)]
             for _ in range(_CYCLES):
                 sweeps += [(-speed, half), (speed, half)]
@@ -124,10 +132,10 @@ def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> M
             path.sweep(joint, sweeps)
             # Blends at the ends are shorter than between: come back to the very centre.
             path.move(centre)
-            used.append(speed)
-        path.move(start)
+            used.append(float(speed))
+        path.move(approved.start)
         path.dwell(0.5 / high)
-        return path.drawn().described(speeds=used, pose=centre.tolist())
+        return path, used
 
     return make
 
@@ -141,16 +149,16 @@ def _amplitude(approved: Approved, joint: int) -> float:
     lower, upper = approved.room
     start = approved.start[joint]
     whole = approved.joints[joint].upper - approved.joints[joint].lower
-    return min(STEP_SHARE * whole, upper[joint] - start, start - lower[joint])
+    return float(min(STEP_SHARE * whole, upper[joint] - start, start - lower[joint]))
 
 
 def _of_one(approved: Approved, joint: int, time: FloatArray, wave: FloatArray) -> Drawn:
-    states = [np.zeros((len(time), len(approved.joints))) for _ in range(3)]
-    states[0][:] = approved.start
-    states[0][:, joint] += wave
-    states[1][:, joint] = np.gradient(wave, time, edge_order=2)
-    states[2][1:-1, joint] = np.diff(wave, 2) * approved.rate**2
-    return Drawn(time, *states)
+    position, velocity, acceleration = np.zeros((3, len(time), len(approved.joints)))
+    position[:] = approved.start
+    position[:, joint] += wave
+    velocity[:, joint] = np.gradient(wave, time, edge_order=2)
+    acceleration[1:-1, joint] = np.diff(wave, 2) * approved.rate**2
+    return Drawn(time, position, velocity, acceleration)
 
 
 def _within_limits(wave: FloatArray, approved: Approved, joint: int) -> float:

@@ -30,17 +30,33 @@ def model_effort(realization: Realization, joint: str) -> list[float] | None:
     """
     model = realization.model
     index = realization.joint_index(joint)
+    drivers = _driver_indices(realization, joint)
     lower = upper = 0.0
-    for actuator in drivers_of(realization, joint):
-        i = realization.actuator_index(actuator)
+    for i in drivers:
         gear = float(model.actuator_gear[model.actuator_outadr[i], 0])
         ends = [-math.inf, math.inf]
         if model.actuator_forcelimited[i]:
             ends = [gear * float(end) for end in model.actuator_forcerange[i]]
         lower, upper = lower + min(ends), upper + max(ends)
-    if not drivers_of(realization, joint):
+    if not drivers:
         lower, upper = -math.inf, math.inf
     if model.jnt_actfrclimited[index]:
         own = model.jnt_actfrcrange[index]
         lower, upper = max(lower, float(own[0])), min(upper, float(own[1]))
     return [lower, upper] if math.isfinite(lower) and math.isfinite(upper) else None
+
+
+def _driver_indices(realization: Realization, joint: str) -> list[int]:
+    """Actuators whose transmission is the joint alone, those without a name too."""
+    from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
+
+    model = realization.model
+    named = [realization.actuator_index(name) for name in drivers_of(realization, joint)]
+    nameless = [
+        i
+        for i in range(model.nactuator)
+        if not model.actuator(i).name
+        and int(model.actuator_trntype[i]) in JOINT_TRANSMISSIONS
+        and int(model.actuator_trnid[i, 0]) == realization.joint_index(joint)
+    ]
+    return named + nameless

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.report.plot_style import DIM, FAIL, INK, NOW, PASS, STYLE, finish
+from pytest_twin.report.drawn import png, svg
+from pytest_twin.report.plot_style import DIM, FAIL, INK, NOW, PASS
 from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def solvers_figure(document: Mapping[str, Any]) -> bytes:
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("held-out translation error, root mean square [mm]")
 
-    return _svg(draw, 7.0, 0.9 + 0.27 * max(len(names), 1))
+    return svg(draw, 7.0, 0.9 + 0.27 * max(len(names), 1))
 
 
 def residuals_figure(document: Mapping[str, Any]) -> bytes:
@@ -67,7 +67,7 @@ def residuals_figure(document: Mapping[str, Any]) -> bytes:
         axes.set_xlabel("x [px]")
         axes.set_ylabel("y [px]")
 
-    return _svg(draw, 7.0, 1.0 + 6.2 * height / width)
+    return svg(draw, 7.0, 1.0 + 6.2 * height / width)
 
 
 def covariance_figure(record: Mapping[str, Any], name: str) -> bytes:
@@ -92,7 +92,7 @@ def covariance_figure(record: Mapping[str, Any], name: str) -> bytes:
                 if row == column == 0:
                     axes.set_title(printable(f"{name.replace('_', ' ')}: 95 % ellipses"))
 
-    return _svg(draw, 7.6, 5.4)
+    return svg(draw, 7.6, 5.4)
 
 
 def overlay_figure(image: NDArray[np.uint8], one: Mapping[str, Any], title: str) -> bytes:
@@ -114,7 +114,7 @@ def overlay_figure(image: NDArray[np.uint8], one: Mapping[str, Any], title: str)
         axes.set_title(printable(title), fontsize=8.5)
 
     shape = high - low
-    return _image(draw, 4.6, 0.3 + 4.6 * float(shape[1]) / float(shape[0]))
+    return png(draw, 4.6, 0.3 + 4.6 * float(shape[1]) / float(shape[0]))
 
 
 def _ellipse(block: FloatArray) -> FloatArray:
@@ -123,31 +123,3 @@ def _ellipse(block: FloatArray) -> FloatArray:
     values, axes = np.linalg.eigh(block)
     radii = _ELLIPSE * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(axes @ (radii[:, None] * np.array([np.cos(angle), np.sin(angle)])))
-
-
-def _svg(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
-    data = _drawn(draw, width, height, "svg")
-    return finish(data.decode("utf-8")).encode("utf-8")
-
-
-def _image(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
-    return _drawn(draw, width, height, "png")
-
-
-def _drawn(draw: Callable[[Figure], None], width: float, height: float, kind: str) -> bytes:
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(width, height))
-        (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(figure)
-        draw(figure)
-        buffer = io.BytesIO()
-        if kind == "png":
-            figure.savefig(buffer, format="png", dpi=120, facecolor="white")
-        else:
-            empty = {"Date": None, "Creator": None, "Format": None, "Type": None}
-            figure.savefig(buffer, format="svg", transparent=True, metadata=empty)
-    return buffer.getvalue()

@@ -1,0 +1,130 @@
+"""``pytest-twin excite``: safe motions for identification, and what they will and will not tell."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands import folders, json_output, model_files
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.replay import find_model
+from pytest_twin.commands.terminal import show
+from pytest_twin.formats import atomic
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report import excitation
+from pytest_twin.report.text import printable
+from pytest_twin.words import counted
+
+HELP = "design bounded motions for identification, and predict what they will determine"
+EXAMPLES = (
+    "pytest-twin excite twin.yaml --out excitation/",
+    "pytest-twin excite cell/twin.yaml --out excitation/ --seed 7 --json -",
+)
+EXIT_STATUS = {
+    0: "all that is asked for is identifiable by motions that keep the approved limits",
+    1: "something is not, or no motion for it is safe",
+}
+IDENTIFIABLE, NOT_IDENTIFIABLE = 0, 1
+FILE_NAME, ABORT_NAME, PAGE_NAME = "excitation.json", "abort.json", "excitation.html"
+_SECONDS = 3600.0
+"""Bound on the design: an arm of seven joints takes about two minutes."""
+_MOST_LINES = 12
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "model",
+        metavar="MODEL",
+        type=Path,
+        help="twin.yaml whose excitation: a qualified person has filled in; without it, the lines "
+        "that are missing are printed",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"{FILE_NAME}, {ABORT_NAME}, {PAGE_NAME} and trajectories/ are written here",
+    )
+    parser.add_argument(
+        "--seed", metavar="N", type=_seed, default=1, help="of all random choices (default: 1)"
+    )
+    model_files.add_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 all identifiable, 1 not.
+
+    Raises:
+        TwinError: input that cannot be used, or limits that nobody has approved.
+    """
+    model = str(find_model(args.model))
+    search = model_files.search_folders(args)
+    with Sandbox(seconds=_SECONDS) as sandbox, Progress("designing motions") as progress:
+        blank = sandbox.call(
+            "pytest_twin.excitation.excite:missing_template", {"model": model, **search}
+        )
+        if blank["template"]:
+            show(blank["template"])
+        out = args.out if blank["template"] else folders.make(args.out)
+        found = sandbox.call(
+            "pytest_twin.excitation.excite:excite_file",
+            {"model": model, "out": str(out.absolute()), "seed": args.seed, **search},
+            progress=progress,
+        )
+    document, abort = found["document"], found["abort"]
+    atomic.write_text(out / FILE_NAME, json.dumps(document, indent=2) + "\n")
+    atomic.write_text(out / ABORT_NAME, json.dumps(abort, indent=2) + "\n")
+    atomic.write_text(out / PAGE_NAME, excitation.render(document, abort, found["drawn"]))
+    json_output.give(args, document)
+    show("\n".join(printable(line) for line in _words(document, out)))
+    return IDENTIFIABLE if document["verdict"] == "identifiable" else NOT_IDENTIFIABLE
+
+
+def _seed(word: str) -> int:
+    if not word.isdigit() or len(word) > 6:
+        raise argparse.ArgumentTypeError(f"{word!r} is no seed (expected 0 to 999999)")
+    return int(word)
+
+
+def _words(document: dict[str, Any], out: Path) -> list[str]:
+    complete = document["verdict"] == "identifiable"
+    motions = document["trajectories"]
+    lines = [
+        f"{'Identifiable' if complete else 'Not identifiable'}: "
+        f"{counted(len(motions), 'motion')} within the limits approved by "
+        f"{document['approved_by']}"
+    ]
+    for name, one in document["covariance"].items():
+        line = f"  {name}: {one['identifiable']} of {counted(one['parameters'], 'parameter')}"
+        if one["worst_relative_std"] is not None:
+            line += (
+                f", largest predicted deviation {100 * one['worst_relative_std']:.2g} % "
+                f"({one['worst']})"
+            )
+        lines.append(line)
+    reduced = [
+        f"{one['name']} to {100 * one['scale']:.0f} %" for one in motions if one["scale"] < 1
+    ]
+    if reduced:
+        lines.append(f"scaled down to be safe: {_some(reduced, ', ')}")
+    lines += [
+        f"X {one['name']}: no safe motion in {counted(one['attempts'], 'attempt')}: "
+        + _some(one["why"], "; ")
+        for one in document["refused"]
+    ]
+    open_ = document["unidentifiable"]
+    lines += [f"! not identifiable: {one}" for one in open_[:_MOST_LINES]]
+    if len(open_) > _MOST_LINES:
+        lines.append(f"! {len(open_) - _MOST_LINES} more are in {FILE_NAME}")
+    lines += [f"note: {document['closed_loop']}", f"note: {document['notice']}"]
+    lines.append(f"report: {out / PAGE_NAME}")
+    return lines
+
+
+def _some(words: list[str], between: str) -> str:
+    shown = between.join(words[:3])
+    return shown + (f" and {len(words) - 3} more" if len(words) > 3 else "")

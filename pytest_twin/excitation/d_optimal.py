@@ -1,0 +1,230 @@
+"""Fourier coefficients with the most information about the base parameters (D-optimal)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.closed_loop import WORSE
+from pytest_twin.excitation.fourier import Series, series
+from pytest_twin.identification.regressor.base_parameters import BaseParameters
+from pytest_twin.identification.regressor.regressor import Regressor
+
+STARTS = 3
+_ITERATIONS = 40
+_TOLERANCE = 1e-5
+"""Relative change of log det at which a start ends: 0.005 for a log det of 500."""
+_SAMPLES_PER_PERIOD = 8
+"""Of the highest harmonic, where the information is summed up while it is optimized."""
+_SHARPNESS = 40.0
+"""Exponent of the norm that stands for the maximum of a signal: smooth, and 1 to 15 % above."""
+_RIDGE = 1e-9
+_EFFORT_WEIGHT = 200.0
+_DIFFERENCE = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """Coefficients and what they are worth.
+
+    Attributes:
+        coefficients: (j, m) of :class:`Series`, rad/s or m/s, within all limits.
+        log_det: of the information matrix of one period, natural logarithm.
+        starts: log det that each start reached.
+    """
+
+    coefficients: FloatArray
+    log_det: float
+    starts: tuple[float, ...]
+
+
+class Design:
+    """Information about base parameters as a function of free coefficients.
+
+    The vector that is optimized has, for each joint, its m coefficients, of which only the
+    direction counts, and the logit of its amplitude as a share of what the limits allow. No
+    vector breaks a limit, and none needs a constraint.
+
+    Args:
+        approved: limits with their margins.
+        regressor: of the approved joints.
+        base: parameters that are to be identified.
+        std: (joints,) standard deviation of the effort's noise, N*m or N.
+    """
+
+    def __init__(
+        self, approved: Approved, regressor: Regressor, base: BaseParameters, std: FloatArray
+    ) -> None:
+        self._approved = approved
+        self._regressor = regressor
+        self._base = base
+        self._std = std
+        whole = series(approved)
+        highest = float(whole.frequencies.max() * whole.period)
+        samples = min(len(whole.time), max(40, round(_SAMPLES_PER_PERIOD * highest)))
+        self.series: Series = series(approved, samples)
+        self._fine = whole
+        lower, upper = approved.room
+        self._up, self._down = upper - approved.start, approved.start - lower
+        self._effort = np.minimum(approved.effort, approved.array("effort") / WORSE)
+
+    def optimum(self, seed: int, starts: int = STARTS) -> Optimum:
+        """The best of several starts (L-BFGS-B with exact derivatives of the information)."""
+        random = np.random.default_rng(seed)
+        found = []
+        for _ in range(starts):
+            first = random.standard_normal((len(self._up), self.series.width + 1))
+            first[:, -1] = 2.0
+            solved = scipy.optimize.minimize(
+                self._objective,
+                first.ravel(),
+                jac=True,
+                method="L-BFGS-B",
+                options={"maxiter": _ITERATIONS, "ftol": _TOLERANCE},
+            )
+            coefficients = self.coefficients(solved.x.reshape(first.shape))
+            found.append((self.log_det(coefficients), coefficients))
+        best = max(range(len(found)), key=lambda at: found[at][0])
+        return Optimum(found[best][1], found[best][0], tuple(value for value, _ in found))
+
+    def random(self, seed: int) -> FloatArray:
+        """(j, m) coefficients of a random motion that uses the same limits to the full."""
+        random = np.random.default_rng(seed)
+        free = random.standard_normal((len(self._up), self.series.width + 1))
+        free[:, -1] = np.inf
+        return self.coefficients(free)
+
+    def coefficients(self, free: FloatArray) -> FloatArray:
+        """(j, m) within all limits at every command, from the free vector (j, m + 1)."""
+        z = free[:, :-1]
+        most = _most_used(self._fine, z, self._up, self._down, self._approved)
+        share = 1.0 / (1.0 + np.exp(-free[:, -1]))
+        return np.asarray(z * (share / most)[:, None])
+
+    def log_det(self, coefficients: FloatArray) -> float:
+        """log det of the information of one period; -inf where a parameter is left open."""
+        sign, value = np.linalg.slogdet(
+            self._information(self._matrix(*self._states(coefficients)))
+        )
+        return float(value) if sign > 0 else -np.inf
+
+    # -- inside
+
+    def _states(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        own = self.series
+        return (
+            self._approved.start + own.basis @ coefficients.T,
+            own.velocity @ coefficients.T,
+            own.acceleration @ coefficients.T,
+        )
+
+    def _matrix(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return self._regressor.matrix(q, v, a)
+
+    def _information(self, matrix: FloatArray) -> FloatArray:
+        weighted = self._base.matrix(matrix) / self._std[:, None]
+        stacked = weighted.reshape(-1, weighted.shape[-1])
+        return np.asarray(stacked.T @ stacked)
+
+    def _objective(self, flat: FloatArray) -> tuple[float, FloatArray]:
+        """Minus log det with a penalty on effort, and its derivative by the free vector."""
+        free = flat.reshape(len(self._up), -1)
+        z, logit = free[:, :-1], free[:, -1]
+        used, used_by_z = _smooth_used(self.series, z, self._up, self._down, self._approved)
+        share = 1.0 / (1.0 + np.exp(-logit))
+        coefficients = z * (share / used)[:, None]
+        states = self._states(coefficients)
+        value, by_states = self._value(states)
+        own = self.series
+        by_coefficients = (
+            by_states[0].T @ own.basis
+            + by_states[1].T @ own.velocity
+            + by_states[2].T @ own.acceleration
+        )
+        along = np.einsum("jm,jm->j", by_coefficients, z)
+        gradient = np.empty_like(free)
+        gradient[:, :-1] = (share / used)[:, None] * by_coefficients - (share / used**2 * along)[
+            :, None
+        ] * used_by_z
+        gradient[:, -1] = share * (1.0 - share) / used * along
+        return value, gradient.ravel()
+
+    def _value(
+        self, states: tuple[FloatArray, FloatArray, FloatArray]
+    ) -> tuple[float, list[FloatArray]]:
+        """The objective and its derivatives (n, j) by position, velocity and acceleration."""
+        matrix = self._matrix(*states)
+        information = self._information(matrix)
+        sizes = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        scaled = information / np.outer(sizes, sizes) + _RIDGE * np.eye(len(sizes))
+        value = -float(np.linalg.slogdet(scaled)[1] + 2.0 * np.log(sizes).sum())
+        inverse = np.linalg.inv(scaled) / np.outer(sizes, sizes)
+        columns = self._base.independent
+        # d log det / d matrix, by (sample, joint, parameter).
+        pull = -2.0 * (matrix[..., columns] / self._std[:, None] ** 2) @ inverse
+        effort = matrix @ self._regressor.prior
+        over = np.maximum(np.abs(effort) / self._effort - 1.0, 0.0)
+        value += _EFFORT_WEIGHT * float((over**2).mean(axis=0).sum())
+        push = 2.0 * _EFFORT_WEIGHT / len(effort) * over * np.sign(effort) / self._effort
+        found = []
+        for which in range(3):
+            by = np.empty_like(states[which])
+            step = _DIFFERENCE * (
+                1.0 if which == 0 else max(1.0, float(np.abs(states[which]).max()))
+            )
+            for joint in range(by.shape[1]):
+                moved = list(states)
+                moved[which] = states[which].copy()
+                moved[which][:, joint] += step
+                change = (self._matrix(*moved) - matrix) / step
+                by[:, joint] = np.einsum("njb,njb->n", pull, change[..., columns])
+                by[:, joint] += np.einsum("nj,njp,p->n", push, change, self._regressor.prior)
+            found.append(by)
+        return value, found
+
+
+def _used(
+    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
+) -> FloatArray:
+    """(5, n, j) each signal as a share of its limit: both sides of position, speed, both signs."""
+    away = own.basis @ z.T
+    return np.stack(
+        [
+            np.maximum(away / np.maximum(up, 1e-9), 0.0),
+            np.maximum(-away / np.maximum(down, 1e-9), 0.0),
+            np.abs(own.velocity @ z.T) / approved.speed,
+            np.abs(own.acceleration @ z.T) / approved.acceleration,
+        ]
+    )
+
+
+def _most_used(
+    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
+) -> FloatArray:
+    """(j,) the greatest share of a limit."""
+    return np.asarray(_used(own, z, up, down, approved).max(axis=(0, 1)))
+
+
+def _smooth_used(
+    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
+) -> tuple[FloatArray, FloatArray]:
+    """(j,) a smooth bound on the greatest share of a limit, and its derivative (j, m) by z."""
+    shares = _used(own, z, up, down, approved)
+    most = shares.max(axis=(0, 1))
+    powers = (shares / most) ** _SHARPNESS
+    total = powers.sum(axis=(0, 1))
+    used = most * total ** (1.0 / _SHARPNESS)
+    # d used / d share = (share / used)^(p - 1)
+    by_share = (shares / used) ** (_SHARPNESS - 1.0)
+    away, speed, acceleration = (part @ z.T for part in (own.basis, own.velocity, own.acceleration))
+    by_z = (
+        (by_share[0] / np.maximum(up, 1e-9) - by_share[1] / np.maximum(down, 1e-9)).T @ own.basis
+        + (by_share[2] * np.sign(speed) / approved.speed).T @ own.velocity
+        + (by_share[3] * np.sign(acceleration) / approved.acceleration).T @ own.acceleration
+    )
+    del away
+    return used, np.asarray(by_z)

@@ -1,0 +1,165 @@
+"""Which motions are drawn for the mechanisms that are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.excitation import d_optimal, fourier, single_joint
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.gravity_grid import grid, static_matrix
+from pytest_twin.excitation.motion import Design, Drawn, Role
+from pytest_twin.excitation.prediction import LOADS_APART
+from pytest_twin.identification.regressor.base_parameters import BaseParameters
+from pytest_twin.identification.regressor.regressor import Regressor
+
+ROLES: tuple[Role, ...] = ("fit", "held_out")
+_POSES = 60
+
+
+def single_joint_designs(
+    approved: Approved, loads: Sequence[Sequence[FloatArray]], seed: int
+) -> list[Design]:
+    """Steps, chirps and reversals of each joint.
+
+    Args:
+        loads: for each joint, poses (j,) that load it differently.
+    """
+    asked, found = set(approved.mechanisms), []
+    for joint, limits in enumerate(approved.joints):
+        for role in ROLES:
+            own = _seed(seed, role, joint)
+            parts: list[tuple[str, tuple[str, ...], str, Callable[[float, int], Drawn]]] = []
+            if "delay" in asked:
+                parts.append(("steps", ("delay",), "", single_joint.steps(approved, joint)))
+            if "closed_loop" in asked:
+                parts.append(
+                    ("chirp", ("closed_loop",), "", single_joint.chirp(approved, joint, role))
+                )
+            slow = tuple(one for one in ("friction", "backlash") if one in asked)
+            if slow:
+                for number, pose in enumerate(loads[joint], 1):
+                    make = single_joint.reversals(approved, joint, pose, role)
+                    parts.append(("reversals", slow, f"_load{number}", make))
+            found += [
+                Design(
+                    f"{kind}_{limits.name}{which}_{role}",
+                    mechanisms, kind, role, (limits.name,), make, own,
+                )
+                for kind, mechanisms, which, make in parts
+            ]  # fmt: skip
+    return found
+
+
+def several_joint_designs(
+    approved: Approved,
+    regressor: Regressor,
+    base: BaseParameters,
+    std: FloatArray,
+    is_clear: Callable[[FloatArray], bool],
+    payloads: Sequence[str],
+    seed: int,
+) -> list[Design]:
+    """The static grid, once for each payload, and the Fourier series."""
+    asked, found = set(approved.mechanisms), []
+    static = tuple(one for one in ("gravity", "payload") if one in asked)
+    for role in ROLES:
+        own = _seed(seed, role, len(approved.joints))
+        if static:
+            make = grid(approved, regressor, std, is_clear)
+            found.append(Design(f"grid_{role}", static, "grid", role, approved.names, make, own))
+            if "payload" in asked:
+                found += [
+                    Design(
+                        f"grid_payload_{name}_{role}", ("payload",), "grid", role,
+                        approved.names, make, own, name,
+                    )
+                    for name in payloads
+                ]  # fmt: skip
+        if "inertia" in asked:
+            # Held-out motion has to be another one in the same limits, not the best one.
+            starts = d_optimal.STARTS if role == "fit" else 1
+            series = _series(d_optimal.Design(approved, regressor, base, std), approved, starts)
+            found.append(
+                Design(
+                    f"fourier_{role}", ("inertia",), "fourier", role, approved.names, series, own
+                )
+            )
+    return found
+
+
+def loading_poses(
+    approved: Approved,
+    regressor: Regressor,
+    is_clear: Callable[[FloatArray], bool],
+    seed: int,
+) -> list[list[FloatArray]]:
+    """For each joint, poses of the others that load it least and most; the start where it is all
+    the same.
+
+    The joint itself stands in the middle of its range, where its reversals have the most room.
+    """
+    random = np.random.default_rng(seed)
+    lower, upper = approved.room
+    found = []
+    for joint, limits in enumerate(approved.joints):
+        poses = random.uniform(lower, upper, (_POSES, len(approved.joints)))
+        poses[0] = approved.start
+        poses[:, joint] = 0.5 * (lower[joint] + upper[joint])
+        efforts = static_matrix(regressor, poses)[:, joint] @ regressor.prior
+        order = np.argsort(efforts)
+        least = next((i for i in order if is_clear(poses[i])), None)
+        most = next((i for i in order[::-1] if is_clear(poses[i])), None)
+        if least is None or most is None:
+            found.append([approved.start])
+        elif efforts[most] - efforts[least] < LOADS_APART * limits.effort:
+            found.append([poses[0] if is_clear(poses[0]) else approved.start])
+        else:
+            found.append([poses[least], poses[most]])
+    return found
+
+
+def _series(
+    design: d_optimal.Design, approved: Approved, starts: int
+) -> Callable[[float, int], Drawn]:
+    known: dict[int, d_optimal.Optimum] = {}
+
+    def make(scale: float, seed: int) -> Drawn:
+        if seed not in known:
+            known[seed] = design.optimum(seed, starts)
+        return repeated(scale * known[seed].coefficients, approved).described(
+            frequencies=design.series.frequencies.tolist(),
+            period=design.series.period,
+            log_det=known[seed].log_det,
+            log_det_of_starts=list(known[seed].starts),
+        )
+
+    return make
+
+
+def repeated(coefficients: FloatArray, approved: Approved) -> Drawn:
+    """A series over as many whole periods as the duration holds, then a moment at rest.
+
+    Args:
+        coefficients: (j, m) of :class:`fourier.Series`, rad/s or m/s.
+    """
+    own = fourier.series(approved)
+    free = approved.duration - 2.0 * fourier.REST
+    times = max(1, int(free / own.period + 1e-9))
+    rest = max(1, int(fourier.REST * approved.rate))
+    still = np.zeros(len(approved.joints))
+
+    def whole(basis: FloatArray, at_rest: FloatArray) -> FloatArray:
+        once = at_rest + basis @ coefficients.T
+        ends = np.tile(at_rest, (rest, 1))
+        return np.concatenate([ends, np.tile(once, (times, 1)), ends])
+
+    position = whole(own.basis, approved.start)
+    time = np.arange(len(position)) / approved.rate
+    return Drawn(time, position, whole(own.velocity, still), whole(own.acceleration, still))
+
+
+def _seed(seed: int, role: Role, which: int) -> int:
+    return 100_000 * seed + 10 * which + ROLES.index(role)

@@ -1,0 +1,287 @@
+"""From a twin and its approved limits to safe motions, their predicted covariance, and files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pytest_twin.excitation import files, prediction
+from pytest_twin.excitation.approved import Approved, missing_lines
+from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.closed_loop import servo_modes
+from pytest_twin.excitation.designs import (
+    loading_poses,
+    several_joint_designs,
+    single_joint_designs,
+)
+from pytest_twin.excitation.document import courses, document_of, on_abort
+from pytest_twin.excitation.find_safe import Refused, Robot, Safe, find_safe
+from pytest_twin.excitation.gravity_grid import static_base
+from pytest_twin.excitation.noise import Noise, noise_of
+from pytest_twin.excitation.prediction import Predicted
+from pytest_twin.excitation.reading import missing_error, movable_joints, read_approved
+from pytest_twin.excitation.template import template
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.file_names import portable_names
+from pytest_twin.identification.regressor.base_parameters import BaseParameters, structural_base
+from pytest_twin.identification.regressor.regressor import Regressor
+from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.realization.files.search import SearchFolders
+from pytest_twin.realization.loading import load
+from pytest_twin.realization.model import Realization
+from pytest_twin.recording_options import CommandMode
+from pytest_twin.twin import Twin, load_twin
+
+FOLDER = "trajectories"
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """Everything that was designed.
+
+    Attributes:
+        realization, approved, noise: what it was designed for.
+        regressor, base: of the approved joints.
+        safe, refused: motions, and designs without a safe one.
+        predicted: what the motions to fit will determine.
+        seed: of all random choices.
+    """
+
+    realization: Realization
+    approved: Approved
+    noise: Noise
+    regressor: Regressor
+    base: BaseParameters
+    safe: tuple[Safe, ...]
+    refused: tuple[Refused, ...]
+    predicted: tuple[Predicted, ...]
+    seed: int
+
+
+def missing_template(
+    model: str, packages: Mapping[str, str] | None = None, roots: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The lines that are missing for a model, as YAML to fill in; empty where none is.
+
+    Args:
+        model: MJCF, URDF or ``twin.yaml``.
+    """
+    realization, twin = _loaded(Path(model), SearchFolders.of(roots, packages))
+    section = {} if twin is None else twin.excitation or {}
+    missing = missing_lines(section, movable_joints(realization))
+    if not missing:
+        return {"template": "", "missing": []}
+    text = template(realization, missing)
+    if twin is None:
+        text = f"# twin.yaml\nmodel: {Path(model).name}\n{text}"
+    return {"template": text, "missing": missing}
+
+
+def excite_file(
+    model: str,
+    out: str,
+    seed: int,
+    packages: Mapping[str, str] | None = None,
+    roots: Sequence[str] = (),
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> dict[str, Any]:
+    """Design, check, write; runs in the child process.
+
+    Returns:
+        ``document`` and ``abort``, the content of ``excitation.json`` and ``abort.json``, and
+        ``drawn``, courses over time for the page.
+    """
+    path = Path(model)
+    realization, twin = _loaded(path, SearchFolders.of(roots, packages))
+    if twin is None:
+        raise missing_error(path, missing_lines({}, movable_joints(realization)), None)
+    return written(excite(realization, twin, seed, progress), path, Path(out))
+
+
+def written(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:
+    """Write the motions, and give what is said of them; as :func:`excite_file`."""
+    document = document_of(found, _write(found, out))
+    document["model"] = {
+        "file": str(found.realization.path),
+        "sha256": file_sha256(found.realization.path),
+        "twin": str(twin),
+        "twin_sha256": file_sha256(twin),
+    }
+    drawn = {one.motion.name: courses(one, found.approved) for one in found.safe}
+    return {"document": document, "abort": on_abort(found), "drawn": drawn}
+
+
+def excite(
+    realization: Realization,
+    twin: Twin,
+    seed: int = 1,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Excitation:
+    """Design all motions that are asked for, and predict what they determine.
+
+    Raises:
+        SpecError: lines are missing, a value cannot be, or the start is not safe.
+    """
+    approved = read_approved(realization, twin)
+    noise = noise_of(realization, approved)
+    around = Surroundings(realization, approved)
+    regressor = Regressor(realization, approved.names)
+    _refuse_unsafe_start(realization, twin, approved, around, regressor)
+    base = structural_base(regressor)
+    loads = loading_poses(approved, regressor, around.is_clear, seed)
+    payloads = tuple(twin.payloads)
+    designs = single_joint_designs(approved, loads, seed) + several_joint_designs(
+        approved, regressor, base, noise.effort, around.is_clear, payloads, seed
+    )
+    wanted = {design.payload for design in designs}
+    robots = {
+        payload: Robot(realization.variant(payload=payload), approved)
+        for payload in (None, *payloads)
+        if payload in wanted
+    }
+    safe, refused = find_safe(designs, approved, robots, progress)
+    predicted = _predicted(safe, approved, noise, regressor, base, robots, twin, realization)
+    return Excitation(
+        realization, approved, noise, regressor, base, tuple(safe), tuple(refused),
+        tuple(predicted), seed,
+    )  # fmt: skip
+
+
+def _loaded(path: Path, search: SearchFolders | None) -> tuple[Realization, Twin | None]:
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        return load(path, search=search), None
+    twin = load_twin(path)
+    name, reference = next(iter(twin.realizations.items()))
+    return load(reference.file, twin=twin, name=name, search=search), twin
+
+
+def _refuse_unsafe_start(
+    realization: Realization,
+    twin: Twin,
+    approved: Approved,
+    around: Surroundings,
+    regressor: Regressor,
+) -> None:
+    near = around.too_near(approved.start)
+    if near:
+        said = "; ".join(
+            f"{one.pair[0]} and {one.pair[1]} {one.distance:.4g} m (least {one.required:.4g} m)"
+            for one in near
+        )
+        raise twin.error(
+            "excitation.clearance",
+            f"the start is not clear: {said}",
+            expected="another start:, distances of these pairs under clearance.pairs, or, where "
+            "they may touch, clearance.ignore",
+        )
+    box = around.least_box_spare(approved.start[None])
+    if box is not None and box[0] < 0.0:
+        raise twin.error(
+            "excitation.workspace", f"at the start {box[1]!r} is outside its box",
+            value=round(-box[0], 6), unit="m beyond", expected="a start inside all boxes",
+        )  # fmt: skip
+    still = np.zeros((1, len(approved.joints)))
+    effort = regressor.matrix(approved.start[None], still, still)[0] @ regressor.prior
+    for joint, value, limit in zip(approved.joints, effort, approved.effort, strict=True):
+        if abs(value) > limit:
+            raise twin.error(
+                f"excitation.joints.{joint.name}.effort",
+                "gravity alone needs more at the start",
+                value=f"{limit:.4g} (with the margin)", unit=joint.effort_unit,
+                expected=f"at least {abs(value):.4g} {joint.effort_unit}",
+            )  # fmt: skip
+
+
+def _predicted(
+    safe: Sequence[Safe],
+    approved: Approved,
+    noise: Noise,
+    regressor: Regressor,
+    base: BaseParameters,
+    robots: Mapping[str | None, Robot],
+    twin: Twin,
+    realization: Realization,
+) -> list[Predicted]:
+    """What the motions to fit determine, mechanism by mechanism."""
+    fit = [one for one in safe if one.motion.role == "fit"]
+    found: list[Predicted] = []
+    for at, joint in enumerate(approved.joints):
+        own = [one for one in fit if one.motion.moved == (joint.name,)]
+        kinds = {kind: [one for one in own if one.motion.kind == kind] for kind in _SINGLE}
+        if kinds["steps"]:
+            responses = [one.response for one in kinds["steps"]]
+            found.append(prediction.delay(responses, at, approved, noise))
+        for one in kinds["chirp"]:
+            gains = robots[None].nominal.servo_derivatives(one.motion, at)
+            found += prediction.closed_loop(one.motion, one.response, gains, at, approved, noise)
+        slow = [one.motion for one in kinds["reversals"]]
+        if slow and "friction" in approved.mechanisms:
+            found += prediction.friction(slow, at, regressor, approved, noise)
+        if slow and "backlash" in approved.mechanisms:
+            found.append(prediction.backlash(slow, at, approved, noise))
+    for one in fit:
+        if one.motion.kind == "grid" and one.motion.payload is None:
+            if "gravity" in approved.mechanisms:
+                static = static_base(regressor, approved)
+                found += prediction.gravity(one.motion, static, regressor, approved, noise)
+            if "payload" in approved.mechanisms:
+                carrier = _carrier(twin, realization, regressor)
+                found += prediction.payload(one.motion, carrier, regressor, approved, noise)
+        if one.motion.kind == "fourier":
+            found += prediction.inertia([one.motion], base, regressor, approved, noise)
+    return found
+
+
+_SINGLE = ("steps", "chirp", "reversals")
+
+
+def _carrier(twin: Twin, realization: Realization, regressor: Regressor) -> str:
+    """Joint that moves the body which payloads are declared on; by default the last joint."""
+    model = realization.model
+    for bodies in twin.payloads.values():
+        for name in bodies:
+            body = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
+            while body > 0:
+                for index in range(model.njnt):
+                    joint = model.joint(index).name
+                    if model.jnt_bodyid[index] == body and joint in regressor.joints:
+                        return str(joint)
+                body = int(model.body_parentid[body])
+    return regressor.joints[-1]
+
+
+def modes_of(found: Excitation) -> tuple[CommandMode, ...]:
+    """What each joint's controller takes; positions where the model has no servo."""
+    modes = servo_modes(found.realization, found.approved.names)
+    if modes is not None:
+        return modes
+    position: CommandMode = "position"
+    return tuple(position for _ in found.approved.joints)
+
+
+def _write(found: Excitation, out: Path) -> dict[str, list[str]]:
+    """Motion -> its files, relative to ``out``."""
+    folder = out / FOLDER
+    names = portable_names([one.motion.name for one in found.safe])
+    encoders = Encoders.of(calibration_of(found.realization), found.approved.names)
+    written: dict[str, list[str]] = {}
+    if found.safe:
+        folder.mkdir(exist_ok=True)
+    for one in found.safe:
+        position = encoders.read_position(one.motion.position)
+        paths = files.write(
+            folder / names[one.motion.name], one.motion, found.approved.names, encoders.sign,
+            position, modes_of(found),
+        )  # fmt: skip
+        written[one.motion.name] = [str(path.relative_to(out)) for path in paths]
+    # Of an earlier run with other limits: nobody should find these beside the new report.
+    kept = {out / name for names_ in written.values() for name in names_}
+    for path in folder.glob("*"):
+        if path not in kept and path.name.endswith(files.SUFFIXES):
+            path.unlink()
+    return written

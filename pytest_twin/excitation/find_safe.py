@@ -1,0 +1,134 @@
+"""Motions that keep everything that was approved: scaled down or drawn again until they do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.closed_loop import WORSE, ClosedLoop, Response
+from pytest_twin.excitation.motion import Design, Motion
+from pytest_twin.excitation.safety import Verdict, commanded, reasons, simulated
+from pytest_twin.realization.model import Realization
+
+_FIRST_SCALES = (1.0, 0.8, 0.6)
+_LAST_SCALES = (0.45, 0.3, 0.2, 0.1)
+_DRAWN_AGAIN = 2
+"""How often a motion of several joints is drawn anew before it is scaled far down."""
+_SEVERAL_JOINTS = frozenset({"grid", "fourier"})
+_SEED_STEP = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Safe:
+    """A motion that keeps all limits.
+
+    Attributes:
+        motion: the commands.
+        verdict: every limit with its worst value, of commands and simulations.
+        response: of the nominal model.
+    """
+
+    motion: Motion
+    verdict: Verdict
+    response: Response
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A design of which no motion is safe.
+
+    Attributes:
+        design: what was tried.
+        attempts: how many motions.
+        why: the limits that the last attempt broke.
+    """
+
+    design: Design
+    attempts: int
+    why: tuple[str, ...]
+
+
+class Robot:
+    """Nominal and worse model of a robot with one payload.
+
+    Args:
+        realization: with the payload.
+        approved: limits.
+    """
+
+    def __init__(self, realization: Realization, approved: Approved) -> None:
+        self.around = Surroundings(realization, approved)
+        self.nominal = ClosedLoop(realization, approved)
+        self.worse = ClosedLoop(realization, approved, WORSE)
+
+
+def find_safe(
+    designs: Sequence[Design],
+    approved: Approved,
+    robots: Mapping[str | None, Robot],
+    progress: Callable[[float], None],
+) -> tuple[list[Safe], list[Refused]]:
+    """For each design the largest motion that is safe, or why none is.
+
+    Args:
+        robots: payload -> the robot with it.
+        progress: told the fraction done.
+
+    Returns:
+        in the order of the designs.
+    """
+    safe: dict[int, Safe] = {}
+    broken: dict[int, tuple[int, tuple[str, ...]]] = {}
+    attempts = {at: _attempts(design) for at, design in enumerate(designs)}
+    open_ = list(range(len(designs)))
+    total = max(len(designs), 1)
+    round_ = 0
+    while open_:
+        tried: dict[int, tuple[Motion, Verdict]] = {}
+        for at in open_:
+            scale, seed = attempts[at][round_]
+            motion = designs[at].motion(scale, seed)
+            verdict = commanded(motion, approved, robots[motion.payload].around)
+            if verdict.safe:
+                tried[at] = (motion, verdict)
+            else:
+                broken[at] = (round_ + 1, tuple(reasons([verdict])))
+        for at, one in _simulated(tried, approved, robots).items():
+            if one.verdict.safe:
+                safe[at] = one
+            else:
+                broken[at] = (round_ + 1, tuple(reasons([one.verdict])))
+        round_ += 1
+        open_ = [at for at in open_ if at not in safe and round_ < len(attempts[at])]
+        progress(1.0 - len(open_) / total)
+    refused = [Refused(design, *broken[at]) for at, design in enumerate(designs) if at not in safe]
+    return [safe[at] for at in sorted(safe)], refused
+
+
+def _simulated(
+    tried: Mapping[int, tuple[Motion, Verdict]],
+    approved: Approved,
+    robots: Mapping[str | None, Robot],
+) -> dict[int, Safe]:
+    found = {}
+    for payload, robot in robots.items():
+        own = [at for at, (motion, _) in tried.items() if motion.payload == payload]
+        if not own:
+            continue
+        motions = [tried[at][0] for at in own]
+        nominal, worse = (one.responses(motions) for one in (robot.nominal, robot.worse))
+        for at, motion, first, second in zip(own, motions, nominal, worse, strict=True):
+            verdict = simulated(motion, approved, robot.around, first, second)
+            kept = (*tried[at][1].kept, *verdict.kept)
+            found[at] = Safe(motion, Verdict(kept, verdict.tracking), first)
+    return found
+
+
+def _attempts(design: Design) -> list[tuple[float, int]]:
+    seeds = [design.seed]
+    if design.kind in _SEVERAL_JOINTS:
+        seeds += [design.seed + _SEED_STEP * (1 + at) for at in range(_DRAWN_AGAIN)]
+    first = [(scale, seed) for seed in seeds for scale in _FIRST_SCALES]
+    return first + [(scale, design.seed) for scale in _LAST_SCALES]

@@ -1,0 +1,138 @@
+"""Poses at rest that determine gravity, chosen one by one for the most information (D-optimal)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.motion import Drawn, Path
+from pytest_twin.identification.regressor.base_parameters import BaseParameters, base_of
+from pytest_twin.identification.regressor.regressor import Regressor
+
+DWELL = 0.4
+"""Time at rest in each pose, s."""
+SETTLE = 0.1
+"""Time after a move in which the effort is not counted, s."""
+APPROACH = 0.02
+"""Each pose is reached from both sides, this far away (rad or m): dry friction then cancels."""
+_CANDIDATES = 120
+_ON_THE_WAY = 6
+_RIDGE = 1e-6
+
+
+def static_base(regressor: Regressor, approved: Approved) -> BaseParameters:
+    """The base parameters that poses at rest determine: gravity, and constant efforts."""
+    poses = random_poses(regressor, approved)
+    return base_of(static_matrix(regressor, poses), regressor.columns)
+
+
+def random_poses(regressor: Regressor, approved: Approved, seed: int = 0) -> FloatArray:
+    """(n, joints) poses anywhere in the approved range, enough to tell all columns apart."""
+    lower, upper = approved.room
+    count = max(40, 4 * len(regressor.columns) // len(approved.joints))
+    return np.random.default_rng(seed).uniform(lower, upper, (count, len(approved.joints)))
+
+
+def static_matrix(regressor: Regressor, poses: FloatArray) -> FloatArray:
+    """(n, joints, p) the regressor of poses (n, joints) at rest."""
+    still = np.zeros_like(poses)
+    return regressor.matrix(poses, still, still)
+
+
+def grid(
+    approved: Approved,
+    regressor: Regressor,
+    std: FloatArray,
+    is_clear: Callable[[FloatArray], bool],
+) -> Callable[[float, int], Drawn]:
+    """Poses at rest, each reached from both sides, as many as the duration allows.
+
+    Each next pose adds the most to log det of the information about the static base parameters
+    (greedy D-optimal design; Fedorov, Theory of Optimal Experiments, 1972), among random ones
+    that can be reached on a straight line in joint space, and left to the start.
+
+    Args:
+        std: (joints,) standard deviation of the effort's noise, N*m or N.
+        is_clear: whether a pose (j,) keeps distances and boxes.
+    """
+    base = static_base(regressor, approved)
+
+    def make(scale: float, seed: int) -> Drawn:
+        random = np.random.default_rng(seed)
+        lower, upper = approved.room
+        start = approved.start
+        low = start + scale * (lower - start) + APPROACH * scale
+        high = start + scale * (upper - start) - APPROACH * scale
+        low, high = np.minimum(low, start), np.maximum(high, start)
+        poses = random.uniform(low, high, (_CANDIDATES, len(start)))
+        weighted = base.matrix(static_matrix(regressor, poses)) / std[:, None]
+        ridge = _RIDGE * float(np.einsum("njb,njb->", weighted, weighted)) / len(poses)
+        information = ridge * np.eye(len(base))
+        approach = np.minimum(APPROACH * scale, 0.1 * (upper - lower))
+        path = Path(start, approved.speed, approved.acceleration, approved.rate)
+        path.dwell(0.5 / approved.band[1])
+        chosen: list[FloatArray] = []
+        free = list(range(len(poses)))
+        at = start
+        while free:
+            nearer = np.linalg.inv(information)
+            gains = [
+                np.linalg.slogdet(np.eye(len(start)) + weighted[i] @ nearer @ weighted[i].T)[1]
+                for i in free
+            ]
+            found = _first_reachable(
+                [free[i] for i in np.argsort(gains)[::-1]], poses, at, start, is_clear
+            )
+            if found is None:
+                break
+            free.remove(found)
+            pose = poses[found]
+            if not _fits(path, approved, pose, approach):
+                # A nearer pose may still fit; the search for one is not worth many tries.
+                if len(free) < len(poses) // 2:
+                    break
+                continue
+            for side in (-1.0, 1.0):
+                path.move(pose + side * approach)
+                path.move(pose)
+                path.dwell(DWELL)
+            information = information + weighted[found].T @ weighted[found]
+            chosen.append(pose)
+            at = pose
+        path.move(start)
+        path.dwell(0.5 / approved.band[1])
+        return path.drawn().described(poses=[pose.tolist() for pose in chosen], dwell=DWELL)
+
+    return make
+
+
+def _first_reachable(
+    order: list[int],
+    poses: FloatArray,
+    at: FloatArray,
+    start: FloatArray,
+    is_clear: Callable[[FloatArray], bool],
+) -> int | None:
+    for index in order[:20]:
+        pose = poses[index]
+        ways = (at, start) if not np.array_equal(at, start) else (start,)
+        if all(
+            is_clear(begin + share * (pose - begin))
+            for begin in ways
+            for share in np.linspace(1.0, 0.0, _ON_THE_WAY, endpoint=False)
+        ):
+            return index
+    return None
+
+
+def _fits(path: Path, approved: Approved, pose: FloatArray, approach: FloatArray) -> bool:
+    """Whether a pose and the way back to the start fit in the time that is left."""
+    there = path.time_to(pose)
+    small = Path(pose, approved.speed, approved.acceleration, approved.rate)
+    near = small.time_to(pose + approach)
+    back = small.time_to(approved.start)
+    needed = there + 5.0 * near + 2.0 * (DWELL + 1.0 / approved.rate) + back
+    return path.seconds + needed + 1.0 / approved.band[1] <= approved.duration

@@ -1,0 +1,333 @@
+"""What each motion will determine, and how surely, before anything is measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.closed_loop import Response
+from pytest_twin.excitation.gravity_grid import SETTLE, random_poses, static_matrix
+from pytest_twin.excitation.motion import Motion
+from pytest_twin.excitation.noise import Noise
+from pytest_twin.identification.regressor.base_parameters import BaseParameters, base_of
+from pytest_twin.identification.regressor.covariance import predicted_covariance
+from pytest_twin.identification.regressor.regressor import Regressor
+
+SMALL_EFFORT = 0.01
+"""Of the approved effort: dry friction and constant efforts within it are small, and viscous
+friction that stays within it at the approved speed."""
+SMALL_INERTIA = 0.1
+"""Of the largest moment of the same order of the same link: moments within it are small. A product
+of inertia that is 0 in the drawing is determined once its interval shows that it is small."""
+_TWO_SIDED = 1.96
+_ROUNDING = 1e-6
+_FRICTION = {"viscous_friction": "viscous friction", "coulomb_friction": "Coulomb friction"}
+LOADS_APART = 0.02
+"""Of the approved effort: loads that differ by less do not separate load-dependent friction."""
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """One parameter that a motion would determine.
+
+    Attributes:
+        mechanism: it belongs to.
+        name: ``JOINT.KIND``.
+        expression: in the symbols of the literature; the name where there are none.
+        words: what it is.
+        unit: of value and deviation.
+        nominal: what the model states; None where it states nothing.
+        std: predicted standard deviation; infinite where the motion leaves it open.
+        resolution: value below which its effect is small; an interval within it is as good.
+        why: why it is open, empty where it is not.
+    """
+
+    mechanism: str
+    name: str
+    expression: str
+    words: str
+    unit: str
+    nominal: float | None
+    std: float
+    resolution: float = 0.0
+    why: str = ""
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the 95 % interval leaves out 0, or holds only values of small effect."""
+        if not math.isfinite(self.std):
+            return False
+        reach = max(abs(self.nominal or 0.0), self.resolution)
+        return self.nominal is None or _TWO_SIDED * self.std <= reach
+
+    @property
+    def small(self) -> bool:
+        """Whether the nominal value is one of small effect."""
+        return self.nominal is not None and abs(self.nominal) <= self.resolution
+
+    @property
+    def relative_std(self) -> float | None:
+        """Deviation over the nominal value; None where that is 0 or unknown."""
+        return self.std / abs(self.nominal) if self.nominal else None
+
+
+def of_base(
+    mechanism: str,
+    base: BaseParameters,
+    regressor: Regressor,
+    matrix: FloatArray,
+    approved: Approved,
+    noise: Noise,
+) -> list[Predicted]:
+    """Base parameters from the full regressor along motions.
+
+    Args:
+        matrix: (n, joints, p) the regressor at each instant that will be measured.
+    """
+    own = base.matrix(matrix)
+    predicted = predicted_covariance(own, noise.effort)
+    nominal = base.values(regressor.prior)
+    resolution = _small(base, nominal, approved)
+    # Sums that cancel leave rounding.
+    nominal = np.where(np.abs(nominal) < _ROUNDING * resolution, 0.0, nominal)
+    return [
+        Predicted(
+            mechanism,
+            name,
+            expression,
+            words,
+            unit,
+            float(nominal[at]),
+            float(predicted.std[at]),
+            float(resolution[at]),
+            "the motion does not tell it from the others" if predicted.undetermined[at] else "",
+        )
+        for at, (name, expression, words, unit) in enumerate(
+            zip(base.names, base.expressions, base.words, base.units, strict=True)
+        )
+    ]
+
+
+def _small(base: BaseParameters, nominal: FloatArray, approved: Approved) -> FloatArray:
+    """(b,) value of each parameter below which its effect is small, in its own unit."""
+    limits = {joint.name: joint for joint in approved.joints}
+    kinds = [base.columns[index] for index in base.independent]
+    found = np.zeros(len(base))
+    for at, column in enumerate(kinds):
+        joint = limits.get(column.joint)
+        if column.kind in ("coulomb_friction", "effort_bias") and joint is not None:
+            found[at] = SMALL_EFFORT * joint.effort
+        elif column.kind == "viscous_friction" and joint is not None:
+            found[at] = SMALL_EFFORT * joint.effort / joint.velocity
+        else:
+            alike = [
+                abs(float(value))
+                for other, value in zip(kinds, nominal, strict=True)
+                if other.joint == column.joint and other.unit == column.unit
+            ]
+            found[at] = SMALL_INERTIA * max(alike)
+    return found
+
+
+def inertia(
+    motions: Sequence[Motion],
+    base: BaseParameters,
+    regressor: Regressor,
+    approved: Approved,
+    noise: Noise,
+) -> list[Predicted]:
+    """All base parameters with friction, from Fourier series."""
+    matrix = np.concatenate(
+        [regressor.matrix(m.position, m.velocity, m.acceleration) for m in motions]
+    )
+    return of_base("inertia", base, regressor, matrix, approved, noise)
+
+
+def gravity(
+    motion: Motion,
+    base: BaseParameters,
+    regressor: Regressor,
+    approved: Approved,
+    noise: Noise,
+) -> list[Predicted]:
+    """Static base parameters, from poses at rest."""
+    still = at_rest(motion, approved.rate)
+    matrix = regressor.matrix(
+        motion.position[still],
+        np.zeros_like(motion.position[still]),
+        np.zeros_like(motion.position[still]),
+    )
+    return of_base("gravity", base, regressor, matrix, approved, noise)
+
+
+def at_rest(motion: Motion, rate: float) -> NDArray[np.intp]:
+    """Indices of samples at rest for longer than ``SETTLE``; the ends at the start count too."""
+    resting = np.all(motion.velocity == 0.0, axis=1) & np.all(motion.acceleration == 0.0, axis=1)
+    count = max(1, round(SETTLE * rate))
+    settled = resting.copy()
+    for back in range(1, count + 1):
+        settled[back:] &= resting[:-back]
+    return np.flatnonzero(settled)
+
+
+def friction(
+    motions: Sequence[Motion],
+    joint: int,
+    regressor: Regressor,
+    approved: Approved,
+    noise: Noise,
+) -> list[Predicted]:
+    """Viscous, Coulomb and load-dependent friction of one joint, from reversals under loads.
+
+    The joint's other base parameters are fitted at the same time.
+    """
+    limits = approved.joints[joint]
+    rows, loads = [], []
+    for motion in motions:
+        moving = motion.velocity[:, joint] != 0.0
+        moving &= np.all(np.delete(motion.velocity, joint, axis=1) == 0.0, axis=1)
+        states = (motion.position[moving], motion.velocity[moving], motion.acceleration[moving])
+        rows.append(regressor.matrix(*states)[:, joint : joint + 1])
+        still = static_matrix(regressor, states[0])[:, joint] @ regressor.prior
+        loads.append(np.abs(still) * np.sign(states[1][:, joint]))
+    matrix, load = np.concatenate(rows), np.concatenate(loads)
+    base = base_of(matrix, regressor.columns)
+    own = base.matrix(matrix)
+    most = float(np.abs(load).max(initial=0.0))
+    spread = float(np.ptp(np.abs(load))) if len(load) else 0.0
+    separate = spread > LOADS_APART * limits.effort
+    if separate:
+        own = np.concatenate([own, load[:, None, None]], axis=2)
+    std = predicted_covariance(own, noise.effort[joint : joint + 1]).std
+    nominal = base.values(regressor.prior)
+    small = _small(base, nominal, approved)
+    found = []
+    for kind, what in _FRICTION.items():
+        name, words = f"{limits.name}.{kind}", f"{what} of '{limits.name}'"
+        if name not in base.names:
+            found.append(_open("friction", name, words, "the motion does not tell it from others"))
+            continue
+        at = base.names.index(name)
+        found.append(
+            Predicted(
+                "friction", name, base.expressions[at], words, base.units[at],
+                float(nominal[at]), float(std[at]), float(small[at]),
+            )
+        )  # fmt: skip
+    name = f"{limits.name}.load_dependent_friction"
+    words = f"load-dependent friction of '{limits.name}'"
+    if separate:
+        found.append(Predicted("friction", name, name, words, "1", None, float(std[-1])))
+    elif most > LOADS_APART * limits.effort:
+        found.append(
+            _open(
+                "friction", name, words,
+                f"the load of the joint changes by {spread:.3g} {limits.effort_unit} only; declare "
+                "payloads: in twin.yaml, or approve a wider range of the other joints",
+            )
+        )  # fmt: skip
+    # Where nothing loads the joint, there is no friction that depends on its load.
+    return found
+
+
+def backlash(motions: Sequence[Motion], joint: int, approved: Approved, noise: Noise) -> Predicted:
+    """Width of the position's hysteresis between both directions, at the joint's side."""
+    limits = approved.joints[joint]
+    moving = sum(int((motion.velocity[:, joint] != 0.0).sum()) for motion in motions)
+    std = 2.0 * float(noise.position[joint]) / math.sqrt(max(moving, 1))
+    name = f"{limits.name}.backlash"
+    words = f"backlash of '{limits.name}', where its encoder is at the joint's side of the gear"
+    return Predicted("backlash", name, name, words, limits.unit, None, std)
+
+
+def delay(responses: Sequence[Response], joint: int, approved: Approved, noise: Noise) -> Predicted:
+    """Delay of one joint's motion, from how fast it moves: std = noise / sqrt(sum v^2)."""
+    limits = approved.joints[joint]
+    energy = sum(float((one.velocity[:, joint] ** 2).sum()) for one in responses)
+    name, words = f"{limits.name}.delay", f"delay of '{limits.name}'"
+    if not energy > 0.0:
+        return _open("delay", name, words, "the joint does not move")
+    std = float(noise.position[joint]) / math.sqrt(energy)
+    return Predicted("delay", name, name, words, "s", None, std)
+
+
+def closed_loop(
+    motion: Motion,
+    response: Response,
+    gains: Mapping[str, tuple[float, str, FloatArray]],
+    joint: int,
+    approved: Approved,
+    noise: Noise,
+) -> list[Predicted]:
+    """Gains of one joint's servo, fitted together with its delay.
+
+    Args:
+        gains: of :meth:`ClosedLoop.servo_derivatives`.
+    """
+    limits = approved.joints[joint]
+    if not gains:
+        name = f"{limits.name}.closed_loop"
+        words = f"closed loop of '{limits.name}'"
+        why = "the model has no position servo with linear gains here, so nothing can be predicted"
+        return [_open("closed_loop", name, words, why)]
+    columns = [derivative for _, _, derivative in gains.values()]
+    matrix = np.stack([*columns, -response.velocity[:, joint]], axis=1)
+    std = predicted_covariance(matrix[:, None], noise.position[joint : joint + 1]).std
+    return [
+        Predicted(
+            "closed_loop", f"{limits.name}.servo_{name}", f"{limits.name}.servo_{name}",
+            f"{name} of the servo of '{limits.name}'", unit, value, float(std[at]),
+        )
+        for at, (name, (value, unit, _)) in enumerate(gains.items())
+    ]  # fmt: skip
+
+
+def payload(
+    motion: Motion,
+    carrier: str,
+    regressor: Regressor,
+    approved: Approved,
+    noise: Noise,
+) -> list[Predicted]:
+    """Mass and first moments of what a link carries, from the same poses with and without it.
+
+    Where no pose loads a joint by one of them, it has no influence and is not listed.
+
+    Args:
+        carrier: joint that moves the link which carries it.
+    """
+    places = [
+        at
+        for at, column in enumerate(regressor.columns)
+        if column.joint == carrier and column.kind in ("mx", "my", "mz", "m")
+    ]
+    columns = [regressor.columns[at] for at in places]
+    own = base_of(static_matrix(regressor, random_poses(regressor, approved))[..., places], columns)
+    poses = motion.position[at_rest(motion, approved.rate)]
+    matrix = own.matrix(static_matrix(regressor, poses)[..., places])
+    # The difference of two measurements has twice the variance.
+    predicted = predicted_covariance(matrix, math.sqrt(2.0) * noise.effort)
+    found = []
+    for at, index in enumerate(own.independent):
+        name = f"payload.{columns[index].kind}"
+        words = f"{columns[index].words.partition(' of the link')[0]} of the payload on '{carrier}'"
+        if predicted.undetermined[at]:
+            found.append(_open("payload", name, words, "the poses do not tell it from the others"))
+            continue
+        found.append(
+            Predicted(
+                "payload", name, own.expressions[at], words, columns[index].unit, None,
+                float(predicted.std[at]),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _open(mechanism: str, name: str, words: str, why: str) -> Predicted:
+    return Predicted(mechanism, name, name, words, "", 0.0, math.inf, why=why)

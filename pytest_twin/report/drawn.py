@@ -1,0 +1,42 @@
+"""Figures drawn into bytes; matplotlib is imported when something is drawn."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from pytest_twin.report.plot_style import STYLE, finish
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def svg(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
+    """A figure of ``width`` by ``height`` inches, for white and black pages."""
+    data = _drawn(draw, width, height, "svg")
+    return finish(data.decode("utf-8")).encode("utf-8")
+
+
+def png(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
+    """A figure of ``width`` by ``height`` inches, 120 dots an inch, on white."""
+    return _drawn(draw, width, height, "png")
+
+
+def _drawn(draw: Callable[[Figure], None], width: float, height: float, kind: str) -> bytes:
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(width, height))
+        (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(figure)
+        draw(figure)
+        buffer = io.BytesIO()
+        if kind == "png":
+            figure.savefig(buffer, format="png", dpi=120, facecolor="white")
+        else:
+            empty = {"Date": None, "Creator": None, "Format": None, "Type": None}
+            figure.savefig(buffer, format="svg", transparent=True, metadata=empty)
+    return buffer.getvalue()

@@ -1,0 +1,74 @@
+"""The report of an excitation as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import jinja2
+
+from pytest_twin.report.excitation_plots import deviations_figure, motion_figure
+from pytest_twin.report.page import style_of, svg_uri, template
+
+_VERDICT = {
+    "identifiable": ("All that is asked for is identifiable", "good"),
+    "not_identifiable": ("Something that is asked for is not identifiable", "bad"),
+}
+_KIND = {
+    "steps": "Steps of one joint",
+    "chirp": "Chirps of one joint",
+    "reversals": "Slow reversals of one joint",
+    "grid": "Poses at rest",
+    "fourier": "Fourier series, D-optimal",
+}
+MARGINS = ("position", "velocity", "acceleration", "effort", "power", "stop", "workspace",
+           "clearance")  # fmt: skip
+
+
+def render(document: Mapping[str, Any], abort: Mapping[str, Any], drawn: Mapping[str, Any]) -> str:
+    """The report as one HTML document without external files.
+
+    Args:
+        document: ``excitation.json``.
+        abort: ``abort.json``.
+        drawn: name of a motion -> its courses, as :func:`excitation.document.courses` gives them.
+    """
+    style = style_of("report.css", "diagnosis.css")
+    headline, mood = _VERDICT[document["verdict"]]
+    groups = [
+        (words, [one for one in document["trajectories"] if one["kind"] == kind])
+        for kind, words in _KIND.items()
+    ]
+    return _template().render(
+        document=document,
+        abort=abort,
+        style=style.text,
+        style_hash=style.sha256,
+        headline=headline,
+        mood=mood,
+        margins=MARGINS,
+        groups=[(words, own) for words, own in groups if own],
+        figures={name: svg_uri(motion_figure(course)) for name, course in drawn.items()},
+        deviations=_deviations(document),
+    )
+
+
+def _deviations(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    found = []
+    for mechanism in document["mechanisms"]:
+        own = [
+            one
+            for one in document["predicted"]
+            if one["mechanism"] == mechanism
+            and one["relative_std"]
+            and not (one["small"] and one["identifiable"])
+        ]
+        if own:
+            found.append((mechanism, svg_uri(deviations_figure(own))))
+    return found
+
+
+@cache
+def _template() -> jinja2.Template:
+    return template("excitation.html.j2")
