@@ -91,7 +91,7 @@ def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> M
         centre = approved.start + scale * (pose - approved.start)
         # Fewer speeds, then shorter periods, until all fits in the duration.
         for count in range(len(SPEEDS), 0, -1):
-            for period in np.geomspace(1.0 / low, 1.0 / high, 4):
+            for period in np.geomspace(1.0 / low, 1.0 / high, 8):
                 random = np.random.default_rng(seed)
                 path, used = attempt(centre, scale, SPEEDS[-count:], float(period), random)
                 if path.seconds <= approved.duration and used:
