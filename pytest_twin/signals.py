@@ -104,12 +104,12 @@ class Signals:
     Attributes:
         default: of joints that are not named.
         joints: joint -> its own.
-        stated: whether anybody said it; else the contract's layout is assumed.
+        table: as it was written; empty where nobody said anything.
     """
 
     default: JointSignals = field(default_factory=JointSignals)
     joints: Mapping[str, JointSignals] = field(default_factory=dict)
-    stated: bool = False
+    table: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def of(self, joint: str) -> JointSignals:
         """What is recorded of a joint."""
@@ -124,7 +124,7 @@ class Signals:
         return cls(
             _joint(default, {}),
             {name: _joint(own or {}, default) for name, own in data.get("joints", {}).items()},
-            stated=True,
+            table=data,
         )
 
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from pytest_twin.dependency import Part, Structure, canonical
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.calibration_record import CalibrationRecord
+from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Reason
 from pytest_twin.twin import Affects, JointCalibration, Twin
@@ -197,6 +198,12 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
     for entry in twin.calibrations:
         ident = entry.record.id
         contents[f"record:{ident}"] = {**_record(entry.record), "superseded": ident in gone}
+    gone = {name for fit in twin.fits for name in fit.supersedes}
+    for fit in twin.fits:
+        contents[f"fit:{fit.record.id}"] = {
+            **_identified(fit.record),
+            "superseded": fit.record.id in gone,
+        }
     for name, part in twin.parts.items():
         content: dict[str, Any] = {"id": part.id, "value": part.value}
         if part.file is not None:
@@ -218,6 +225,15 @@ def _record(record: CalibrationRecord) -> dict[str, Any]:
             for name, (xyz, turn) in record.transforms.items()
         },
         "points": {f"{name} [m]": list(xyz) for name, xyz in record.points.items()},
+        "data": dict(record.inputs),
+    }
+
+
+def _identified(record: IdentificationRecord) -> dict[str, Any]:
+    """What an identification found, and the files that it was made from."""
+    return {
+        "parameters": dict(record.values),
+        "stages": dict(record.stages),
         "data": dict(record.inputs),
     }
 

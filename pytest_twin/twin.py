@@ -14,6 +14,10 @@ from typing import Any
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.calibration_record import CalibrationRecord, read_calibration_record
+from pytest_twin.formats.identification_record import (
+    IdentificationRecord,
+    read_identification_record,
+)
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
@@ -191,6 +195,21 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True)
+class FitEntry:
+    """One record of ``pytest-twin identify`` in the twin.
+
+    Attributes:
+        record: what its file says.
+        date: when it was recorded, where that is stated.
+        supersedes: ids of earlier records that no longer hold.
+    """
+
+    record: IdentificationRecord
+    date: str | None = None
+    supersedes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Affects:
     """Which goldens a declared part touches: those that match every tuple that is not empty.
 
@@ -263,6 +282,8 @@ class Twin:
         parts: name -> declared part.
         calibration: what holds now: ``calibration:`` with what ``calibrations:`` lay over it.
         calibrations: records of ``pytest-twin calibrate``, the newest last.
+        fit: what holds now: all of ``fit:`` laid one over the other.
+        fits: records of ``pytest-twin identify`` under ``fit:``, the newest last.
         tcp: named frame of the tool centre point.
         retired: golden id -> reason.
         release: rules for releases.
@@ -285,6 +306,7 @@ class Twin:
     calibration: Calibration | None = None
     calibrations: tuple[CalibrationEntry, ...] = ()
     fit: Fit | None = None
+    fits: tuple[FitEntry, ...] = ()
     parts: Mapping[str, DeclaredPart] = field(default_factory=dict)
     tcp: str | None = None
     retired: Mapping[str, str] = field(default_factory=dict)
@@ -311,8 +333,10 @@ class Twin:
         for item in (self.calibration, self.fit):
             if item is not None:
                 found[item.path] = None
-        for entry in self.calibrations:
-            found[entry.record.path] = None
+        for calibration in self.calibrations:
+            found[calibration.record.path] = None
+        for fit in self.fits:
+            found[fit.record.path] = None
         for ref in self.realizations.values():
             found[ref.file] = None
             if ref.effects is not None:
@@ -382,6 +406,7 @@ class _Reader:
         data = self.data
         release = data.get("release", {})
         entries = self._calibrations()
+        fit, fits = self._fits()
         return Twin(
             path=self.path,
             name=data.get("name") or self.path.parent.name or "twin",
@@ -403,7 +428,8 @@ class _Reader:
             },
             calibration=_laid_over(self._calibration(), entries, self.path),
             calibrations=entries,
-            fit=self._fit(),
+            fit=fit,
+            fits=fits,
             parts={name: self._part(name, d) for name, d in data.get("parts", {}).items()},
             tcp=data.get("tcp"),
             retired=dict(data.get("retired", {})),
@@ -544,22 +570,53 @@ class _Reader:
             found.append(entry)
         return tuple(found)
 
-    def _fit(self) -> Fit | None:
-        section = self._beside("fit")
-        if section is None:
-            return None
-        return Fit(
-            id=str(section.data["id"]),
-            patches={
-                family: {
-                    name: _patch(patch) for name, patch in section.data.get(family, {}).items()
-                }
-                for family in FIT_FAMILIES
-            },
-            option=_patch(section.data.get("option", {})),
-            path=section.path,
-            lines=section.own_lines,
-        )
+    def _fits(self) -> tuple[Fit | None, tuple[FitEntry, ...]]:
+        """What holds of ``fit:``, one table or a list of records, and the records themselves."""
+        data = self.data.get("fit")
+        if not isinstance(data, list):
+            section = self._beside("fit")
+            return (None if section is None else _fit(section)), ()
+        tables: dict[str, Fit] = {}
+        entries: list[FitEntry] = []
+        gone: set[str] = set()
+        for at, one in enumerate(data):
+            where = f"fit.{at}"
+            if "file" not in one:
+                found = _fit(_Section(one, self.path, f"{where}.", self.lines))
+            else:
+                entry = self._fit_entry(one, where)
+                entries.append(entry)
+                found = Fit(entry.record.id, entry.record.fit, {}, entry.record.path)
+            if found.id in tables:
+                raise self.section.error(
+                    where,
+                    "two fits of one id",
+                    value=found.id,
+                    expected="an id of its own for each record",
+                )
+            for name in one.get("supersedes", ()):
+                if name not in tables:
+                    raise self.section.error(
+                        f"{where}.supersedes",
+                        "no earlier fit of this id",
+                        value=name,
+                        expected="ids of records above it: " + (", ".join(tables) or "none"),
+                    )
+                gone.add(name)
+            tables[found.id] = found
+        holding = [one for name, one in tables.items() if name not in gone]
+        return _merged(holding, self.path), tuple(entries)
+
+    def _fit_entry(self, data: Mapping[str, Any], where: str) -> FitEntry:
+        record = read_identification_record(self._file(data["file"], f"{where}.file"))
+        if record.verdict != "accepted":
+            raise self.section.error(
+                f"{where}.file",
+                "an identification that is not accepted",
+                value=record.verdict,
+                expected="an identification.json whose verdict is accepted",
+            )
+        return FitEntry(record, data.get("date"), tuple(data.get("supersedes", ())))
 
     def _part(self, name: str, data: Mapping[str, Any]) -> DeclaredPart:
         ident, value, affects = data.get("id"), data.get("value"), data.get("affects")
@@ -573,6 +630,33 @@ class _Reader:
             if not affects
             else Affects(**{key: tuple(names) for key, names in affects.items()}),
         )
+
+
+def _fit(section: _Section) -> Fit:
+    return Fit(
+        id=str(section.data["id"]),
+        patches={
+            family: {name: _patch(patch) for name, patch in section.data.get(family, {}).items()}
+            for family in FIT_FAMILIES
+        },
+        option=_patch(section.data.get("option", {})),
+        path=section.path,
+        lines=section.own_lines,
+    )
+
+
+def _merged(fits: list[Fit], path: Path) -> Fit | None:
+    """One fit laid over the other, attribute by attribute; a later one goes before."""
+    if len(fits) < 2:
+        return fits[0] if fits else None
+    patches: dict[str, dict[str, Patch]] = {family: {} for family in FIT_FAMILIES}
+    option: Patch = {}
+    for fit in fits:
+        option = {**option, **fit.option}
+        for family, elements in fit.patches.items():
+            for name, patch in elements.items():
+                patches[family][name] = {**patches[family].get(name, {}), **patch}
+    return Fit("+".join(fit.id for fit in fits), patches, option, path)
 
 
 def _used(entry: CalibrationEntry) -> set[str]:

@@ -67,6 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"gets {FILE_NAME}, {PAGE_NAME} and realization/, the fitted model; replaced whole "
         "where it is an earlier identification",
     )
+    parser.add_argument(
+        "--id",
+        metavar="ID",
+        help="id of the record, by which fit: of twin.yaml and goldens name it (default: the name "
+        "of DIR)",
+    )
     add_recording_arguments(parser)
     model_files.add_arguments(parser)
 
@@ -94,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
                     "recordings": [str(r.absolute()) for r in args.recordings],
                     "held_out": [str(r.absolute()) for r in args.held_out],
                     "out": str(staging),
+                    "name": args.id or out.name,
                     "topics": args.topics,
                     "options": recording_options(args),
                     **model_files.search_folders(args),

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from pytest_twin.errors import FormatError
-from pytest_twin.formats import limits
 from pytest_twin.formats.digest import bytes_sha256
-from pytest_twin.formats.paths import decode_text, read_bytes
+from pytest_twin.formats.record_fields import number, numbers, read_record, text
 
 Transform = tuple[tuple[float, ...], tuple[float, ...] | None]
 
@@ -60,13 +57,7 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
         LimitError: beyond ``limits.OBSERVATIONS``.
         FormatError: not what ``pytest-twin calibrate`` writes.
     """
-    data = read_bytes(path, limits.OBSERVATIONS.file_bytes)
-    try:
-        content = json.loads(decode_text(data, path), parse_constant=_refuse)
-    except (ValueError, RecursionError):
-        raise FormatError(
-            "not JSON", path=path, expected="calibration.json of pytest-twin calibrate"
-        ) from None
+    content, data = read_record(path, "calibration.json of pytest-twin calibrate")
     try:
         if content["schema"] != 1:
             raise KeyError("schema")
@@ -74,39 +65,39 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
         zeros = records.get("joint_zeros", {"values": {}})["values"]
         base = records.get("base_world")
         return CalibrationRecord(
-            id=_text(content["calibration"]),
+            id=text(content["calibration"]),
             path=path,
             sha256=bytes_sha256(data),
-            verdict=_text(content["verdict"]),
-            joint_zeros={_text(name): _number(one["value"]) for name, one in zeros.items()},
+            verdict=text(content["verdict"]),
+            joint_zeros={text(name): number(one["value"]) for name, one in zeros.items()},
             base_world=None
             if base is None
             else (
-                _numbers(base["transform"]["xyz"], 3),
-                _numbers(base["transform"]["quaternion_wxyz"], 4),
+                numbers(base["transform"]["xyz"], 3),
+                numbers(base["transform"]["quaternion_wxyz"], 4),
             ),
             held_out={
-                name: _number(value)
+                name: number(value)
                 for name, value in content["held_out"].items()
                 if name.endswith("_rms")
             },
             transforms={
-                _text(name): _transform(one["transform"])
+                text(name): _transform(one["transform"])
                 for name, one in records.items()
                 if "transform" in one
             },
             points={
-                _text(name): _numbers(one["xyz"], 3)
+                text(name): numbers(one["xyz"], 3)
                 for name, one in records.get("points", {"values": {}})["values"].items()
             },
-            held_out_ids=tuple(_text(name) for name in content["held_out"].get("ids", ())),
+            held_out_ids=tuple(text(name) for name in content["held_out"].get("ids", ())),
             seen={
-                _text(name): _numbers(one["camera_from_target"], 7)
+                text(name): numbers(one["camera_from_target"], 7)
                 for name, one in content.get("images", {}).items()
                 if "camera_from_target" in one
             },
             inputs={
-                _text(name): _text(one["sha256"]) for name, one in content.get("inputs", {}).items()
+                text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()
             },
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
@@ -117,31 +108,9 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
         ) from None
 
 
-def _refuse(word: str) -> NoReturn:
-    raise ValueError(word)
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or not value or len(value) > limits.OBSERVATIONS.name_chars:
-        raise ValueError("a name")
-    return value
-
-
 def _transform(value: Any) -> Transform:
     quaternion = value["quaternion_wxyz"]
     return (
-        _numbers(value["xyz"], 3),
-        None if quaternion is None else _numbers(quaternion, 4),
+        numbers(value["xyz"], 3),
+        None if quaternion is None else numbers(quaternion, 4),
     )
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{value!r} is no finite number")
-    return float(value)
-
-
-def _numbers(values: Any, count: int) -> tuple[float, ...]:
-    if not isinstance(values, list) or len(values) != count:
-        raise ValueError(f"not {count} numbers")
-    return tuple(_number(value) for value in values)

@@ -17,10 +17,12 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import ANGLES, Signals
 from pytest_twin.trial import recordings_at
 from pytest_twin.trial.joints import in_model_names
-from pytest_twin.trial.table import sorted_rows
+from pytest_twin.trial.table import kept_commands, sorted_rows
 
 _FEWEST = 50
 """States below which nothing is differentiated."""
+_NO_SENSOR = 0.5
+"""Share of efforts that are exactly 0 from which nothing measures them: a sensor has noise."""
 _GAP = 5.0
 """A pause this many times the usual interval cuts a recording."""
 
@@ -92,18 +94,20 @@ def read_measured(
     """
     found = []
     for recording in recordings_at(path, topics, options):
-        series = _states(recording, realization, topics, options)
-        found += _stretches(_at_joints(series, recording, signals))
+        series = _named(recording, "state", realization, topics, options)
+        commanded = _commanded_effort(recording, series, realization, topics, options)
+        found += _stretches(_at_joints(series, commanded, recording, signals))
     return found
 
 
-def _states(
+def _named(
     recording: Recording,
+    role: str,
     realization: NamedModel,
     topics: Mapping[str, str],
     options: RecordingOptions,
 ) -> JointSeries:
-    series = recording.series.get("state")
+    series = recording.series.get(role)
     if series is None or not len(series.stamp):
         raise RecordingError(
             "no joint states",
@@ -113,7 +117,7 @@ def _states(
             "--topics state=/x",
         )
     named, _ = in_model_names(series, options.joints, realization.joints, recording.path)
-    if named.position is None:
+    if named.position is None and role == "state":
         raise RecordingError(
             "no state has positions",
             path=recording.path,
@@ -123,7 +127,34 @@ def _states(
     return named
 
 
-def _at_joints(series: JointSeries, recording: Recording, signals: Signals) -> Measured:
+def _commanded_effort(
+    recording: Recording,
+    states: JointSeries,
+    realization: NamedModel,
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+) -> FloatArray | None:
+    """(n, joints) effort commands that hold at the states, where no state has an effort."""
+    if states.effort is not None and np.isfinite(states.effort).any():
+        return None
+    if "command" not in recording.series:
+        return None
+    commands = _named(recording, "command", realization, topics, options)
+    if commands.effort is None or not np.isfinite(commands.effort).any():
+        return None
+    order = sorted_rows(commands.stamp)
+    table = kept_commands(np.asarray(commands.effort, dtype=np.float64)[order])
+    at = np.searchsorted(commands.stamp[order], states.stamp, side="right") - 1
+    found = np.full((len(states.stamp), len(states.names)), np.nan)
+    for column, name in enumerate(states.names):
+        if name in commands.names:
+            found[:, column] = table[np.maximum(at, 0), commands.names.index(name)]
+    return found
+
+
+def _at_joints(
+    series: JointSeries, commanded: FloatArray | None, recording: Recording, signals: Signals
+) -> Measured:
     assert series.position is not None
     order = sorted_rows(series.stamp)
     stamp = series.stamp[order]
@@ -135,13 +166,18 @@ def _at_joints(series: JointSeries, recording: Recording, signals: Signals) -> M
     names = tuple(n for n, use in zip(series.names, seen, strict=True) if use)
     raw = raw[:, seen]
     speed = None if series.velocity is None else np.array(series.velocity[order])[:, seen]
+    efforts = series.effort if commanded is None else commanded
     effort = (
         np.full_like(raw, np.nan)
-        if series.effort is None
-        else np.array(series.effort[order], dtype=np.float64)[:, seen]
+        if efforts is None
+        else np.array(efforts[order], dtype=np.float64)[:, seen]
     )
     position, velocity, notes = _positions(names, raw, speed, signals)
     effort, unscaled, limit, said = _efforts(names, effort, signals)
+    if commanded is not None:
+        said.insert(
+            0, "no effort is measured: the commanded effort is taken as the drive's (inferred)"
+        )
     whole = np.isfinite(position).all(axis=1)
     lost = int((~whole).sum())
     if lost:
@@ -206,9 +242,11 @@ def _efforts(
         own = signals.of(name).effort
         values = effort[:, column]
         known = values[np.isfinite(values)]
-        if not len(known) or not np.any(known):
+        zeros = float(np.mean(known == 0.0)) if len(known) else 1.0
+        if zeros > _NO_SENSOR:
             if len(known):
-                notes.append(f"{name}: effort reads 0 throughout: no sensor, its effort is unknown")
+                share = "throughout" if zeros == 1.0 else f"in {100 * zeros:.0f} % of the states"
+                notes.append(f"{name}: effort reads 0 {share}: no sensor, its effort is unknown")
             effort[:, column] = np.nan
             continue
         if not own.signed or _unsigned(known):

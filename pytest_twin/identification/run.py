@@ -27,6 +27,7 @@ def identify_files(
     recordings: Sequence[str],
     held_out: Sequence[str],
     out: str,
+    name: str,
     topics: Mapping[str, str],
     options: Mapping[str, Any],
     packages: Mapping[str, str] | None = None,
@@ -39,6 +40,7 @@ def identify_files(
         model: MJCF, URDF or ``twin.yaml``.
         recordings, held_out: files and folders.
         out: empty folder; gets ``realization/``.
+        name: id of the record.
         topics: role -> topic, before those of the twin.
         options: how recordings are read, before what the twin says.
         packages, roots: where the model's files lie.
@@ -68,6 +70,7 @@ def identify_files(
     progress(0.8)
     document = effort_document(result, result.stages)
     document["notes"] = [*notes, *measured.notes, *document["notes"]]
+    document["identification"] = name
     document["trials"] = {
         "fit": list(dict.fromkeys(one.path.name for one in measured.fit)),
         "held_out": list(dict.fromkeys(one.path.name for one in measured.held_out)),

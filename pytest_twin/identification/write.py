@@ -10,7 +10,7 @@ from pytest_twin.diagnosis.patched.model import MODEL_FILE
 from pytest_twin.diagnosis.patched.write import twin_text
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
-from pytest_twin.realization import Realization, mjcf, mjcf_file, patch
+from pytest_twin.realization import Realization, mjcf, patch
 from pytest_twin.twin import FILE_NAME
 
 
@@ -39,6 +39,6 @@ def write_fitted(
         for name, path in realization.source.assets.items():
             if not name.endswith(".xml"):
                 atomic.write_bytes(folder / name, path.read_bytes())
-    atomic.write_text(folder / MODEL_FILE, mjcf_file.text(spec))
+    atomic.write_text(folder / MODEL_FILE, str(spec.to_xml()))
     if realization.twin is not None:
         atomic.write_text(folder / FILE_NAME, twin_text(realization.twin, None))

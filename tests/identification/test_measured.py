@@ -98,7 +98,6 @@ def test_a_twin_states_its_signals(tmp_path: Path) -> None:
     )
     (tmp_path / "twin.yaml").write_text(text)
     signals = load_twin(tmp_path / "twin.yaml").signals
-    assert signals.stated
     assert signals.of("elbow").effort.quantity == "current"
     assert signals.of("elbow").effort.constant == 0.2
     assert signals.of("shoulder").effort.constant is None

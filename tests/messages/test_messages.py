@@ -128,7 +128,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         twin(lambda root: (root / "twin.yaml").write_text("model: arm.xml\ntpc: link\n")),
         "ARM/twin.yaml:2: tpc: is not a known field (expected one of schema, name, model, "
         "realizations, source, roots, topics, joints, command_mode, columns, units, clock, "
-        "command_between, controllers, payloads, calibration, calibrations, fit, parts, tcp, "
+        "command_between, signals, controllers, payloads, calibration, calibrations, fit, parts, tcp, "
         "retired, release; did you mean 'topics'?)",
     ),
     (
@@ -174,8 +174,8 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         "an unknown kind",
         golden("kind: fk", "kind: fkk"),
         "ARM/golden/home.yaml:2: kind: unknown kind (got 'fkk'; expected calibration, "
-        "collision_distance, contact, fk, frequency_response, joint_direction, limits, "
-        "mass_properties, replay, settling, step, task, tcp_accuracy)",
+        "collision_distance, contact, fk, frequency_response, identification, joint_direction, "
+        "limits, mass_properties, replay, settling, step, task, tcp_accuracy)",
     ),
     (
         "a tolerance without unit",
@@ -268,8 +268,8 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         "a kind that nobody installed",
         lambda root: check_of("weld"),
         "kind: unknown kind (got 'weld'; expected calibration, collision_distance, contact, "
-        "fk, frequency_response, joint_direction, limits, mass_properties, replay, settling, "
-        "step, task, tcp_accuracy)",
+        "fk, frequency_response, identification, joint_direction, limits, mass_properties, "
+        "replay, settling, step, task, tcp_accuracy)",
     ),
 ]
 

@@ -121,7 +121,7 @@ def features_of(
 def _described(twin: Twin) -> tuple[Path, ...]:
     """Files that say how a model is to be read."""
     fit = () if twin.fit is None else (twin.fit.path,)
-    return (twin.path, *fit)
+    return (twin.path, *fit, *(entry.record.path for entry in twin.fits))
 
 
 def _stored(path: Path, key: Mapping[str, Any], realization: str) -> Features | None:

@@ -1,0 +1,140 @@
+"""An accepted identification, re-checked on its held-out recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
+from pytest_twin.checks.fields import known_name, spec_error
+from pytest_twin.checks.files import find_file
+from pytest_twin.dependency import Structure
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.golden import Golden
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+_TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
+
+
+class IdentificationCheck(Check):
+    """The realization's effort along held-out motion, against what was measured.
+
+    ``values``: ``joints``: joint -> ``relative``, ``rms``, ``slide``; ``recorded``: joint ->
+    relative error when the identification was made.
+    """
+
+    kind: ClassVar[str] = "identification"
+    libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy", "pin")
+    tolerances: ClassVar[Mapping[str, str]] = {"effort": "1", "torque": "N*m", "force": "N"}
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "record": {**_TEXT, "description": "Id of an identification under fit:."},
+                "recordings": {
+                    "type": "array",
+                    "minItems": 1,
+                    "uniqueItems": True,
+                    "items": _TEXT,
+                    "description": "Held-out recordings of the record, relative to the twin's "
+                    "folder or to one of its roots.",
+                },
+            },
+            "required": ["record", "recordings"],
+            "additionalProperties": False,
+        },
+        "stimulus": {"type": "object", "additionalProperties": False},
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """The record, its recordings, all that moves the joints, and the encoders' zeros."""
+        target = golden.target
+        parts = {f"fit:{target['record']}"} | {f"recording:{r}" for r in target["recordings"]}
+        parts |= {f"calibration:{joint}" for joint in structure.joint_body}
+        return parts | set(structure.dynamics(None))
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """Inverse dynamics along the measured motion."""
+        from pytest_twin.identification.recheck import recheck
+
+        twin = realization.twin
+        if twin is None:
+            raise spec_error(
+                golden,
+                "target.record",
+                "an identification golden needs a twin.yaml",
+                expected="a twin.yaml in a folder above the golden, with fit:",
+            )
+        entries = {entry.record.id: entry for entry in twin.fits}
+        name = golden.target["record"]
+        record = entries[known_name(golden, "target.record", name, entries, "fit")].record
+        paths = []
+        for at, reference in enumerate(golden.target["recordings"]):
+            where = f"target.recordings.{at}"
+            path = find_file(golden, where, reference, twin)
+            if path.is_file() and file_sha256(path) not in record.inputs.values():
+                raise spec_error(
+                    golden,
+                    where,
+                    f"not a file that {name} was made from",
+                    value=reference,
+                    expected=f"one of {', '.join(record.recordings)}, unchanged",
+                )
+            if path.name not in record.recordings:
+                raise spec_error(
+                    golden,
+                    where,
+                    f"a recording that {name} was fitted on",
+                    value=reference,
+                    expected=f"one that was held out: {', '.join(record.recordings)}",
+                )
+            paths.append(path)
+        found = recheck(realization, record, paths)
+        progress(1.0)
+        return Observation(
+            {
+                "joints": {joint: asdict(one) for joint, one in found.items()},
+                "recorded": dict(record.held_out),
+            }
+        )
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """Each joint's error, relative or root mean square, against its bound."""
+        measures = []
+        recorded = observation.values["recorded"]
+        for joint, one in observation.values["joints"].items():
+            for name, bound in golden.tolerance.items():
+                if name != "effort" and (name == "force") != one["slide"]:
+                    continue
+                error = float(one["relative" if name == "effort" else "rms"])
+                measures.append(
+                    Measure(
+                        name=name,
+                        subject=f"{joint}, effort predicted by {golden.target['record']}",
+                        measured=error,
+                        golden=float(recorded.get(joint, 0.0)) if name == "effort" else 0.0,
+                        error=error,
+                        tolerance=bound.value,
+                        unit=self.tolerances[name],
+                        against="record" if name == "effort" else "recording",
+                    )
+                )
+        return measures
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Nothing: a twin that is set up has no identification yet."""
+        raise NothingToProposeError(
+            "it needs an accepted identification; docs/kinds/identification.md has an example"
+        )

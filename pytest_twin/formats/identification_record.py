@@ -1,0 +1,124 @@
+"""``identification.json`` as a twin reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.errors import FormatError
+from pytest_twin.formats import limits
+from pytest_twin.formats.digest import bytes_sha256
+from pytest_twin.formats.record_fields import number, read_record, text
+
+_EXPECTED = "identification.json of pytest-twin identify"
+_FAMILIES = ("joint", "actuator", "body", "geom")
+Laid = Mapping[str, Mapping[str, Mapping[str, float | tuple[float, ...]]]]
+"""Family -> element -> attribute -> value in SI units."""
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationRecord:
+    """What a twin takes from one identification.
+
+    Attributes:
+        id: of the record.
+        path: the file.
+        sha256: of the file, hex.
+        verdict: ``accepted``, ``improved`` or ``rejected``.
+        fit: what it lays over the model.
+        stages: stage -> its state.
+        values: parameter -> value in its unit, of the accepted stages.
+        covariance_names, covariance: of the parameters.
+        held_out: joint -> relative error of its effort on held-out recordings.
+        recordings: names of the held-out recordings.
+        filter: cutoff, parallel cutoff and rate, Hz; None without measured effort.
+        inputs: file -> SHA-256, hex.
+    """
+
+    id: str
+    path: Path
+    sha256: str
+    verdict: str
+    fit: Laid
+    stages: Mapping[str, str]
+    values: Mapping[str, float]
+    covariance_names: tuple[str, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    held_out: Mapping[str, float]
+    recordings: tuple[str, ...]
+    filter: tuple[float, float, float] | None
+    inputs: Mapping[str, str]
+
+
+def read_identification_record(path: Path) -> IdentificationRecord:
+    """Read an ``identification.json``.
+
+    Raises:
+        PathError: missing, a link, or no regular file.
+        LimitError: beyond ``limits.OBSERVATIONS``.
+        FormatError: not what ``pytest-twin identify`` writes.
+    """
+    content, data = read_record(path, _EXPECTED)
+    try:
+        if content["schema"] != 1:
+            raise KeyError("schema")
+        covariance = content["covariance"]
+        names = tuple(text(name) for name in covariance["names"])
+        matrix = tuple(tuple(number(v) for v in row) for row in covariance["matrix"])
+        if any(len(row) != len(names) for row in matrix) or len(matrix) != len(names):
+            raise ValueError("covariance")
+        filtered = content.get("filter")
+        return IdentificationRecord(
+            id=text(content["identification"]),
+            path=path,
+            sha256=bytes_sha256(data),
+            verdict=text(content["verdict"]),
+            fit=_fit(content["fit"]),
+            stages={text(one["stage"]): text(one["state"]) for one in content["stages"]},
+            values={
+                text(name): number(one["value"])
+                for name, one in content["parameters"].items()
+                if one.get("used", True)
+            },
+            covariance_names=names,
+            covariance=matrix,
+            held_out={
+                text(joint): number(one["effort_relative"])
+                for joint, one in content["held_out"].items()
+                if "effort_relative" in one
+            },
+            recordings=tuple(text(name) for name in content["trials"]["held_out"]),
+            filter=None
+            if filtered is None
+            else (
+                number(filtered["cutoff"]),
+                number(filtered["parallel"]),
+                number(filtered["rate"]),
+            ),
+            inputs={
+                text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()
+            },
+        )
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise FormatError(
+            f"a field is missing or unusable: {error}", path=path, expected=f"{_EXPECTED}, schema 1"
+        ) from None
+
+
+def _fit(value: Any) -> Laid:
+    if not set(value) <= set(_FAMILIES):
+        raise ValueError("fit")
+    if sum(len(own) for own in value.values()) > limits.OBSERVATIONS.name_chars:
+        raise ValueError("fit: too many elements")
+    return {
+        family: {
+            text(name): {
+                text(key): tuple(number(v) for v in one) if isinstance(one, list) else number(one)
+                for key, one in patch.items()
+            }
+            for name, patch in own.items()
+        }
+        for family, own in value.items()
+    }

@@ -1,0 +1,64 @@
+"""Fields of the records that a twin lists: calibrations and identifications."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pytest_twin.errors import FormatError
+from pytest_twin.formats import limits
+from pytest_twin.formats.paths import decode_text, read_bytes
+
+
+def read_record(path: Path, expected: str) -> tuple[Any, bytes]:
+    """A record's JSON, and its bytes.
+
+    Raises:
+        PathError: missing, a link, or no regular file.
+        LimitError: beyond ``limits.OBSERVATIONS``.
+        FormatError: not JSON.
+    """
+    data = read_bytes(path, limits.OBSERVATIONS.file_bytes)
+    try:
+        return json.loads(decode_text(data, path), parse_constant=_refuse), data
+    except (ValueError, RecursionError):
+        raise FormatError("not JSON", path=path, expected=expected) from None
+
+
+def text(value: Any) -> str:
+    """A name.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(value, str) or not value or len(value) > limits.OBSERVATIONS.name_chars:
+        raise ValueError("a name")
+    return value
+
+
+def number(value: Any) -> float:
+    """A finite number.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{value!r} is no finite number")
+    return float(value)
+
+
+def numbers(values: Any, count: int) -> tuple[float, ...]:
+    """So many finite numbers.
+
+    Raises:
+        ValueError: they are not.
+    """
+    if not isinstance(values, list) or len(values) != count:
+        raise ValueError(f"not {count} numbers")
+    return tuple(number(value) for value in values)
+
+
+def _refuse(word: str) -> NoReturn:
+    raise ValueError(word)

@@ -1,0 +1,206 @@
+"""Records of identifications in a twin, and goldens that re-check them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from arms import JOINTS, real, record, write_model, write_recording
+
+from pytest_twin.checks import check_of
+from pytest_twin.checks.base import Measure, NothingToProposeError
+from pytest_twin.checks.files import find_file
+from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.gate.parts import installed_version
+from pytest_twin.gate.specs import load_golden
+from pytest_twin.identification.run import identify_files
+from pytest_twin.realization import load
+from pytest_twin.staleness import Baseline, Model, Stock, Surroundings, staleness, take_stock
+from pytest_twin.twin import load_twin
+
+SPEC = """\
+schema: 1
+kind: identification
+target: {record: october, recordings: [check.csv]}
+tolerance: {effort: 3 %, torque: 0.2 N*m}
+"""
+FK = """\
+schema: 1
+kind: fk
+target: {frames: [lower]}
+stimulus: {poses: [reference]}
+tolerance: {position: 1 um, orientation: 1e-6 rad}
+"""
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("cell")
+    write_model(root)
+    robot = real(root)
+    for name, seed in (("one", 1), ("two", 2), ("check", 3)):
+        write_recording(root / f"{name}.csv", *record(robot, seed))
+    (root / "out").mkdir()
+    document = identify_files(
+        str(root / "model.xml"), [str(root / "one.csv"), str(root / "two.csv")],
+        [str(root / "check.csv")], str(root / "out"), "october", {}, {},
+    )  # fmt: skip
+    (root / "record.json").write_text(json.dumps(document))
+    (root / "twin.yaml").write_text("model: model.xml\nfit: [{file: record.json}]\n")
+    (root / "golden").mkdir()
+    (root / "golden" / "effort.yaml").write_text(SPEC)
+    (root / "golden" / "fk.yaml").write_text(FK)
+    return root
+
+
+@pytest.fixture
+def cell(identified: Path, tmp_path: Path) -> Path:
+    shutil.copytree(identified, tmp_path / "cell")
+    return tmp_path / "cell"
+
+
+def measured(root: Path) -> list[Measure]:
+    twin = load_twin(root / "twin.yaml")
+    golden = load_golden(root / "golden" / "effort.yaml", twin)
+    check = check_of("identification")
+    robot = load(root / "model.xml", twin=twin)
+    return check.compare(golden, check.observe(golden, robot, lambda fraction: None), None)
+
+
+def stock(root: Path) -> Stock:
+    twin = load_twin(root / "twin.yaml")
+    goldens = [load_golden(path, twin) for path in sorted((root / "golden").glob("*.yaml"))]
+    robot = load(root / "model.xml", twin=twin)
+
+    def digest(golden, reference: str) -> str:
+        found = root / reference if golden is None else find_file(golden, "target", reference, twin)
+        return file_sha256(found)
+
+    surroundings = Surroundings(check_of, installed_version, digest)
+    return take_stock(twin, goldens, {"mujoco": Model(robot.parts, robot.structure)}, surroundings)
+
+
+def stale(before: Stock, after: Stock) -> set[str]:
+    passed = dict.fromkeys(before.rests_on, True)
+    release = Baseline(1, before.parts, passed, before.rests_on)
+    return {key for key, why in staleness(after, release).items() if why}
+
+
+def test_the_twin_has_what_was_identified(cell: Path) -> None:
+    twin = load_twin(cell / "twin.yaml")
+    assert twin.fit is not None
+    assert twin.fit.id == "october"
+    record = twin.fits[0].record
+    assert len(record.covariance) == len(record.covariance_names) == len(record.values)
+    model = load(cell / "model.xml", twin=twin).model
+    assert model.dof_damping == pytest.approx([1.5, 0.6], abs=0.1)
+    assert cell / "record.json" in twin.files
+
+
+def test_a_single_table_still_is_a_fit(cell: Path) -> None:
+    (cell / "twin.yaml").write_text(
+        "model: model.xml\nfit: {id: by-hand, joint: {elbow: {damping: 0.9}}}\n"
+    )
+    twin = load_twin(cell / "twin.yaml")
+    assert twin.fit is not None
+    assert twin.fit.id == "by-hand"
+    assert not twin.fits
+
+
+def test_a_later_entry_goes_before_an_earlier_one(cell: Path) -> None:
+    (cell / "twin.yaml").write_text(
+        "model: model.xml\nfit:\n  - {file: record.json}\n"
+        "  - {id: by-hand, joint: {elbow: {damping: 0.9}}}\n"
+    )
+    twin = load_twin(cell / "twin.yaml")
+    assert twin.fit is not None
+    assert twin.fit.id == "october+by-hand"
+    model = load(cell / "model.xml", twin=twin).model
+    assert model.dof_damping[1] == 0.9
+    assert model.dof_damping[0] == pytest.approx(1.5, abs=0.1)
+
+
+def test_a_superseded_record_no_longer_holds(cell: Path) -> None:
+    (cell / "twin.yaml").write_text(
+        "model: model.xml\nfit:\n  - {file: record.json}\n"
+        "  - {id: by-hand, joint: {elbow: {damping: 0.9}}}\n"
+        "  - {file: second.json, supersedes: [october]}\n"
+    )
+    document = json.loads((cell / "record.json").read_text())
+    second = document | {"identification": "november", "fit": {"joint": {"elbow": {"armature": 1}}}}
+    (cell / "second.json").write_text(json.dumps(second))
+    model = load(cell / "model.xml", twin=load_twin(cell / "twin.yaml")).model
+    assert model.dof_damping.tolist() == [0.0, 0.9]
+    assert model.dof_armature[1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"verdict": "improved"}, "an identification that is not accepted (got 'improved'"),
+        ({"covariance": {"names": ["a"], "matrix": []}}, "unusable: covariance"),
+        ({"fit": {"option": {}}}, "unusable: fit"),
+        ({"fit": {"joint": {"elbow": {"damping": "x"}}}}, "'x' is no finite number"),
+        ({"schema": 2}, "a field is missing or unusable: 'schema'"),
+    ],
+)
+def test_a_record_that_cannot_be_used_is_refused(
+    cell: Path, change: dict[str, object], words: str
+) -> None:
+    document = json.loads((cell / "record.json").read_text())
+    (cell / "record.json").write_text(json.dumps(document | change))
+    with pytest.raises(TwinError) as error:
+        load_twin(cell / "twin.yaml")
+    assert words in str(error.value)
+    assert "record.json" in str(error.value) or "twin.yaml:2" in str(error.value)
+
+
+def test_the_robot_that_was_identified_passes(cell: Path) -> None:
+    found = measured(cell)
+    assert {m.name for m in found} == {"effort", "torque"}
+    assert all(m.passed for m in found)
+    assert [m.subject for m in found if m.name == "effort"] == [
+        f"{joint}, effort predicted by october" for joint in JOINTS
+    ]
+    for m in found:
+        if m.name == "effort":
+            assert m.error == pytest.approx(m.golden, rel=0.1)
+
+
+def test_a_robot_without_its_fit_fails(cell: Path) -> None:
+    (cell / "twin.yaml").write_text(
+        "model: model.xml\nfit: [{file: record.json}, {id: less, joint: {elbow: {damping: 0}}}]\n"
+    )
+    assert not all(m.passed for m in measured(cell))
+
+
+def test_a_recording_that_was_fitted_is_refused(cell: Path) -> None:
+    spec = cell / "golden" / "effort.yaml"
+    spec.write_text(spec.read_text().replace("check.csv", "one.csv"))
+    with pytest.raises(SpecError, match="a recording that october was fitted on"):
+        measured(cell)
+
+
+def test_a_changed_recording_is_refused(cell: Path) -> None:
+    (cell / "check.csv").write_text((cell / "check.csv").read_text() + "\n")
+    with pytest.raises(SpecError, match="not a file that october was made from"):
+        measured(cell)
+
+
+def test_a_new_record_makes_the_goldens_stale_that_feel_it(cell: Path) -> None:
+    before = stock(cell)
+    document = json.loads((cell / "record.json").read_text())
+    document["fit"]["joint"]["elbow"]["damping"] += 0.01
+    (cell / "record.json").write_text(json.dumps(document))
+    assert stale(before, stock(cell)) == {"golden/effort@mujoco"}
+    document["parameters"]["elbow.viscous_friction"]["value"] += 0.01
+    (cell / "record.json").write_text(json.dumps(document))
+    assert stale(before, stock(cell)) == {"golden/effort@mujoco"}
+
+
+def test_nothing_is_proposed_for_a_new_twin(cell: Path) -> None:
+    with pytest.raises(NothingToProposeError, match="it needs an accepted identification"):
+        check_of("identification").first(load(cell / "model.xml"))
