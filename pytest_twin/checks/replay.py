@@ -19,6 +19,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.episode import EPISODE_SCHEMA, recording_of
 from pytest_twin.checks.fields import known_name, quantity, spec_error
+from pytest_twin.checks.replay_signals import MISSING, effort_rms, frequency
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
@@ -29,10 +30,26 @@ if TYPE_CHECKING:
     from pytest_twin.replay import Replayed
     from pytest_twin.trial import Trial
 
-# Joint type -> the tolerances that bound it: position (rms, maximum) and velocity (rms).
+_RESPONSE = ("magnitude", "phase")
+# Joint type -> the tolerances that bound it: position (rms, maximum), velocity and effort (rms),
+# and the frequency response.
 _BOUNDS: Mapping[str, Mapping[str, str]] = {
-    "hinge": {"rms": "angle_rms", "maximum": "angle_max", "velocity_rms": "angular_velocity_rms"},
-    "slide": {"rms": "position_rms", "maximum": "position_max", "velocity_rms": "velocity_rms"},
+    "hinge": {
+        "rms": "angle_rms",
+        "maximum": "angle_max",
+        "velocity_rms": "angular_velocity_rms",
+        "effort_rms": "torque_rms",
+        "magnitude": "magnitude",
+        "phase": "phase",
+    },
+    "slide": {
+        "rms": "position_rms",
+        "maximum": "position_max",
+        "velocity_rms": "velocity_rms",
+        "effort_rms": "force_rms",
+        "magnitude": "magnitude",
+        "phase": "phase",
+    },
 }
 _TOLERANCES: Mapping[str, str] = {
     "angle_rms": "rad",
@@ -41,11 +58,17 @@ _TOLERANCES: Mapping[str, str] = {
     "position_rms": "m",
     "position_max": "m",
     "velocity_rms": "m/s",
+    "torque_rms": "N*m",
+    "force_rms": "N",
+    "magnitude": "dB",
+    "phase": "rad",
     "tcp_position_rms": "m",
     "tcp_position_max": "m",
     "tcp_orientation_max": "rad",
 }
-_JOINT_TOLERANCES = tuple(name for names in _BOUNDS.values() for name in names.values())
+_JOINT_TOLERANCES = tuple(
+    dict.fromkeys(name for names in _BOUNDS.values() for name in names.values())
+)
 _NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
 
 
@@ -56,8 +79,9 @@ class Replay(Check):
     residuals of the day of recording, so that an update shows what moved, and bounds nothing.
 
     ``values``: ``joints`` (joint -> ``type``, ``rms``, ``maximum``, ``mean``, ``at`` in s,
-    ``predicted`` and ``recorded`` there, ``velocity_rms`` or None), ``tcp`` (likewise, in m and
-    rad) or None, ``marks`` (what is doubtful in the recording: kind -> count),
+    ``predicted`` and ``recorded`` there, ``velocity_rms`` or None; where a tolerance bounds them
+    ``effort_rms`` and ``frequency``), ``tcp`` (likewise, in m and rad) or None, ``marks`` (what is
+    doubtful in the recording: kind -> count),
     ``command_between`` (held, interpolated or ramped), ``notes``.
     """
 
@@ -175,6 +199,12 @@ class Replay(Check):
             if result.error is not None:
                 raise result.error
         joints = {joint: _of_joint(results, joint, realization.structure) for joint in names}
+        for joint, numbers in joints.items():
+            asked = _asked(golden, joint)
+            if asked & {"torque_rms", "force_rms"}:
+                numbers["effort_rms"] = effort_rms(results, joint)
+            if asked & set(_RESPONSE):
+                numbers["frequency"] = frequency(results, joint)
         notes = [note for t in trials for note in t.notes]
         notes += dict.fromkeys(note for result in results for note in result.notes)
         values: dict[str, Any] = {
@@ -231,7 +261,7 @@ class Replay(Check):
     ) -> list[Measure]:
         """Hold each joint's residual, and the tool's, against the tolerances."""
         measures = list(_joint_measures(golden, observation.values["joints"]))
-        bounded = {measure.subject for measure in measures}
+        bounded = {measure.subject.partition(",")[0] for measure in measures}
         for joint in golden.target.get("joints", ()):
             if joint not in bounded:
                 names = _BOUNDS[observation.values["joints"][joint]["type"]].values()
@@ -253,6 +283,13 @@ class Replay(Check):
     ) -> tuple[Mapping[str, Any], Trace | None]:
         """The residuals of the day; the recording itself stays where it is."""
         return observation.values, None
+
+
+def _asked(golden: Golden, joint: str) -> set[str]:
+    """Tolerances that bound a joint."""
+    stated = golden.target.get("joints", {})
+    own = (stated.get(joint) or {}) if isinstance(stated, Mapping) else {}
+    return {*golden.tolerance, *own}
 
 
 def _replayed(realization: Realization, trial: Trial, progress: Progress) -> Replayed:
@@ -367,25 +404,33 @@ def _joint_measures(golden: Golden, joints: Mapping[str, Any]) -> Iterator[Measu
                 bound = golden.tolerance[name].value
             else:
                 continue
-            error = values[number]
+            response = values.get("frequency") or {}
+            error = response.get(number) if number in _RESPONSE else values[number]
             if error is None:
+                words = MISSING.get(number, "the recording has no velocity of {joint!r}")
+                what = {"effort_rms": "efforts"}.get(number, "velocities")
+                if number in _RESPONSE:
+                    what = "a longer excitation of the band"
                 raise spec_error(
                     golden,
                     f"tolerance.{name}",
-                    f"the recording has no velocity of {joint!r}",
-                    expected="a recording with velocities, or a spec without this tolerance",
+                    words.format(joint=joint),
+                    expected=f"a recording with {what}, or a spec without this tolerance",
                 )
             worst = number == "maximum"
             yield Measure(
                 name=name,
-                subject=joint,
+                subject=joint
+                if number not in _RESPONSE
+                else f"{joint}, {response['lowest']:.3g} to {response['highest']:.3g} Hz, worst at "
+                f"{response[number + '_at']:.3g} Hz",
                 measured=values["predicted"] if worst else error,
                 golden=values["recorded"] if worst else 0.0,
                 error=error,
                 tolerance=bound,
                 unit=unit,
                 against="recording",
-                time=values["at"] if number != "velocity_rms" else None,
+                time=values["at"] if number in ("rms", "maximum") else None,
             )
 
 

@@ -220,7 +220,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], type[TwinError], str]] = {
         },
         SpecError,
         "tolerance: no tolerance bounds joint 'shoulder' (expected angle_rms or angle_max or "
-        "angular_velocity_rms)",
+        "angular_velocity_rms or torque_rms or magnitude or phase)",
     ),
     "controller not stated": (
         {"target": {"recording": "soft.mcap"}, "tolerance": {"angle_rms": "1 deg"}},
