@@ -11,8 +11,9 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import POSE_LABELS, Layout, State
-from pytest_twin.calibration.problem import PIVOT, TIP, Problem, marker_of, random_rows, words_of
+from pytest_twin.calibration.problem import PIVOT, TIP, Problem, marker_of, words_of
 from pytest_twin.calibration.solve import Fit, whitened_jacobian
+from pytest_twin.calibration.workspace import drawn_flanges, drawn_joints, predicted_rows, spread
 
 UNDETERMINED_RAD = 0.05
 """Standard deviation beyond which an angle counts as not determined: no robot task can use it."""
@@ -25,9 +26,19 @@ FEIGNED_FACTOR = 3.0
 (Lu, Zhang, Xue: errors in variables). Information below the square of this factor times n is no
 evidence."""
 
+UNSEEN_ERROR = {"translation": 1e-4, "rotation": 1e-3, "point": 1e-3}
+"""Errors that residuals do not show where all poses are alike, m and rad: an arm's zeros, its
+bending and a camera's distortion are then the same in each. A good arm has 1 mrad and 1 mm; of the
+position of a target in a camera 0.1 mm. Information is counted against at least these."""
+
 LARGEST_NOISE = {"translation": 0.003, "rotation": 0.01, "point": 0.003}
 """Noise that counts at most, m and rad: larger residuals come from a wrong model or wrong input and
 say nothing about the poses."""
+
+FAR_WIDER = 3.0
+"""The unknowns count as not determined where their uncertainty alone predicts other poses of the
+workspace this many times worse than the plan accepts. Poses in a part of the workspace, tilted by
+20 degrees, predict the rest twice as badly as themselves."""
 
 STRUCTURAL = 1e-7
 """Singular values below this part of the largest are zero up to rounding."""
@@ -65,7 +76,7 @@ def hold_gauges(problem: Problem, state: State) -> tuple[Problem, tuple[Gauge, .
         layout = replace(problem.layout, links=())
         bare = replace(problem, layout=layout, fixed=replace(problem.fixed, links=np.zeros(0)))
         bare_state = replace(state, links=np.zeros(0))
-        drawn = random_rows(bare, bare_state, _DRAWN_ROWS, seed=0)
+        drawn = predicted_rows(bare, bare_state, drawn_joints(problem.chain, _DRAWN_ROWS, seed=0))
         jacobian = whitened_jacobian(drawn, bare_state, _NOISE)
         _, singular, right = np.linalg.svd(jacobian * _natural(layout))
         full = np.zeros(layout.count)
@@ -113,7 +124,10 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
     layout = fit.problem.layout
     if layout.count == 0:
         return ()
-    noise = {name: min(size, LARGEST_NOISE.get(name, np.inf)) for name, size in fit.noise.items()}
+    noise = {
+        name: float(np.clip(size, UNSEEN_ERROR.get(name, 0.0), LARGEST_NOISE.get(name, np.inf)))
+        for name, size in fit.noise.items()
+    }
     natural = _natural(layout, _lever(noise))
     jacobian = whitened_jacobian(fit.problem, fit.state, noise, fit.kept)
     _, singular, right = np.linalg.svd(jacobian * natural, full_matrices=True)
@@ -123,9 +137,13 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
     has_poses = "rotation" in fit.noise
     # A noise that few residuals tell may be larger.
     doubt = float(student.ppf(0.975, max(fit.degrees, 1.0)) / norm.ppf(0.975))
-    least = doubt / UNDETERMINED_RAD
+    least = np.full(layout.count, doubt / UNDETERMINED_RAD)
     if has_poses:
-        least = max(least, FEIGNED_FACTOR * np.sqrt(rows))
+        # What the design states is no information that noise feigns.
+        priors = sum(parameter.prior is not None for parameter in layout.parameters)
+        designed = jacobian[len(jacobian) - priors :] * natural @ right.T
+        measured = np.sum(designed**2, axis=0) < full**2 / 2.0
+        least[measured] = np.maximum(least, FEIGNED_FACTOR * np.sqrt(rows))[measured]
     null = right[(full < least) | (full <= STRUCTURAL * full.max())]
     found = []
     for direction in _simple(null):
@@ -137,6 +155,45 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
         )
         found.append(Direction(direction, apart))
     return tuple(found)
+
+
+def unsure(fit: Fit, covariance: FloatArray, quantile: float) -> tuple[Direction, ...]:
+    """Directions that make predictions in the workspace far worse than the plan accepts.
+
+    Poses that are nearly alike predict one another well whatever the unknowns are.
+
+    Args:
+        covariance: (count, count) of the unknowns, m and rad.
+        quantile: half width of a 95 % interval in standard deviations.
+    """
+    problem, accept = fit.problem, fit.problem.plan.accept
+    if problem.layout.count == 0:
+        return ()
+    if problem.chain is not None:
+        at = drawn_joints(problem.chain, _DRAWN_ROWS, seed=1)
+    else:
+        assert problem.observations.flange is not None
+        at = drawn_flanges(problem.observations.flange, _DRAWN_ROWS, seed=1)
+    found = spread(problem, fit.state, covariance, at)
+    directions = []
+    for kind, bound, unit in (
+        ("translation", accept.translation, "mm"),
+        ("rotation", accept.rotation, "mrad"),
+    ):
+        width = quantile * found.sizes.get(kind, 0.0)
+        if bound is None or width <= FAR_WIDER * norm.ppf(0.975) * bound:
+            continue
+        worst = found.worst[kind]
+        parts = parts_in_words(problem, problem.layout, worst)
+        directions.append(
+            Direction(
+                worst / np.linalg.norm(worst),
+                f"{parts[0]}: known so poorly that in other poses of the workspace predictions "
+                f"are off by up to {1e3 * width:.2g} {unit} (95 %), {1e3 * bound:.2g} {unit} are "
+                "accepted; turn the flange further, about several axes",
+            )
+        )
+    return tuple(directions)
 
 
 def affected(layout: Layout, directions: Sequence[Direction]) -> np.ndarray:

@@ -32,10 +32,6 @@ def marker_of(point: str) -> str:
     return point.removeprefix(MARKER)
 
 
-# Ranges of drawn joint positions, wide enough that no structure is hidden.
-_DRAWN_RAD, _DRAWN_M = 2.0, 0.3
-
-
 @dataclass(frozen=True)
 class Problem:
     """Terms, unknowns and the robot that connects them.
@@ -87,7 +83,7 @@ class Problem:
 
     def with_observations(self, observations: Observations) -> Problem:
         """The same problem on other observations of the same kinds."""
-        terms = _terms(self.plan, observations, self.chain is not None)
+        terms = terms_of(self.plan, observations, self.chain is not None)
         return replace(self, observations=observations, terms=terms)
 
 
@@ -100,7 +96,7 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
     """
     if chain is not None and not _has_joints(plan, observations, chain):
         chain = None
-    terms = _terms(plan, observations, chain is not None)
+    terms = terms_of(plan, observations, chain is not None)
     if not terms:
         raise plan.error(
             "observations",
@@ -204,7 +200,12 @@ def _check_joints(plan: Plan, observations: Observations, chain: SerialChain) ->
             )
 
 
-def _terms(plan: Plan, observations: Observations, has_chain: bool) -> tuple[Term, ...]:
+def terms_of(plan: Plan, observations: Observations, has_chain: bool) -> tuple[Term, ...]:
+    """What the observations measure, one term for each kind.
+
+    Raises:
+        SpecError: neither a robot nor flange poses.
+    """
     usable = np.ones(len(observations), dtype=bool)
     if not has_chain:
         if observations.flange is None:
@@ -307,39 +308,3 @@ def predicted_poses(problem: Problem, state: State) -> FloatArray:
     poses[:, :3, :3] = flange.rotation
     poses[:, :3, 3] = flange.position
     return poses
-
-
-def random_rows(problem: Problem, state: State, count: int, seed: int) -> Problem:
-    """The same problem at drawn joint positions with measurements that ``state`` predicts.
-
-    What it determines is what the structure determines, whatever the poses.
-    """
-    assert problem.chain is not None
-    draw = np.random.default_rng(seed)
-    at = np.arange(count) % len(problem.observations)
-    spread = np.where(problem.chain.revolute, _DRAWN_RAD, _DRAWN_M)
-    readings = draw.uniform(-spread, spread, (count, len(problem.chain.joints)))
-    observations = replace(
-        problem.observations.rows(at),
-        ids=tuple(str(i) for i in range(count)),
-        joints=dict(zip(problem.chain.joints, readings.T, strict=True)),
-    )
-    if observations.camera_from_target is not None:
-        identity = np.tile(np.eye(4), (count, 1, 1))
-        observations = replace(observations, camera_from_target=identity)
-    measured = [marker_of(term.point) for term in problem.terms if isinstance(term, PointTerm)]
-    points = {name: np.zeros((count, 3)) for name in measured}
-    observations = replace(observations, points=points)
-    drawn = replace(problem, observations=observations)
-    terms = _terms(problem.plan, observations, True)
-    variables = Variables(problem.layout, state, np.zeros(problem.layout.count))
-    flange = drawn.flange(variables)
-    return replace(
-        drawn,
-        terms=tuple(
-            replace(term, measured=term.predicted(flange, variables))
-            if isinstance(term, PoseTerm | PointTerm)
-            else term
-            for term in terms
-        ),
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,12 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
     quantile = float(student.ppf(0.975, max(degrees, 1.0)))
     lost = affected(layout, directions)
     return Estimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
+
+
+def with_directions(found: Estimate, directions: tuple[Direction, ...]) -> Estimate:
+    """The estimate without the unknowns that take part in some directions."""
+    lost = affected(found.fit.problem.layout, directions)
+    return replace(found, directions=directions, lost=lost)
 
 
 def records(found: Estimate) -> dict[str, Any]:

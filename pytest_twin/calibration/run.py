@@ -14,12 +14,12 @@ from pytest_twin.calibration.cameras.observed import Images, read_images
 from pytest_twin.calibration.cameras.seen import Seen, calibrate_intrinsics
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident import LeftOut, without_coincident
-from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermined
+from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermined, unsure
 from pytest_twin.calibration.observations import Observations, load_observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem
-from pytest_twin.calibration.records import Estimate, estimate, full_covariance, records
+from pytest_twin.calibration.records import Estimate, estimate, full_covariance, records, with_directions
 from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
@@ -198,7 +198,10 @@ def solve_problem(problem: Problem) -> Solved:
     best = candidates[min(cost, key=lambda name: cost[name])]
     problem, gauges = hold_gauges(problem, best)
     fit = solve(problem, best)
-    found = estimate(fit, undetermined(fit))
+    directions = undetermined(fit)
+    found = estimate(fit, directions)
+    if not directions:
+        found = with_directions(found, unsure(fit, found.covariance, found.quantile))
     kept = {name: state for name, state in candidates.items() if not is_subset(name)}
     return Solved(found, gauges, kept)
 

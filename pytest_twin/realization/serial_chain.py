@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ class SerialChain:
         revolute: (n,) True where a joint turns, False where it slides.
         end: (4, 4) the frame in the last joint's.
         signs, offsets: (n,) ``model = sign * reading + offset``, from ``twin.yaml``, rad or m.
+        limits: (n, 2) lowest and highest model position, infinite where none is stated, rad or m;
+            None where they are not known.
     """
 
     base: str
@@ -44,6 +47,7 @@ class SerialChain:
     end: Vector
     signs: Vector
     offsets: Vector
+    limits: Vector | None = None
 
 
 def load_serial_chain(path: Path, frame: str) -> SerialChain:
@@ -69,9 +73,12 @@ def load_serial_chain(path: Path, frame: str) -> SerialChain:
     if xml.parse(path).tag == "robot":
         robot = urdf.read(path)
         base, rigid = robot.root, _of_urdf(robot, path)
+        limits = {name: joint.limits for name, joint in robot.joints.items() if joint.limits}
     else:
         # Its own calibration moves the base, which here is what is looked for.
-        base, rigid = "world", reference_mjcf.build(load(path))
+        realization = load(path)
+        base, rigid = "world", reference_mjcf.build(realization)
+        limits = _ranges(realization.model)
     if frame not in rigid.frames:
         raise ModelError(
             f"the model has no frame {frame!r}",
@@ -79,7 +86,17 @@ def load_serial_chain(path: Path, frame: str) -> SerialChain:
             where="flange",
             expected=suggest(frame, tuple(rigid.frames)),
         )
-    return _series(rigid, base, frame, calibration, path)
+    chain = _series(rigid, base, frame, calibration, path)
+    free = (-np.inf, np.inf)
+    return replace(chain, limits=np.array([limits.get(name, free) for name in chain.joints]))
+
+
+def _ranges(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
+    return {
+        model.joint(at).name: (float(model.jnt_range[at, 0]), float(model.jnt_range[at, 1]))
+        for at in range(model.njnt)
+        if model.jnt_limited[at]
+    }
 
 
 def _of_urdf(robot: urdf.Robot, path: Path) -> RigidModel:

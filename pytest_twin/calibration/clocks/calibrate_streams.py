@@ -20,7 +20,8 @@ from pytest_twin.calibration.clocks.correlation import (
 from pytest_twin.calibration.clocks.offset import ClockFit, errors_at, fit_clocks
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.plan import Plan
-from pytest_twin.calibration.problem import records_of
+from pytest_twin.calibration.problem import INVERTED_RECORDS, records_of
+from pytest_twin.calibration.records import inverse_with_covariance
 from pytest_twin.calibration.residual_errors import accepted
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
 from pytest_twin.metrics.pose import quaternion_of
@@ -244,16 +245,26 @@ def _records(plan: Plan, fit: ClockFit, drifting: ClockFit, found: Correlated) -
     ):
         names = [n for n in records_of(role, "camera", plan.mount) if n in plan.estimate]
         for name in names or [child]:
-            records[name] = _pose(fit, place, pose, parent, child, asked=bool(names))
+            records[name] = _pose(name, fit, place, pose, (parent, child), asked=bool(names))
     return records
 
 
 def _pose(
-    fit: ClockFit, place: int, pose: FloatArray, parent: str, child: str, *, asked: bool
+    name: str,
+    fit: ClockFit,
+    place: int,
+    pose: FloatArray,
+    frames: tuple[str, str],
+    *,
+    asked: bool,
 ) -> dict[str, Any]:
+    parent, child = frames
     turn = np.eye(6)
     turn[3:, 3:] = pose[:3, :3].T
     covariance = turn @ fit.covariance[place : place + 6, place : place + 6] @ turn.T
+    if name in INVERTED_RECORDS:
+        pose, covariance = inverse_with_covariance(pose, covariance)
+        parent, child = "world", parent
     middle = [*pose[:3, 3], 0.0, 0.0, 0.0]
     width = fit.quantile * np.sqrt(np.diag(covariance))
     return {

@@ -1,0 +1,119 @@
+"""What a calibration would see in other poses of the robot, and how surely it predicts it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.parameters import State, Variables
+from pytest_twin.calibration.problem import Problem, marker_of, terms_of
+from pytest_twin.calibration.terms import PointTerm, PoseTerm
+from pytest_twin.realization.serial_chain import SerialChain
+
+WIDEST_RAD, WIDEST_M = 2.0, 0.3
+"""Joint positions are drawn up to this far to either side, where the limits allow it: wide enough
+that no structure of an arm is hidden."""
+
+_KINDS = {"translation": "translation", "point": "translation", "rotation": "rotation"}
+
+
+def drawn_joints(chain: SerialChain, count: int, seed: int) -> FloatArray:
+    """(count, joints) readings of encoders within the joints' limits, rad or m."""
+    draw = np.random.default_rng(seed)
+    widest = np.where(chain.revolute, WIDEST_RAD, WIDEST_M)
+    low, high = -widest, widest
+    if chain.limits is not None:
+        # A range that excludes the middle of the drawn one is drawn from where it is.
+        lowest, highest = chain.limits.T
+        low = np.clip(low, lowest, np.maximum(highest - 2.0 * widest, lowest))
+        high = np.clip(high, np.minimum(lowest + 2.0 * widest, highest), highest)
+    positions = draw.uniform(low, high, (count, len(chain.joints)))
+    return np.asarray((positions - chain.offsets) / chain.signs)
+
+
+def drawn_flanges(observed: FloatArray, count: int, seed: int) -> FloatArray:
+    """(count, 4, 4) flange poses of any orientation within the box of the observed positions, m."""
+    draw = np.random.default_rng(seed)
+    places = observed[np.isfinite(observed).all(axis=(1, 2)), :3, 3]
+    found = np.tile(np.eye(4), (count, 1, 1))
+    found[:, :3, :3] = Rotation.random(count, random_state=seed).as_matrix()
+    found[:, :3, 3] = draw.uniform(places.min(axis=0), places.max(axis=0), (count, 3))
+    return found
+
+
+def predicted_rows(problem: Problem, state: State, at: FloatArray) -> Problem:
+    """The same problem in other poses, with the measurements that ``state`` predicts.
+
+    Args:
+        at: (rows, joints) readings, or (rows, 4, 4) flange poses where there is no chain.
+    """
+    count = len(at)
+    observations = problem.observations.rows(np.arange(count) % len(problem.observations))
+    observations = replace(observations, ids=tuple(str(i) for i in range(count)))
+    if problem.chain is not None:
+        joints = dict(zip(problem.chain.joints, at.T, strict=True))
+        observations = replace(observations, joints=joints)
+    else:
+        observations = replace(observations, flange=at)
+    if observations.camera_from_target is not None:
+        identity = np.tile(np.eye(4), (count, 1, 1))
+        observations = replace(observations, camera_from_target=identity)
+    measured = [marker_of(term.point) for term in problem.terms if isinstance(term, PointTerm)]
+    points = {name: np.zeros((count, 3)) for name in measured}
+    observations = replace(observations, points=points)
+    drawn = replace(problem, observations=observations)
+    terms = terms_of(problem.plan, observations, problem.chain is not None)
+    variables = Variables(problem.layout, state, np.zeros(problem.layout.count))
+    flange = drawn.flange(variables)
+    return replace(
+        drawn,
+        terms=tuple(
+            replace(term, measured=term.predicted(flange, variables))
+            if isinstance(term, PoseTerm | PointTerm)
+            else term
+            for term in terms
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How surely a calibration predicts what is measured in other poses.
+
+    Attributes:
+        sizes: ``translation`` and, for poses, ``rotation``: standard deviation, root mean square
+            over poses and coordinates, m and rad.
+        worst: for each of them, (count,) change of the unknowns that most of it comes from.
+    """
+
+    sizes: dict[str, float]
+    worst: dict[str, FloatArray]
+
+
+def spread(problem: Problem, state: State, covariance: FloatArray, at: FloatArray) -> Spread:
+    """Standard deviation of predictions from the covariance of the unknowns alone.
+
+    Args:
+        covariance: (count, count) of the unknowns, m and rad.
+        at: poses as for :func:`predicted_rows`.
+    """
+    drawn = predicted_rows(problem, state, at)
+    found = drawn.residuals(state, np.zeros(problem.layout.count))
+    values, axes = np.linalg.eigh(covariance)
+    half = axes * np.sqrt(np.maximum(values, 0.0))
+    sizes, worst = {}, {}
+    for kind in dict.fromkeys(_KINDS.values()):
+        slopes = [
+            slope[:, [i for i, name in enumerate(term.noise) if _KINDS.get(name) == kind]]
+            for term, (_, slope) in zip(drawn.terms, found, strict=True)
+        ]
+        rows = np.concatenate([one.reshape(-1, problem.layout.count) for one in slopes])
+        if len(rows) == 0:
+            continue
+        _, singular, right = np.linalg.svd(rows @ half, full_matrices=False)
+        sizes[kind] = float(np.sqrt(np.sum(singular**2) / len(rows)))
+        worst[kind] = half @ right[0]
+    return Spread(sizes, worst)
