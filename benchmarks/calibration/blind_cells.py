@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-import cells
+import drawn_cells as cells
 
 from pytest_twin import cli
 
@@ -93,7 +93,7 @@ def holds(record: dict[str, Any], truth: np.ndarray) -> list[bool]:
 def table(scores: list[Score]) -> str:
     """Markdown, a row for each kind."""
     lines = [
-        "| cells | number | accepted | refused | intervals | hold the truth | held-out error / noise |",
+        "| cells | number | accepted | refused | intervals | hold the truth | held-out / noise |",
         "|---|---|---|---|---|---|---|",
     ]
     for kind in (*cells.KINDS, "all"):

@@ -37,7 +37,7 @@ class Robot:
 
 
 def draw_robot(rng: np.random.Generator, count: int) -> Robot:
-    """An arm of ``count`` revolute joints with links and offsets drawn about those of a usual one."""
+    """An arm of ``count`` revolute joints with drawn links and offsets."""
     axes = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
     names = tuple(f"joint{at + 1}" for at in range(count))
     opening, closing = "", ""
@@ -81,9 +81,7 @@ def rigid(turn: Array, place: Array) -> Array:
 
 def noisy(rng: np.random.Generator, poses: Array, place: float, turn: float) -> Array:
     """Poses with normal noise on each coordinate, m and rad."""
-    return np.array(
-        [p @ rigid(rng.normal(0.0, turn, 3), rng.normal(0.0, place, 3)) for p in poses]
-    )
+    return np.array([p @ rigid(rng.normal(0.0, turn, 3), rng.normal(0.0, place, 3)) for p in poses])
 
 
 def numbers(values: Array | list[float]) -> str:
@@ -97,7 +95,9 @@ INTRINSICS = {"fx": FOCAL_PX, "fy": FOCAL_PX, "cx": (WIDTH - 1) / 2.0, "cy": (HE
 """Of MuJoCo's camera: the optical axis runs through the middle of the image, px."""
 
 SQUARES, SQUARE_M, MARKER_M, DICTIONARY = (7, 5), 0.03, 0.022, "DICT_5X5_100"
-_PIXELS_PER_M, _MARGIN_M = 5000, 0.015
+_PIXELS_PER_M, _MARGIN_M = 256 / SQUARE_M, 0.015
+"""The print is 2048 by 1536 texels: reduced textures of other sizes are shifted by part of a texel,
+which looks like a focal length that is off by 6e-4."""
 
 
 def board_images(seen: Array) -> list[NDArray[np.uint8]]:
@@ -109,18 +109,19 @@ def board_images(seen: Array) -> list[NDArray[np.uint8]]:
     height, width = page.shape[0] / _PIXELS_PER_M, page.shape[1] / _PIXELS_PER_M
     low = -_MARGIN_M
     corners = [(low, low), (low + width, low), (low + width, low + height), (low, low + height)]
-    vertex = " ".join(f"{x} {y} 0" for x, y in corners)
-    # A thin back keeps the mesh a body with a volume.
-    back = " ".join(f"{x} {y} 0.002" for x, y in corners)
+    # The last vertex lies behind the plane: a mesh needs a volume.
+    vertices = [*((x, y, 0.0) for x, y in corners), (low, low, 0.001)]
+    mesh = (
+        f'<mesh name="board" inertia="shell" vertex="{numbers(np.ravel(vertices))}" '
+        'texcoord="0 0 1 0 1 1 0 1 0 0" face="0 2 1 0 3 2 0 1 4"/>'
+    )
     scene = (
         f'<mujoco><visual><global offwidth="{WIDTH}" offheight="{HEIGHT}"/>'
         '<quality offsamples="8"/><headlight ambient="0.55 0.55 0.55" diffuse="0.4 0.4 0.4" '
         'specular="0 0 0"/></visual><asset>'
         '<texture name="print" type="2d" file="print.png"/>'
         '<material name="print" texture="print" specular="0" shininess="0" reflectance="0"/>'
-        f'<mesh name="board" inertia="shell" vertex="{vertex} {back}" '
-        'texcoord="0 0 1 0 1 1 0 1 0 0 1 0 1 1 0 1" '
-        'face="0 2 1 0 3 2 4 5 6 4 6 7"/></asset><worldbody>'
+        f"{mesh}</asset><worldbody>"
         '<body name="board" mocap="true"><geom type="mesh" mesh="board" material="print" '
         'contype="0" conaffinity="0"/></body>'
         f'<camera name="camera" fovy="{FIELD_OF_VIEW}" xyaxes="1 0 0 0 -1 0"/>'

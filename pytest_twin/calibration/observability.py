@@ -78,9 +78,7 @@ def hold_gauges(problem: Problem, state: State) -> tuple[Problem, tuple[Gauge, .
         bare_state = replace(state, links=np.zeros(0))
         drawn = predicted_rows(bare, bare_state, drawn_joints(problem.chain, _DRAWN_ROWS, seed=0))
         jacobian = whitened_jacobian(drawn, bare_state, _NOISE)
-        _, singular, right = np.linalg.svd(jacobian * _natural(layout))
-        full = np.zeros(layout.count)
-        full[: len(singular)] = singular
+        full, right = _right_singular(jacobian * natural_sizes(layout))
         null = right[full <= STRUCTURAL * full.max()]
         place = layout.blocks["joint_zeros"]
         shares = np.sum(null[:, place] ** 2, axis=0)
@@ -128,11 +126,9 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
         name: float(np.clip(size, UNSEEN_ERROR.get(name, 0.0), LARGEST_NOISE.get(name, np.inf)))
         for name, size in fit.noise.items()
     }
-    natural = _natural(layout, _lever(noise))
+    natural = natural_sizes(layout, _lever(noise))
     jacobian = whitened_jacobian(fit.problem, fit.state, noise, fit.kept)
-    _, singular, right = np.linalg.svd(jacobian * natural, full_matrices=True)
-    full = np.zeros(layout.count)
-    full[: len(singular)] = singular
+    full, right = _right_singular(jacobian * natural)
     rows = max(len({int(r) for t in fit.problem.terms for r in t.rows}), 1)
     has_poses = "rotation" in fit.noise
     # A noise that few residuals tell may be larger.
@@ -205,6 +201,14 @@ def affected(layout: Layout, directions: Sequence[Direction]) -> np.ndarray:
     return parts
 
 
+def _right_singular(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(columns,) singular values, zero where rows are too few, and all their right vectors."""
+    missing = max(matrix.shape[1] - matrix.shape[0], 0)
+    padded = np.vstack([matrix, np.zeros((missing, matrix.shape[1]))])
+    _, singular, right = np.linalg.svd(padded, full_matrices=False)
+    return np.asarray(singular), np.asarray(right)
+
+
 def _lever(noise: Mapping[str, float]) -> float:
     """Length at which the noise of an angle is as large as that of a position, m."""
     if "rotation" not in noise or "translation" not in noise:
@@ -212,7 +216,7 @@ def _lever(noise: Mapping[str, float]) -> float:
     return float(np.clip(noise["translation"] / noise["rotation"], UNDETERMINED_M, 1.0))
 
 
-def _natural(layout: Layout, length: float = 1.0) -> FloatArray:
+def natural_sizes(layout: Layout, length: float = 1.0) -> FloatArray:
     """(count,) size of each unknown that counts alike: 1 rad, and a length in m."""
     return np.array([1.0 if p.unit == "rad" else length for p in layout.parameters])
 

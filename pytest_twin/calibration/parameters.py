@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -147,6 +148,33 @@ class Layout:
         return State(poses, points, zeros, links)
 
 
+class Poses(Protocol):
+    """Named transforms with derivatives."""
+
+    def pose(self, name: str, rows: int) -> Moving:
+        """A named transform, once for each row."""
+        ...
+
+
+@dataclass(frozen=True)
+class HeldPoses:
+    """Named transforms that no parameter moves.
+
+    Attributes:
+        poses: name -> (4, 4).
+        width: how many parameters the derivatives, which are zero, have.
+    """
+
+    poses: Mapping[str, FloatArray]
+    width: int
+
+    def pose(self, name: str, rows: int) -> Moving:
+        """A named transform, once for each row."""
+        pose = np.tile(self.poses[name], (rows, 1, 1))
+        nothing = np.zeros((rows, 3, self.width))
+        return Moving(pose[:, :3, :3], pose[:, :3, 3], nothing, nothing)
+
+
 @dataclass(frozen=True)
 class Variables:
     """A state and a step from it, as transforms and points with derivatives by the step."""
@@ -159,6 +187,10 @@ class Variables:
     def now(self) -> State:
         """The state after the step."""
         return self.layout.moved(self.state, self.step)
+
+    def held(self, width: int) -> HeldPoses:
+        """The transforms as they are now, with ``width`` derivatives that are zero."""
+        return HeldPoses(self.now.poses, width)
 
     def pose(self, name: str, rows: int) -> Moving:
         """A named transform, once for each row."""

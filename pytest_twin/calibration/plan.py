@@ -88,6 +88,7 @@ class Plan:
         camera, target: as written.
         points: marker -> (3,) place in the tool's frame, m, where that is known.
         given: name of a record -> (4, 4) transform that is held.
+        topics, frames: of recordings: what is observed -> topic, or frame in ``/tf``.
         lines: dotted field -> 1-based line.
     """
 
@@ -106,6 +107,8 @@ class Plan:
     priors: Priors
     hold_out: HoldOut
     accept: Accept
+    topics: Mapping[str, str] = field(default_factory=dict)
+    frames: Mapping[str, str] = field(default_factory=dict)
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
     def error(self, where: str, problem: str, **details: Any) -> SpecError:
@@ -132,15 +135,19 @@ def load_plan(path: Path) -> Plan:
     data: Mapping[str, Any] = document.data
     roots = Roots(path.parent)
 
-    def file(reference: str, where: str) -> Path:
-        return roots.resolve(reference, at=path, line=document.lines.get(where), where=where)
+    def file(reference: str, where: str, *, folder: bool = False) -> Path:
+        line = document.lines.get(where)
+        return roots.resolve(reference, at=path, line=line, where=where, folder=folder)
+
+    def observed(reference: str, where: str) -> Path:
+        return file(reference, where, folder=(path.parent / reference).is_dir())
 
     listed = data.get("observations", ())
     observations: tuple[Path, ...]
     if isinstance(listed, str):
-        observations = (file(listed, "observations"),)
+        observations = (observed(listed, "observations"),)
     else:
-        observations = tuple(file(one, f"observations.{i}") for i, one in enumerate(listed))
+        observations = tuple(observed(one, f"observations.{i}") for i, one in enumerate(listed))
     hold_out = data.get("hold_out", {})
     priors = data.get("priors", {})
     geometry = priors.get("geometry", {})
@@ -171,6 +178,8 @@ def load_plan(path: Path) -> Plan:
             tuple(str(one) for one in hold_out["ids"]) if "ids" in hold_out else None,
         ),
         accept=Accept(**data.get("accept", {})),
+        topics=data.get("recordings", {}).get("topics", {}),
+        frames=data.get("recordings", {}).get("frames", {}),
         lines=document.lines,
     )
     if not plan.observations and not plan.streams:

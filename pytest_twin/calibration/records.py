@@ -114,9 +114,11 @@ def records(found: Estimate) -> dict[str, Any]:
 def _frames(found: Estimate, name: str, record: str) -> tuple[str, str]:
     problem = found.fit.problem
     base = "base" if problem.chain is None else problem.chain.base
+    # An MJCF's base has the name that what stands still has here.
+    base = "base" if base == "world" else base
     role = name.rpartition(".")[2]
     if record == "base_world":
-        return "world", base if base != "world" else "base"
+        return "world", base
     parent = problem.plan.flange if role == "mounted" else base
     child = {
         "hand_eye": "camera",

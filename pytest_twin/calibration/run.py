@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,18 +16,26 @@ from pytest_twin.calibration.cameras.observed import Images, read_images
 from pytest_twin.calibration.cameras.seen import Seen, calibrate_intrinsics
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident import LeftOut, without_coincident
+from pytest_twin.calibration.error_sources import weighed_by_source
+from pytest_twin.calibration.next_poses import next_poses, pose_diversity
 from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermined, unsure
-from pytest_twin.calibration.observations import Observations, load_observations
+from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem
-from pytest_twin.calibration.records import Estimate, estimate, full_covariance, records, with_directions
+from pytest_twin.calibration.recordings.gathered import gather
+from pytest_twin.calibration.records import (
+    Estimate,
+    estimate,
+    full_covariance,
+    records,
+    with_directions,
+)
 from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import is_subset, starts
 from pytest_twin.calibration.suspects import doubtful, suspects
-from pytest_twin.errors import SpecError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
@@ -43,15 +53,24 @@ class Solved:
         estimate: with covariance and directions that are not determined.
         gauges: zeros that were held.
         candidates: algebraic solver -> its state.
+        sources: of error -> standard deviation, m and rad; empty where they cannot be told apart.
     """
 
     estimate: Estimate
     gauges: tuple[Gauge, ...]
     candidates: Mapping[str, State]
+    sources: Mapping[str, float]
 
 
-def calibrate_file(plan: str, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
+def calibrate_file(
+    plan: str, progress: Callable[[float], None] | None = None, folder: str | None = None
+) -> dict[str, Any]:
     """The content of ``calibration.json`` for the plan in a file.
+
+    Args:
+        plan: path of the plan.
+        progress: called with the fraction done, 0 to 1.
+        folder: where observations and images of recordings are kept; they are lost without one.
 
     Raises:
         TwinError: input that cannot be used.
@@ -66,26 +85,42 @@ def calibrate_file(plan: str, progress: Callable[[float], None] | None = None) -
         raise found.error(
             "observations", "no observations", expected="observations: observations.csv"
         )
-    if len(found.observations) > 1:
-        raise SpecError(
-            "more than one file of observations",
-            path=found.path,
-            where="observations",
-            expected="one CSV file; append the rows of the others",
-        )
-    observations = load_observations(found.observations[0])
+    with contextlib.ExitStack() as stack:
+        place = folder or stack.enter_context(tempfile.TemporaryDirectory())
+        return _calibrate_observations(found, Path(place), told)
+
+
+def _calibrate_observations(
+    found: Plan, folder: Path, told: Callable[[float], None]
+) -> dict[str, Any]:
+    gathered = gather(found, folder)
+    observations = gathered.observations
     chain = None
     if found.robot is not None and observations.joints:
         chain = load_serial_chain(found.robot, found.flange)
-    observations, images, rejected = read_images(found, observations)
+    observations, images, rejected = read_images(found, observations, folder)
+    rejected = (*gathered.left_out, *rejected)
     told(0.4 if images else 0.1)
     if images is not None and set(found.estimate) == {"intrinsics"}:
         document = calibrate_intrinsics(found, observations, images, rejected)
     else:
         document = calibrate(found, observations, chain, told, images, rejected)
     robot = [found.robot] if found.robot else []
-    document["inputs"] = _inputs(found, [found.path, *found.observations, *robot])
+    files = [found.path, *_files(found.observations), *robot]
+    files += [one for one in gathered.tables if one not in files and folder.is_dir()]
+    if images is not None:
+        files += images.paths
+    document["inputs"] = _inputs(found, files)
     return document
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    """The files themselves, and those in folders of bags."""
+    return [
+        file
+        for path in paths
+        for file in (sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path])
+    ]
 
 
 def _inputs(plan: Plan, paths: Sequence[Path]) -> dict[str, Any]:
@@ -150,6 +185,8 @@ def calibrate(
         document["held_out"]["with_excluded"] = of_all.summary()
     document["fitted"] = fitted.summary()
     document["fitted"]["noise"] = dict(fit.noise)
+    if solved.sources:
+        document["fitted"]["error_sources"] = dict(solved.sources)
     document["fitted"]["leave_one_out"] = dict(solved.estimate.leave_one_out)
     document["solvers"] = _solvers(held, solved, errors)
     document["excluded"] = [
@@ -179,6 +216,8 @@ def calibrate(
     seen_notes = () if seen is None else seen.notes
     document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
     document["covariance"] = full_covariance(solved.estimate)
+    document["pose_diversity"] = pose_diversity(fit.problem, solved.estimate)
+    document["next_poses"] = next_poses(solved.estimate)
     document["software"] = {"pytest-twin": __version__}
     progress(1.0)
     return document
@@ -202,8 +241,9 @@ def solve_problem(problem: Problem) -> Solved:
     found = estimate(fit, directions)
     if not directions:
         found = with_directions(found, unsure(fit, found.covariance, found.quantile))
+    found, sources = weighed_by_source(found)
     kept = {name: state for name, state in candidates.items() if not is_subset(name)}
-    return Solved(found, gauges, kept)
+    return Solved(found, gauges, kept, sources)
 
 
 def without_gross(errors: Errors) -> tuple[Errors, tuple[LeftOut, ...]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -263,23 +263,33 @@ def _whitened(
         (slope * weight[:, None, None] / size[:, None]).reshape(-1, problem.layout.count)
         for slope, weight, size in zip(slopes, weights, _sizes(problem, noise), strict=True)
     ]
-    return np.concatenate([*rows, _prior_rows(problem)])
+    return np.concatenate([*rows, prior_rows(problem)])
 
 
-def _prior_rows(problem: Problem) -> FloatArray:
+def at_state(fit: Fit, state: State) -> Fit:
+    """The fit with its residuals, noise and derivatives at another state."""
+    residuals, slopes = _residuals(fit.problem, state)
+    noise = _noise(fit.problem, residuals, slopes, fit.noise, fit.kept)
+    jacobian = _whitened(fit.problem, slopes, noise, [one.astype(float) for one in fit.kept])
+    return replace(fit, state=state, noise=noise, residuals=tuple(residuals), jacobian=jacobian)
+
+
+def prior_rows(problem: Problem) -> FloatArray:
+    """(priors, count) derivatives of the priors' residuals, in standard deviations."""
     parameters = problem.layout.parameters
     rows = [np.eye(len(parameters))[i] / p.prior for i, p in enumerate(parameters) if p.prior]
     return np.reshape(rows, (-1, len(parameters)))
 
 
-def _prior_values(problem: Problem, state: State) -> FloatArray:
+def prior_values(problem: Problem, state: State) -> FloatArray:
+    """(priors,) residuals of the priors, in standard deviations."""
     layout = problem.layout
     values = np.zeros(layout.count)
     if layout.zeros:
         values[layout.blocks["joint_zeros"]] = state.zeros[list(layout.zeros)]
     if layout.links:
         values[layout.blocks["geometry"]] = state.links
-    return _prior_rows(problem) @ values
+    return prior_rows(problem) @ values
 
 
 def _least_squares(
@@ -291,7 +301,7 @@ def _least_squares(
 ) -> State:
     if problem.layout.count == 0:
         return state
-    priors = _prior_rows(problem)
+    priors = prior_rows(problem)
     sizes = _sizes(problem, noise)
 
     known: dict[bytes, list[tuple[FloatArray, FloatArray]]] = {}
@@ -309,7 +319,7 @@ def _least_squares(
             (residual * weight[:, None] / size).reshape(-1)
             for (residual, _), weight, size in zip(evaluated(step), weights, sizes, strict=True)
         ]
-        return np.concatenate([*rows, _prior_values(problem, state) + priors @ step])
+        return np.concatenate([*rows, prior_values(problem, state) + priors @ step])
 
     def jacobian(step: FloatArray) -> FloatArray:
         return _whitened(problem, [slope for _, slope in evaluated(step)], noise, weights)

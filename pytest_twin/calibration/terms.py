@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.parameters import Variables
+from pytest_twin.calibration.parameters import Poses, Variables
 from pytest_twin.calibration.plan import Mount
 from pytest_twin.calibration.tangent import Moving, inverse_left_jacobian
 
@@ -91,7 +91,26 @@ class PoseTerm:
         poses[:, :3, :3], poses[:, :3, 3] = moving.rotation, moving.position
         return poses
 
-    def _moving(self, flange: Moving, variables: Variables) -> Moving:
+    def by_flange(self, flange: Moving, variables: Variables) -> FloatArray:
+        """(m, 6, 6) change of the residuals with the flange's position and rotation vector.
+
+        Both are in the flange's own axes, m and rad.
+        """
+        turned = flange.rotation
+        nothing = np.zeros_like(turned)
+        own = Moving(
+            turned,
+            flange.position,
+            np.concatenate([nothing, turned], axis=2),
+            np.concatenate([turned, nothing], axis=2),
+        )
+        predicted = self._moving(own, variables.held(6))
+        back = np.swapaxes(self.measured[:, :3, :3], 1, 2)
+        rotation = Rotation.from_matrix(back @ predicted.rotation).as_rotvec()
+        slope = inverse_left_jacobian(rotation) @ back @ predicted.turn
+        return np.concatenate([predicted.shift, slope], axis=1)
+
+    def _moving(self, flange: Moving, variables: Poses) -> Moving:
         count = len(self.rows)
         carried = at_rows(flange, self.rows) @ variables.pose(self.mounted, count)
         world = variables.pose(self.world, count)

@@ -27,6 +27,9 @@ EXIT_STATUS = {
 }
 ACCEPTED, NOT_ACCEPTED = 0, 1
 FILE_NAME, PAGE_NAME = "calibration.json", "calibration.html"
+OBSERVATIONS = "observations"
+"""Folder in which tables and images of recordings are kept, so that they can be tried again."""
+
 EXPORTS = ("static_transforms.sh", "easy_handeye2.calib", "calibrated.urdf")
 
 _READABLE = {
@@ -62,10 +65,11 @@ def run(args: argparse.Namespace) -> int:
     plan: Path = args.plan
     if not plan.is_file():
         raise PathError("no such file", path=plan, expected="a calibration plan (.yaml)")
+    kept = args.out.absolute() / OBSERVATIONS
     with Sandbox() as sandbox, Progress("calibrating") as progress:
         document = sandbox.call(
             "pytest_twin.calibration.run:calibrate_file",
-            {"plan": str(plan.absolute())},
+            {"plan": str(plan.absolute()), "folder": str(kept)},
             progress=progress,
         )
         out = folders.make(args.out)

@@ -47,6 +47,12 @@ class Gatherer:
         }
         self.topics: dict[str, Topic] = {}
 
+    def wants(self, topic: str, schema: str) -> bool:
+        """Whether messages of a topic are to be read; others are only counted."""
+        if any(reader.topic == topic for reader in self.readers.values()):
+            return True
+        return any(message_type(schema, role) is not None for role in _ROLES)
+
     def file(self, path: Path) -> Contents:
         """Begin with one file: what it declares and holds goes into the contents returned."""
         contents = Contents()

@@ -21,7 +21,6 @@ from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Contents, Region, Schema
 from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_file
 from pytest_twin.formats.gather import Gatherer
-from pytest_twin.formats.message_types import message_type
 from pytest_twin.formats.paths import open_regular
 
 MAGIC = b"SQLite format 3\0"
@@ -206,13 +205,12 @@ class _Database:
 
     def regions(self, connection: sqlite3.Connection) -> Iterator[Region]:
         """Messages in the order in which they were written."""
+        schemas = self.contents.schemas
         known = [
             number
-            for number, schema in self.contents.schemas.items()
-            if any(message_type(schema.name, role) for role in ("state", "command"))
+            for number, channel in self.contents.channels.items()
+            if self.gatherer.wants(channel.topic, schemas[number].name if number in schemas else "")
         ]
-        wanted = {reader.topic for reader in self.gatherer.readers.values()}
-        known += [n for n, c in self.contents.channels.items() if c.topic in wanted]
         others = set(self.contents.channels) - set(known)
         if others:
             self.gatherer.count(self.contents, self.counts(connection, others))

@@ -91,6 +91,46 @@ def test_poses_that_do_not_determine_the_camera_are_refused(
     assert found["unobservable"]
 
 
+@pytest.mark.parametrize("noise", [1e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("accept", [None, 3.0])
+def test_poses_that_turn_by_a_milliradian_are_refused(noise: float, accept: float | None) -> None:
+    rng = np.random.default_rng(3)
+    turns = Rotation.from_rotvec(rng.uniform(-1e-3, 1e-3, (25, 3))).as_matrix()
+    flange = np.array([rigid(turn, rng.uniform(-0.3, 0.3, 3)) for turn in turns])
+    cell = cells.flange_cell(rng, flange, translation=noise, rotation=2.0 * noise)
+    bounds = Accept() if accept is None else Accept(accept * noise, 2.0 * accept * noise)
+    found = calibrate(cells.plan("hand_eye", accept=bounds), cell.observations, None)
+    assert found["verdict"] == "degenerate"
+    assert "hand_eye" not in found["records"]
+
+
+def test_poses_that_say_little_of_the_rest_of_the_workspace_are_refused() -> None:
+    rng = np.random.default_rng(4)
+    turns = Rotation.from_rotvec(rng.uniform(-0.01, 0.01, (40, 3))).as_matrix()
+    flange = np.array([rigid(turn, rng.uniform(-0.1, 0.1, 3)) for turn in turns])
+    cell = cells.flange_cell(rng, flange, translation=3e-4, rotation=1e-3)
+    plan = cells.plan("hand_eye", accept=Accept(translation=1e-3))
+    found = calibrate(plan, cell.observations, None)
+    assert found["held_out"]["translation_rms"] < 1e-3
+    assert found["verdict"] == "degenerate"
+    assert "in other poses of the workspace predictions are off by" in found["reasons"][0]
+
+
+def test_each_source_of_error_is_told_from_the_others() -> None:
+    rng = np.random.default_rng(5)
+    flange = np.array([cells.pose(rng, 0.4) for _ in range(150)])
+    cell = cells.flange_cell(rng, flange, translation=2e-4, rotation=1e-3)
+    # The robot's reported orientation is off by 3 mrad, its position by nothing.
+    told = cells.noisy(flange, 0.0, 3e-3, rng)
+    observations = replace(cell.observations, flange=told)
+    found = calibrate(cells.plan("hand_eye", hold_out=HoldOut(0.0)), observations, None)
+    sources = found["fitted"]["error_sources"]
+    assert sources["flange_rotation"] == pytest.approx(3e-3, rel=0.15)
+    assert sources["rotation"] == pytest.approx(1e-3, rel=0.3)
+    assert sources["across"] == pytest.approx(2e-4, rel=0.5)
+    assert sources["flange_translation"] < 3e-4
+
+
 def test_one_axis_of_rotation_leaves_the_position_along_it_open() -> None:
     rng = np.random.default_rng(0)
     turns = Rotation.from_rotvec(np.outer(rng.uniform(-1, 1, 20), [0, 0, 1])).as_matrix()

@@ -45,6 +45,7 @@ class Images:
         files: id of an observation -> its image, relative to the table of observations.
         given: intrinsics of the plan, or None.
         estimated: whether the intrinsics are to be estimated.
+        paths: of the images that are there.
     """
 
     target: Target
@@ -53,6 +54,7 @@ class Images:
     files: Mapping[str, str]
     given: Intrinsics | None
     estimated: bool
+    paths: tuple[Path, ...] = ()
 
     def camera(self, ids: Sequence[str]) -> Camera:
         """The camera from the images of some observations, or as given.
@@ -151,9 +153,11 @@ class Images:
 
 
 def read_images(
-    plan: Plan, observations: Observations
+    plan: Plan, observations: Observations, folder: Path | None = None
 ) -> tuple[Observations, Images | None, tuple[LeftOut, ...]]:
     """The target in the images of the observations; None where the plan has no images.
+
+    Images lie in the plan's folder, or in ``folder`` where those of recordings are.
 
     Observations whose image is not usable, and that hold no other measurement, are left out.
 
@@ -179,7 +183,8 @@ def read_images(
             error.where or "target", error.problem, value=error.value, expected=error.expected
         ) from None
     names = [one for one, image in zip(observations.ids, observations.images, strict=True) if image]
-    found = detect_files(_paths(plan, observations), target, names)
+    paths = _paths(plan, observations, folder)
+    found = detect_files(paths, target, names)
     usable = {one.image: one for one in found if one.usable}
     rejected = tuple(one for one in found if not one.usable)
     if not usable:
@@ -195,13 +200,14 @@ def read_images(
     left_out = tuple(LeftOut(one.image, one.rejected) for one in rejected)
     estimated = "intrinsics" in plan.estimate or given is None
     files = dict(zip(observations.ids, observations.images, strict=True))
-    images = Images(target, usable, rejected, files, given, estimated)
+    there = tuple(path for path in paths if path.is_file())
+    images = Images(target, usable, rejected, files, given, estimated, there)
     return observations.rows(keep), images, left_out
 
 
-def _paths(plan: Plan, observations: Observations) -> list[Path]:
+def _paths(plan: Plan, observations: Observations, folder: Path | None) -> list[Path]:
     """Files of the images; one that is missing is found out by its reader."""
-    roots = Roots(plan.path.parent)
+    roots = Roots(plan.path.parent, () if folder is None else (folder,))
     table = plan.observations[0] if plan.observations else plan.path
     found = []
     for reference in observations.images or ():

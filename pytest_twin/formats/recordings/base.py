@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
+from pytest_twin.formats.gather import Gatherer
 from pytest_twin.formats.recording import TOPICS, Recording
 
 
@@ -40,6 +41,25 @@ class Reader(Protocol):
 
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
         """Read it.
+
+        Raises:
+            TwinError: it cannot be read.
+        """
+        ...
+
+
+@runtime_checkable
+class BagReader(Protocol):
+    """Reads recordings of messages: those of any topic can be gathered.
+
+    Attributes:
+        kind: what it reads, for people.
+    """
+
+    kind: ClassVar[str]
+
+    def gather(self, path: Path, gatherer: Gatherer) -> None:
+        """Give all messages to a gatherer.
 
         Raises:
             TwinError: it cannot be read.

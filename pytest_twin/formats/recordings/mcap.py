@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from pytest_twin.formats.mcap import read_recording
+from pytest_twin.formats.gather import Gatherer
+from pytest_twin.formats.mcap import gather_mcap, read_recording
 from pytest_twin.formats.mcap_walk import MAGIC
 from pytest_twin.formats.recording import Recording
 from pytest_twin.formats.recordings.base import Asked, first_bytes
@@ -28,6 +29,10 @@ class McapFile:
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
         """Read it."""
         return [read_recording(path, asked.topics)]
+
+    def gather(self, path: Path, gatherer: Gatherer) -> None:
+        """Give all messages to a gatherer."""
+        gather_mcap(path, gatherer)
 
 
 __all__ = ["SUFFIXES", "McapFile"]

@@ -39,6 +39,11 @@ class Rosbag2Folder:
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
         """Read all its files as one recording."""
         gatherer = Gatherer(path, asked.topics)
+        self.gather(path, gatherer)
+        return [gatherer.recording()]
+
+    def gather(self, path: Path, gatherer: Gatherer) -> None:
+        """Give all messages of the folder's files to a gatherer."""
         if (path / METADATA).is_file():
             information = _information(path / METADATA)
             files = _named_files(path, information)
@@ -60,7 +65,6 @@ class Rosbag2Folder:
             else:
                 gather_mcap(file, gatherer)
         _compare(information, gatherer)
-        return [gatherer.recording()]
 
 
 def _information(path: Path) -> Mapping[str, Any]:

@@ -28,5 +28,9 @@ class SqliteFile:
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
         """Read it."""
         gatherer = Gatherer(path, asked.topics)
-        gather_sqlite(path, gatherer)
+        self.gather(path, gatherer)
         return [gatherer.recording()]
+
+    def gather(self, path: Path, gatherer: Gatherer) -> None:
+        """Give all messages to a gatherer."""
+        gather_sqlite(path, gatherer)

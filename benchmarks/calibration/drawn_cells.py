@@ -166,9 +166,7 @@ def _images(rng: np.random.Generator, folder: Path, mount: str) -> Cell:
     for row, image in enumerate(board_images(seen)):
         grain = rng.normal(0.0, 2.0, image.shape)
         names.append(f"images/{row}.png")
-        cv2.imwrite(
-            str(folder / names[-1]), np.clip(image + grain, 0.0, 255.0).astype(np.uint8)
-        )
+        cv2.imwrite(str(folder / names[-1]), np.clip(image + grain, 0.0, 255.0).astype(np.uint8))
     cell = Cell("images", folder / "calibration.yaml", mount, noise=place)
     _truth(cell, mounted, world)
     cell.scalars = {f"intrinsics.{name}": value for name, value in INTRINSICS.items()}

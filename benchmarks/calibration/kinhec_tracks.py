@@ -1,0 +1,199 @@
+"""Calibrates the sequences of the KinHEC generator beside its reference solvers, in one table.
+
+    pip install "kinhec>=1.1"
+    kinhec generate --tier small --out kinhec_small
+    python benchmarks/calibration/kinhec_tracks.py kinhec_small
+
+KinHEC (Aiersilan, MIT licence) draws robots, cameras, noise and motions. Its own benchmark gives
+every solver the same keyframes and compares the transform X of the flange to the camera or target
+with the truth. Errors are medians: angle in degrees, distance in mm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from kinhec import benchmark, load_manifest, load_sequence
+from kinhec.metrics import calibration_errors
+
+from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
+from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.plan import Accept, HoldOut, Plan, Priors
+from pytest_twin.calibration.run import calibrate
+from pytest_twin.errors import TwinError
+from pytest_twin.metrics.pose import rotation_of
+
+OURS = "pytest-twin"
+
+
+def plan_of(mount: str, streams: dict[str, Path] | None = None) -> Plan:
+    """A plan for hand-eye and robot-world that accepts any error."""
+    return Plan(
+        id="kinhec", path=Path("calibration.yaml"), robot=None, flange="flange",
+        observations=(Path("observations.csv"),), streams=streams or {},
+        estimate=("hand_eye", "robot_world"), mount=mount,  # type: ignore[arg-type]
+        camera={}, target={}, points={}, given={}, priors=Priors(), hold_out=HoldOut(0.0),
+        accept=Accept(),
+    )  # fmt: skip
+
+
+def transforms(document: dict[str, Any], mount: str) -> tuple[np.ndarray, np.ndarray] | None:
+    """X and Y of ``A X = Y B``; None where the calibration refuses them."""
+    records = document["records"]
+    names = ("hand_eye", "robot_world") if mount == "hand" else ("target", "robot_world")
+    if not all(name in records for name in names):
+        return None
+    found = []
+    for name in names:
+        pose = np.eye(4)
+        pose[:3, :3] = rotation_of(records[name]["transform"]["quaternion_wxyz"])
+        pose[:3, 3] = records[name]["transform"]["xyz"]
+        found.append(pose)
+    return found[0], found[1]
+
+
+def of_poses(sequence: Any) -> dict[str, Any]:
+    """The calibration from the keyframes that every solver gets."""
+    flange, seen, _, _ = benchmark._keyframe_data(sequence, None)
+    mount = "hand" if sequence.eye_in_hand else "world"
+    poses = np.linalg.inv(seen) if mount == "hand" else seen
+    observations = Observations(
+        ids=tuple(str(i) for i in range(len(flange))), flange=flange, camera_from_target=poses
+    )
+    document = calibrate(plan_of(mount), observations, None)
+    factor = document["suspected"][0].get("factor") if document["suspected"] else None
+    if factor is None:
+        return document
+    # As the report says: correct the target's size and run again.
+    poses = poses.copy()
+    poses[:, :3, 3] *= factor
+    document = calibrate(plan_of(mount), replace(observations, camera_from_target=poses), None)
+    return {**document, "factor": factor}
+
+
+def of_streams(sequence: Any) -> dict[str, Any]:
+    """The calibration from two streams on two clocks."""
+    with tempfile.TemporaryDirectory() as folder:
+        files = {}
+        for name, time, poses in (
+            ("hand", sequence.robot.t, sequence.robot.T_base_ee_meas),
+            ("camera", sequence.camera.t, sequence.camera.T_cam_target_meas),
+        ):
+            there = np.isfinite(poses).all(axis=(1, 2))
+            quaternion = benchmark.se3.pose_to_pq(poses[there])
+            table = np.column_stack([time[there], quaternion[:, :3], quaternion[:, 4:],
+                                     quaternion[:, 3]])  # fmt: skip
+            files[name] = Path(folder) / f"{name}.csv"
+            np.savetxt(files[name], table, delimiter=",", fmt="%.12g")
+        mount = "hand" if sequence.eye_in_hand else "world"
+        return calibrate_streams(plan_of(mount, files))
+
+
+def ours(sequence: Any) -> dict[str, Any]:
+    """A row of results as KinHEC's benchmark makes them."""
+    row: dict[str, Any] = {"sequence_id": sequence.id, "solver": OURS, "ok": False, "error": ""}
+    solve: Callable[[Any], dict[str, Any]] = of_poses if sequence.synchronous else of_streams
+    try:
+        document = solve(sequence)
+    except TwinError as error:
+        return row | {"error": str(error)}
+    if "time_offset" in document["records"]:
+        value = document["records"]["time_offset"]["value"]
+        # Our value is added to the camera's stamps, KinHEC's is subtracted.
+        row["time_offset_err_ms"] = 1e3 * abs(-value - sequence.time_offset)
+    found = transforms(document, "hand" if sequence.eye_in_hand else "world")
+    if document["verdict"] == "degenerate" or found is None:
+        return row | {"error": "; ".join(document["unobservable"])[:200]}
+    return row | {"ok": True} | calibration_errors(found[0], sequence.X, found[1], sequence.Y)
+
+
+def results(root: Path, most: int | None) -> pd.DataFrame:
+    """A row for each sequence and solver, the reference solvers and ours."""
+    manifest = load_manifest(root)
+    rows: list[dict[str, Any]] = []
+    for track, mine in manifest.groupby("track"):
+        chosen = mine["sequence_id"].tolist()
+        if most is not None and len(chosen) > most:
+            even = np.linspace(0, len(chosen) - 1, most).astype(int)
+            chosen = [chosen[at] for at in even]
+        for number, name in enumerate(chosen):
+            sequence = load_sequence(root, name, manifest)
+            mode = "oracle" if sequence.synchronous else "estimated"
+            theirs = benchmark.evaluate_sequence(
+                sequence, list(benchmark.SOLVERS), mode, np.random.default_rng(number)
+            )
+            tags = {"group": group_of(sequence, str(track)), "level": mine["level"].iloc[0]}
+            rows += [one | tags for one in theirs] + [ours(sequence) | tags]
+        print(f"{track}: {len(chosen)} sequences", file=sys.stderr, flush=True)
+    return pd.DataFrame(rows)
+
+
+def group_of(sequence: Any, track: str) -> str:
+    """The track, and for motions what is varied and whether it determines X at all."""
+    tags = json.loads(sequence.manifest["config_json"]).get("tags", {})
+    if track == "robot_error" or "subtrack" not in tags:
+        return track
+    if tags["subtrack"] == "cone":
+        return "motion, one axis" if tags["cone_half_angle_deg"] == 0 else "motion, cone of axes"
+    if tags["subtrack"] == "joint_subsets":
+        lacking = tags["subset"] in ("single", "parallel")
+        return "motion, one axis" if lacking else "motion, some joints"
+    return "motion, few poses"
+
+
+def table(found: pd.DataFrame) -> str:
+    """Markdown: ours, the best reference solver by its median distance, and how far each fails."""
+    lines = [
+        "| track | sequences | pytest-twin: refused | pytest-twin | best reference | its name | "
+        "worst of pytest-twin | of that reference |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for group, mine in found.groupby("group"):
+        us = mine[mine["solver"] == OURS]
+        solved = us[us["ok"]]
+        others = mine[(mine["solver"] != OURS) & mine["ok"]]
+        best = others.groupby("solver")["X_trans_err_mm"].median().idxmin()
+        theirs = others[others["solver"] == best]
+
+        def median(rows: pd.DataFrame) -> str:
+            if not len(rows):
+                return ""
+            angle, distance = rows["X_rot_err_deg"].median(), rows["X_trans_err_mm"].median()
+            return f"{angle:.3f} deg, {distance:.2f} mm"
+
+        def worst(rows: pd.DataFrame) -> str:
+            return f"{rows['X_trans_err_mm'].max():.1f} mm" if len(rows) else ""
+
+        lines.append(
+            f"| {group} | {len(us)} | {len(us) - len(solved)} | {median(solved)} | "
+            f"{median(theirs)} | {best} | {worst(solved)} | {worst(theirs)} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("data", type=Path, help="folder that kinhec generate wrote")
+    parser.add_argument("--most", type=int, help="sequences of each track, evenly chosen")
+    parser.add_argument("--csv", type=Path, help="all results, one row for each solver")
+    arguments = parser.parse_args()
+    # Reference solvers warn of singular matrices where motions are degenerate.
+    warnings.simplefilter("ignore")
+    found = results(arguments.data, arguments.most)
+    if arguments.csv:
+        found.to_csv(arguments.csv, index=False)
+    print(table(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,161 @@
+"""How diverse the poses of a calibration are, and which further ones would help most."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.observability import UNDETERMINED_RAD, natural_sizes
+from pytest_twin.calibration.problem import Problem, predicted_poses
+from pytest_twin.calibration.records import Estimate
+from pytest_twin.calibration.solve import whitened_jacobian
+from pytest_twin.calibration.terms import PoseTerm
+from pytest_twin.calibration.workspace import (
+    drawn_flanges,
+    drawn_joints,
+    predicted_rows,
+    spread,
+)
+from pytest_twin.metrics.pose import pose_vector
+
+WANTED = 5
+"""Poses that are proposed: as many as an engineer adds before looking again."""
+
+_DRAWN = 3000
+_KEPT = 300
+_AROUND_RAD, _AROUND_M = 0.5, 0.1
+_WIDER = 1.2
+"""A target counts as visible where its distance, its direction and its tilt are within the range of
+those that were seen, widened by this factor."""
+
+
+def pose_diversity(problem: Problem, estimate: Estimate) -> dict[str, Any]:
+    """Root mean square turn about each principal axis (rad), and the box of positions (m)."""
+    flange = predicted_poses(problem, estimate.fit.state)
+    flange = flange[np.isfinite(flange).all(axis=(1, 2))]
+    rotations = Rotation.from_matrix(flange[:, :3, :3])
+    turns = (rotations.mean().inv() * rotations).as_rotvec()
+    size = np.sqrt(np.linalg.eigvalsh(turns.T @ turns / max(len(turns), 1))[::-1])
+    box = np.ptp(flange[:, :3, 3], axis=0)
+    return {"turns": size.tolist(), "turns_unit": "rad", "box": box.tolist(), "box_unit": "m"}
+
+
+def next_poses(found: Estimate) -> dict[str, Any]:
+    """Poses that add most information about the unknowns, one after another (D-optimal).
+
+    Each is the one of some hundred drawn poses whose observation reduces the volume of the
+    unknowns' uncertainty most, given those before it (greedy exchange; Daney, Papegay, Madeline:
+    Choosing measurement poses for robot calibration, 2005). Drawn poses are within the joints'
+    limits, and what is seen from them is within the range of what was seen.
+
+    Returns:
+        ``poses`` with ``joints`` or ``flange`` and ``information`` (halvings of the uncertainty's
+        volume), and the standard deviation of predictions in the workspace now and with them.
+    """
+    fit = found.fit
+    problem, state = fit.problem, fit.state
+    at = _drawn(problem)
+    candidates = predicted_rows(problem, state, at)
+    visible = _visible(problem, candidates)
+    if visible.sum() < WANTED:
+        return {"poses": []}
+    chosen = np.flatnonzero(visible)[:_KEPT]
+    candidates = candidates.on_rows(chosen)
+    rows = whitened_jacobian(candidates, state, fit.noise)
+    priors = sum(parameter.prior is not None for parameter in problem.layout.parameters)
+    rows = rows[: len(rows) - priors]
+    blocks = _by_row(candidates, rows)
+    weak = np.diag((UNDETERMINED_RAD / natural_sizes(problem.layout)) ** 2)
+    information = fit.jacobian.T @ fit.jacobian + weak
+    poses = []
+    for _ in range(WANTED):
+        covariance = np.linalg.inv(information)
+        middle = np.eye(blocks.shape[1]) + blocks @ covariance @ np.swapaxes(blocks, 1, 2)
+        gain = np.linalg.slogdet(middle)[1] / 2.0
+        best = int(np.argmax(gain))
+        information = information + blocks[best].T @ blocks[best]
+        poses.append(_stated(problem, at[chosen[best]], float(gain[best]) / np.log(2.0)))
+    seen = drawn_flanges if problem.chain is None else None
+    where = (
+        seen(problem.observations.flange, 60, seed=1)  # type: ignore[arg-type]
+        if seen is not None
+        else drawn_joints(problem.chain, 60, seed=1)  # type: ignore[arg-type]
+    )
+    before = np.linalg.inv(fit.jacobian.T @ fit.jacobian + weak)
+    return {
+        "poses": poses,
+        "predictions_now": spread(problem, state, before, where).sizes,
+        "predictions_then": spread(problem, state, np.linalg.inv(information), where).sizes,
+    }
+
+
+def _drawn(problem: Problem) -> FloatArray:
+    """Joint readings or flange poses: some anywhere, some around those that were observed."""
+    draw = np.random.default_rng(3)
+    some = draw.integers(len(problem.observations), size=_DRAWN)
+    if problem.chain is None:
+        flange = problem.observations.flange
+        assert flange is not None
+        near = flange[some[: _DRAWN // 2]].copy()
+        turn = Rotation.from_rotvec(draw.normal(0.0, _AROUND_RAD, (len(near), 3)))
+        near[:, :3, :3] = near[:, :3, :3] @ turn.as_matrix()
+        near[:, :3, 3] += draw.normal(0.0, _AROUND_M, (len(near), 3))
+        near = near[np.isfinite(near).all(axis=(1, 2))]
+        return np.concatenate([near, drawn_flanges(flange, _DRAWN // 2, seed=4)])
+    chain = problem.chain
+    wide = drawn_joints(chain, _DRAWN, seed=4)
+    step = draw.normal(0.0, 1.0, (_DRAWN // 2, len(chain.joints)))
+    near = problem.readings[some[: _DRAWN // 2]] + step * np.where(
+        chain.revolute, _AROUND_RAD, _AROUND_M
+    )
+    if chain.limits is not None:
+        low, high = (chain.limits.T - chain.offsets) / chain.signs
+        near = np.clip(near, np.minimum(low, high), np.maximum(low, high))
+    # Alternately, so that the first that are visible are of both kinds.
+    return np.stack([near, wide[: len(near)]], axis=1).reshape(-1, len(chain.joints))
+
+
+def _visible(problem: Problem, candidates: Problem) -> np.ndarray:
+    """(rows,) whether distance, direction and tilt of the target are as they were before."""
+    pairs = [
+        (one, drawn)
+        for one, drawn in zip(problem.terms, candidates.terms, strict=False)
+        if isinstance(one, PoseTerm) and isinstance(drawn, PoseTerm)
+    ]
+    fine = np.ones(len(candidates.observations), dtype=bool)
+    for one, drawn in pairs:
+        for before, now in zip(_view(one.measured), _view(drawn.measured), strict=True):
+            middle = (before.max() + before.min()) / 2.0
+            fine &= np.abs(now - middle) <= _WIDER * (before.max() - middle) + 1e-9
+    return fine
+
+
+def _view(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Distance (m), angle from the optical axis and tilt of each target (rad)."""
+    distance = np.linalg.norm(poses[:, :3, 3], axis=1)
+    towards = np.arccos(np.clip(poses[:, 2, 3] / np.maximum(distance, 1e-9), -1.0, 1.0))
+    return distance, towards, np.arccos(np.clip(poses[:, 2, 2], -1.0, 1.0))
+
+
+def _by_row(problem: Problem, rows: FloatArray) -> FloatArray:
+    """(observations, width, count) whitened derivatives of each observation, zero where none."""
+    count = len(problem.observations)
+    width = sum(len(term.noise) for term in problem.terms)
+    found = np.zeros((count, width, rows.shape[1]))
+    at = place = 0
+    for term in problem.terms:
+        size = len(term.noise)
+        part = rows[at : at + size * len(term.rows)].reshape(len(term.rows), size, -1)
+        found[term.rows, place : place + size] = part
+        at, place = at + size * len(term.rows), place + size
+    return found
+
+
+def _stated(problem: Problem, at: FloatArray, information: float) -> dict[str, Any]:
+    if problem.chain is None:
+        return {"flange": pose_vector(at).tolist(), "information": information}
+    joints = {n: float(v) for n, v in zip(problem.chain.joints, at, strict=True)}
+    return {"joints": joints, "information": information}

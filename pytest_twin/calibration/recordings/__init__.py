@@ -1,0 +1,1 @@
+"""Observations from recordings: joint states, images and poses while the robot stands still."""

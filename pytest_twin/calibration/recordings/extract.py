@@ -1,0 +1,237 @@
+"""A recording as a folder of observations: ``observations.csv`` and its images."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.boards.target import KINDS
+from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.coincident import LeftOut
+from pytest_twin.calibration.plan import Plan
+from pytest_twin.calibration.recordings.at_rest import (
+    STILL_M,
+    STILL_RAD,
+    interpolated,
+    rests,
+)
+from pytest_twin.calibration.recordings.pose_topics import poses_asked, relative_seconds
+from pytest_twin.errors import LimitError, RecordingError
+from pytest_twin.formats import atomic, limits
+from pytest_twin.formats.recording import TOPICS, JointSeries
+from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+from pytest_twin.formats.sensor_messages import Picture
+
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """What one recording gives.
+
+    Attributes:
+        rows: of observations, heading -> text.
+        left_out: frames that are not usable, with the reason.
+        notes: for people.
+    """
+
+    rows: tuple[Mapping[str, str], ...]
+    left_out: tuple[LeftOut, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Robot:
+    """States of the robot: joints, or the flange where there are no joints."""
+
+    time: FloatArray
+    values: FloatArray
+    still: FloatArray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    flange: PoseStream | None
+
+    def cells(self, stamp: float) -> dict[str, str]:
+        """The robot at a stamp as columns of ``observations.csv``."""
+        if self.flange is not None:
+            return pose_cells("flange", self.flange.at(np.array([stamp]))[0])
+        values = interpolated(np.array([stamp]), self.time, self.values)[0]
+        return {f"joint.{name}": repr(float(v)) for name, v in zip(self.names, values, strict=True)}
+
+
+def pose_cells(prefix: str, pose: FloatArray) -> dict[str, str]:
+    """A (4, 4) pose as columns of ``observations.csv``, m."""
+    quaternion = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)
+    return {
+        f"{prefix}.{part}": repr(float(value))
+        for part, value in zip(_POSE, (*pose[:3, 3], *quaternion), strict=True)
+    }
+
+
+def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
+    """Observations of the moments at which the robot stood still, one for each.
+
+    Joint states, or the flange's pose, are interpolated to the stamp of the image or pose.
+
+    Args:
+        plan: which topics and frames.
+        path: the recording.
+        folder: where images are written, as ``images/NAME``.
+
+    Raises:
+        TwinError: a recording that cannot be read, lacks what the plan needs, or leaves open which
+            topic is meant.
+    """
+    state = {"state": plan.topics.get("state", TOPICS["state"])}
+    bag = gather_sensors(SensorGatherer(path, state))
+    recording = bag.recording()
+    zero = relative_seconds(bag, recording.series.get("state"))
+    wants_images = plan.target.get("kind") in KINDS
+    robot = _robot(plan, bag, recording.series.get("state"), zero)
+    notes = [f"{path.name}: {note}" for note in (*map(str, recording.damage), *recording.notes)]
+    if wants_images:
+        topic = _image_topic(plan, bag)
+        stamps = (np.array(bag.stamps[topic], dtype=np.int64) - zero) * 1e-9
+        seen = None
+    else:
+        topic, seen = poses_asked(plan, bag, "camera_from_target", ("camera", "target"), zero)
+        stamps = seen.time
+    order = np.argsort(stamps, kind="stable")
+    still, moving = rests(
+        stamps[order], robot.time, robot.values, robot.still, robot.names, robot.units
+    )
+    left_out = [
+        LeftOut(_span(path, order[list(one.rows)]), f"{len(one.rows)} frames: {one.why}")
+        for one in moving
+    ]
+    if not still:
+        raise RecordingError(
+            "the robot stands still in no image or pose",
+            path=path,
+            where=topic,
+            value=f"{len(stamps)} frames; first: {moving[0].why}" if moving else "no frames",
+            expected="stops of half a second; two streams on the move go under streams:",
+        )
+    chosen = [int(order[one.middle]) for one in still]
+    repeated = sum(len(one.rows) - 1 for one in still)
+    if repeated:
+        notes.append(
+            f"{path.name}: of {repeated + len(still)} frames at rest, {len(still)} are used, one "
+            "for each place where the robot stood"
+        )
+    rows = []
+    files = _write_images(bag, topic, chosen, folder) if wants_images else {}
+    for number in chosen:
+        row = {"id": _name(path, number), "time": repr(float(stamps[number]))}
+        row |= robot.cells(float(stamps[number]))
+        if seen is None:
+            if number not in files:
+                left_out.append(LeftOut(row["id"], "an image that cannot be decoded"))
+                continue
+            row["image"] = files[number]
+        else:
+            row |= pose_cells("camera_from_target", seen.poses[number])
+        rows.append(row)
+    return Extracted(tuple(rows), tuple(left_out), tuple(notes))
+
+
+def write_table(rows: Sequence[Mapping[str, str]], path: Path) -> None:
+    """Write rows of observations as a CSV file, whole or not at all."""
+    header = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, header, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    atomic.make_folder(path.parent)
+    atomic.write_text(path, text.getvalue())
+
+
+def _robot(plan: Plan, bag: SensorGatherer, joints: JointSeries | None, zero: int) -> _Robot:
+    if joints is not None and joints.position is not None and "flange" not in plan.topics:
+        there = np.isfinite(joints.position).all(axis=1)
+        time = (joints.stamp[there] - zero) * 1e-9
+        if len(time) > 1:
+            order = np.argsort(time, kind="stable")
+            width = len(joints.names)
+            return _Robot(
+                time[order], joints.position[there][order], np.full(width, STILL_RAD),
+                joints.names, ("rad",) * width, None,
+            )  # fmt: skip
+    _, flange = poses_asked(plan, bag, "flange", ("base", "flange"), zero)
+    turns = Rotation.from_matrix(flange.poses[:, :3, :3])
+    # Small turns from pose to pose, summed: a measure of motion, not an orientation.
+    steps = np.cumsum(np.vstack([np.zeros(3), (turns[:-1].inv() * turns[1:]).as_rotvec()]), axis=0)
+    return _Robot(
+        flange.time,
+        np.column_stack([flange.poses[:, :3, 3], steps]),
+        np.repeat([STILL_M, STILL_RAD], 3),
+        ("flange x", "flange y", "flange z", "flange rx", "flange ry", "flange rz"),
+        ("m",) * 3 + ("rad",) * 3,
+        flange,
+    )
+
+
+def _image_topic(plan: Plan, bag: SensorGatherer) -> str:
+    topic = plan.topics.get("image")
+    if topic is None and len(bag.stamps) == 1:
+        topic = next(iter(bag.stamps))
+    if topic is None or topic not in bag.stamps:
+        raise RecordingError(
+            "no topic of images" if not bag.stamps or topic else "several topics of images",
+            path=bag.path,
+            value=topic or ", ".join(sorted(bag.stamps)) or None,
+            expected="recordings: {topics: {image: TOPIC}} of " + ", ".join(sorted(bag.stamps))
+            if bag.stamps
+            else "sensor_msgs Image or CompressedImage",
+        )
+    return topic
+
+
+def _write_images(
+    bag: SensorGatherer, topic: str, chosen: Sequence[int], folder: Path
+) -> dict[int, str]:
+    """Decode some images and write them; number -> path relative to the folder."""
+    if len(chosen) > limits.IMAGES.files_count:
+        raise LimitError(
+            "too many images at rest", path=bag.path, value=len(chosen),
+            expected=f"at most {limits.IMAGES.files_count}",
+        )  # fmt: skip
+    atomic.make_folder(folder / "images")
+    found: dict[int, str] = {}
+
+    def keep(of: str, number: int, picture: Picture) -> None:
+        kind = "png" if picture.grey is not None else "image"
+        name = f"images/{_name(bag.path, number)}.{kind}"
+        atomic.write_bytes(folder / name, _file_of(picture))
+        found[number] = name
+
+    again = replace(bag, wanted={topic: frozenset(chosen)}, picture=keep, poses={}, stamps={})
+    gather_sensors(again)
+    return found
+
+
+def _file_of(picture: Picture) -> bytes:
+    if picture.grey is None:
+        return picture.file
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(picture.grey).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def _name(path: Path, number: int) -> str:
+    stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in path.name.split(".")[0])
+    return f"{stem}-{number:06d}"
+
+
+def _span(path: Path, numbers: np.ndarray) -> str:
+    first, last = _name(path, int(numbers.min())), int(numbers.max())
+    return first if len(numbers) == 1 else f"{first} to {last:06d}"

@@ -1,0 +1,114 @@
+"""All observations of a plan: tables and recordings, one or several."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.coincident import LeftOut
+from pytest_twin.calibration.observations import Observations, load_observations
+from pytest_twin.calibration.plan import Plan
+from pytest_twin.calibration.recordings.extract import extract, write_table
+
+TABLE = "observations.csv"
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What a plan's files hold.
+
+    Attributes:
+        observations: of all files, one after another.
+        left_out: frames of recordings that are not usable.
+        tables: the CSV files that they were read from; those of recordings were written.
+    """
+
+    observations: Observations
+    left_out: tuple[LeftOut, ...]
+    tables: tuple[Path, ...]
+
+
+def gather(plan: Plan, folder: Path) -> Gathered:
+    """Read the observations of a plan.
+
+    Args:
+        plan: names the files.
+        folder: where tables and images of recordings are written, each recording in its own
+            folder.
+
+    Raises:
+        TwinError: a file that cannot be used.
+    """
+    parts: list[Observations] = []
+    left_out: list[LeftOut] = []
+    tables: list[Path] = []
+    for number, path in enumerate(plan.observations):
+        notes: tuple[str, ...] = ()
+        table = path
+        if path.suffix.lower() != ".csv":
+            place = folder / f"{number}_{path.name.split('.')[0]}"
+            found = extract(plan, path, place)
+            table = place / TABLE
+            write_table(found.rows, table)
+            left_out += found.left_out
+            notes = found.notes
+        one = load_observations(table)
+        if one.images is not None and (table is not path or len(plan.observations) > 1):
+            images = tuple(str(table.parent / image) if image else "" for image in one.images)
+            one = replace(one, images=images)
+        parts.append(replace(one, notes=(*one.notes, *notes)))
+        tables.append(table)
+    return Gathered(joined(parts, tables), tuple(left_out), tuple(tables))
+
+
+def joined(parts: Sequence[Observations], tables: Sequence[Path]) -> Observations:
+    """Observations of several tables, one after another.
+
+    Ids that occur in several tables are preceded by the table's number.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    ids = Counter(name for part in parts for name in part.ids)
+    sizes = [len(part) for part in parts]
+
+    def numbers(take: Callable[[Observations], FloatArray | None], shape: tuple[int, ...]):  # type: ignore[no-untyped-def]
+        found = [take(part) for part in parts]
+        if all(one is None for one in found):
+            return None
+        return np.concatenate(
+            [
+                np.full((size, *shape), np.nan) if one is None else one
+                for one, size in zip(found, sizes, strict=True)
+            ]
+        )
+
+    def words(take: Callable[[Observations], tuple[str, ...] | None]) -> tuple[str, ...] | None:
+        found = [take(part) for part in parts]
+        if all(one is None for one in found):
+            return None
+        return tuple(
+            word for one, size in zip(found, sizes, strict=True) for word in (one or ("",) * size)
+        )
+
+    joints = dict.fromkeys(name for part in parts for name in part.joints)
+    points = dict.fromkeys(name for part in parts for name in part.points)
+    return Observations(
+        ids=tuple(
+            name if ids[name] == 1 else f"{number}/{name}"
+            for number, part in enumerate(parts)
+            for name in part.ids
+        ),
+        time=numbers(lambda part: part.time, ()),
+        joints={n: numbers(lambda part, n=n: part.joints.get(n), ()) for n in joints},  # type: ignore[misc]
+        flange=numbers(lambda part: part.flange, (4, 4)),
+        camera_from_target=numbers(lambda part: part.camera_from_target, (4, 4)),
+        points={n: numbers(lambda part, n=n: part.points.get(n), (3,)) for n in points},  # type: ignore[misc]
+        images=words(lambda part: part.images),
+        pivots=words(lambda part: part.pivots),
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )

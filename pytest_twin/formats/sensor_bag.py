@@ -1,0 +1,117 @@
+"""Joint states, poses and images of a bag: MCAP, a rosbag2 folder or a bare ``.db3``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.errors import FormatError, RecordingError
+from pytest_twin.formats.bag import Channel, Contents, Region
+from pytest_twin.formats.compressed import unpacked_messages
+from pytest_twin.formats.gather import Gatherer
+from pytest_twin.formats.limits import MCAP
+from pytest_twin.formats.message_types import long_name
+from pytest_twin.formats.recordings import reader_of
+from pytest_twin.formats.recordings.base import BagReader
+from pytest_twin.formats.sensor_messages import (
+    IMAGES,
+    POSES,
+    TRANSFORMS,
+    Picture,
+    Stamped,
+    picture_of,
+    poses_of,
+    stamp_of,
+)
+from pytest_twin.formats.serialized import Encoding, Integers, MessageError
+from pytest_twin.formats.topic_reader import TopicReader
+
+
+@dataclass
+class SensorGatherer(Gatherer):
+    """Gathers poses and the stamps of images beside joint states.
+
+    Attributes:
+        poses: topic -> poses in the order of the file; of ``/tf`` and ``/tf_static`` those too.
+        stamps: topic of images -> stamp of each, ns.
+        picture: called with topic, number and image of those that ``wanted`` names.
+        wanted: topic -> numbers of the images to decode.
+    """
+
+    path: Path
+    state: Mapping[str, str]
+    wanted: Mapping[str, frozenset[int]] = field(default_factory=dict)
+    picture: Callable[[str, int, Picture], None] | None = None
+    poses: dict[str, list[Stamped]] = field(default_factory=dict)
+    stamps: dict[str, list[int]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        Gatherer.__init__(self, self.path, self.state)
+
+    def wants(self, topic: str, schema: str) -> bool:
+        """Whether messages of a topic are to be read."""
+        known = long_name(schema) in (*POSES, *TRANSFORMS, *IMAGES)
+        return known or Gatherer.wants(self, topic, schema)
+
+    def take(self, region: Region, contents: Contents) -> None:
+        """Take all messages of a region."""
+        Gatherer.take(self, region, contents)
+        for number in np.unique(region.channel).tolist():
+            channel = contents.channels.get(number)
+            declared = None if channel is None else contents.schemas.get(channel.schema_id)
+            if channel is None or declared is None:
+                continue
+            kind = long_name(declared.name)
+            if kind in (*POSES, *TRANSFORMS, *IMAGES):
+                self._sensed(region, np.flatnonzero(region.channel == number), channel, kind)
+
+    def _sensed(self, region: Region, rows: Integers, channel: Channel, kind: str) -> None:
+        if channel.encoding not in ("cdr", "ros1"):
+            raise RecordingError(
+                "poses and images are read from CDR only",
+                path=self.path, where=channel.topic, value=channel.encoding, expected="cdr, ros1",
+            )  # fmt: skip
+        encoding: Encoding = "ros1" if channel.encoding == "ros1" else "cdr"
+        if TopicReader.packed(region, rows):
+            region = unpacked_messages(
+                region, rows, MCAP.uncompressed_bytes, self.path, channel.topic
+            )
+            rows = np.arange(len(rows))
+        for start, size in zip(region.start[rows], region.size[rows], strict=True):
+            message = region.data[start : start + size]
+            try:
+                if kind in IMAGES:
+                    self._image(message, channel.topic, kind, encoding)
+                else:
+                    found = poses_of(message, kind, encoding)
+                    self.poses.setdefault(channel.topic, []).extend(found)
+            except MessageError as error:
+                self.notes.add(channel.topic, f"a message that cannot be decoded: {error}")
+
+    def _image(self, message: bytes, topic: str, kind: str, encoding: Encoding) -> None:
+        stamps = self.stamps.setdefault(topic, [])
+        number = len(stamps)
+        stamps.append(stamp_of(message, encoding))
+        if self.picture is not None and number in self.wanted.get(topic, ()):
+            self.picture(topic, number, picture_of(message, kind, encoding))
+
+
+def gather_sensors(gatherer: SensorGatherer) -> SensorGatherer:
+    """Read the bag that a gatherer names.
+
+    Raises:
+        TwinError: as every reader of bags.
+        FormatError: a recording without messages, such as a CSV file.
+    """
+    reader = reader_of(gatherer.path)
+    if not isinstance(reader, BagReader):
+        raise FormatError(
+            f"a {reader.kind} holds no poses and images",
+            path=gatherer.path,
+            expected="an MCAP file, a rosbag2 folder, a .db3 file, or observations.csv",
+        )
+    reader.gather(gatherer.path, gatherer)
+    return gatherer

@@ -1,0 +1,205 @@
+"""Observations from bags: joint states between stamps, frames in motion, /tf, images."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import written_bags as bags
+import yaml
+from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks" / "calibration"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "boards"))
+
+from rendered_boards import CAMERA, charuco, view
+from simulated import draw_robot, flange_poses, rigid
+
+from pytest_twin import cli
+from pytest_twin.formats.sensor_messages import picture_of
+
+STOPS, STEP_S = 16, 2.0
+"""The robot moves for one second and stands for one."""
+
+
+def path_of(places: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """(n, k) positions: a smooth move to each place, then a stop of one second."""
+    number = np.clip((time // STEP_S).astype(int), 0, len(places) - 1)
+    share = np.clip(time % STEP_S, 0.0, 1.0)[:, None]
+    before = places[np.maximum(number - 1, 0)]
+    return before + (3 * share**2 - 2 * share**3) * (places[number] - before)
+
+
+def cell(folder: Path, **changed: object) -> tuple[np.ndarray, list[tuple]]:
+    """A plan and the messages of a robot whose camera sees a target's pose; the true hand-eye."""
+    rng = np.random.default_rng(5)
+    robot = draw_robot(rng, 6)
+    (folder / "robot.xml").write_text(robot.text)
+    places = rng.uniform(-1.2, 1.2, (STOPS, 6))
+    mounted, world = (
+        rigid(np.array([0.1, 0.2, 0.3]), np.array([0.03, 0.0, 0.06])),
+        rigid(np.array([0.0, 3.0, 0.2]), np.array([0.5, 0.1, 0.0])),
+    )
+    states = np.arange(0.0, STOPS * STEP_S, 0.01)
+    frames = np.arange(0.05, STOPS * STEP_S - 0.1, 0.1)
+    messages = [
+        ("/joint_states", "sensor_msgs/msg/JointState", t,
+         bags.joint_state(t, list(robot.joints), q))
+        for t, q in zip(states, path_of(places, states), strict=True)
+    ]  # fmt: skip
+    flange = flange_poses(robot, path_of(places, frames))
+    seen = np.linalg.inv(flange @ mounted) @ world
+    for t, pose in zip(frames, seen, strict=True):
+        pose = pose @ rigid(rng.normal(0, 5e-4, 3), rng.normal(0, 2e-4, 3))
+        messages.append(("/target", "geometry_msgs/msg/PoseStamped", t, bags.pose_stamped(t, pose)))
+    plan = {
+        "calibration": "cell", "robot": "robot.xml", "flange": "flange",
+        "observations": "bag.mcap", "estimate": ["hand_eye", "robot_world"],
+        "accept": {"translation": 0.002, "rotation": 0.003},
+    }  # fmt: skip
+    (folder / "plan.yaml").write_text(yaml.safe_dump(plan | changed))
+    return mounted, messages
+
+
+def calibrated(folder: Path) -> tuple[int, dict]:
+    status = cli.main(["calibrate", str(folder / "plan.yaml"), "--out", str(folder / "out")])
+    found = folder / "out" / "calibration.json"
+    return status, json.loads(found.read_text()) if found.exists() else {}
+
+
+def assert_near(found: dict, truth: np.ndarray) -> None:
+    xyz = found["records"]["hand_eye"]["transform"]["xyz"]
+    np.testing.assert_allclose(xyz, truth[:3, 3], atol=6e-4)
+
+
+def test_a_bag_of_joint_states_and_poses_gives_one_observation_for_each_stop(tmp_path):
+    truth, messages = cell(tmp_path)
+    bags.write(tmp_path / "bag.mcap", messages)
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    assert_near(found, truth)
+    assert found["fitted"]["count"] + found["held_out"]["count"] == STOPS
+    moving = [one for one in found["excluded"] if "in motion" in one["why"]]
+    assert len(moving) == STOPS - 1
+    assert "mrad within 100 ms of its stamp" in moving[1]["why"]
+    kept = tmp_path / "out" / "observations" / "0_bag" / "observations.csv"
+    assert len(kept.read_text().splitlines()) == STOPS + 1
+    # The table that was kept gives the same calibration without the bag.
+    plan = yaml.safe_load((tmp_path / "plan.yaml").read_text())
+    plan["observations"] = "out/observations/0_bag/observations.csv"
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
+    assert calibrated(tmp_path)[1]["records"] == found["records"]
+
+
+def test_several_files_are_taken_together(tmp_path):
+    truth, messages = cell(tmp_path, observations=["one.mcap", "two.mcap"])
+    half = STOPS * STEP_S / 2
+    bags.write(tmp_path / "one.mcap", [one for one in messages if one[2] < half])
+    bags.write(tmp_path / "two.mcap", [one for one in messages if one[2] >= half])
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    assert_near(found, truth)
+    assert set(found["inputs"]) >= {"one.mcap", "two.mcap", "plan.yaml", "robot.xml"}
+
+
+def test_frames_of_tf_are_connected_and_need_no_model(tmp_path):
+    frames = {"base": "base", "flange": "tool0", "camera": "optical", "target": "tag"}
+    truth, messages = cell(tmp_path, recordings={"frames": frames})
+    plan = yaml.safe_load((tmp_path / "plan.yaml").read_text())
+    del plan["robot"]
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
+    rng = np.random.default_rng(5)
+    robot = draw_robot(rng, 6)
+    shift = rigid(np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.1, 0.2]))
+    told = []
+    for topic, _, t, message in messages:
+        if topic == "/joint_states":
+            pose = flange_poses(robot, np.array([message["position"]]))[0]
+            # By way of a link between them, and with the second edge the other way round.
+            told.append(("/tf", "tf2_msgs/msg/TFMessage", t, bags.transforms(
+                t, ("base", "link", pose @ shift), ("tool0", "link", shift))))  # fmt: skip
+        else:
+            body = message["pose"]
+            seen = np.eye(4)
+            q = body["orientation"]
+            seen[:3, :3] = Rotation.from_quat([q[k] for k in "xyzw"]).as_matrix()
+            seen[:3, 3] = [body["position"][k] for k in "xyz"]
+            told.append(
+                ("/tf", "tf2_msgs/msg/TFMessage", t, bags.transforms(t, ("optical", "tag", seen)))
+            )
+    bags.write(tmp_path / "bag.mcap", told)
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    assert_near(found, truth)
+
+
+def test_images_are_taken_from_the_bag_and_kept(tmp_path):
+    rng = np.random.default_rng(3)
+    mounted, world = (
+        rigid(np.array([0.1, 0.2, 0.3]), np.array([0.05, 0.0, 0.06])),
+        rigid(np.array([0.2, 3.0, 0.1]), np.array([0.6, 0.1, 0.0])),
+    )
+    messages = []
+    for number in range(9):
+        turn = [*rng.uniform(-0.45, 0.45, 2), rng.uniform(-0.6, 0.6)]
+        seen = rigid(np.array(turn), np.array([-0.07, -0.1, rng.uniform(0.38, 0.5)]))
+        flange = world @ np.linalg.inv(seen) @ np.linalg.inv(mounted)
+        for t in np.arange(number, number + 0.9, 0.05):
+            messages.append(
+                ("/flange", "geometry_msgs/msg/PoseStamped", t, bags.pose_stamped(t, flange))
+            )
+        picture = view(charuco(), turn, [-0.07, -0.1, seen[2, 3]])
+        at = number + 0.5
+        messages.append(
+            ("/camera", "sensor_msgs/msg/CompressedImage", at, bags.compressed(at, picture))
+        )
+    bags.write(tmp_path / "bag.mcap", messages)
+    names = ("fx", "fy", "cx", "cy")
+    plan = {
+        "calibration": "cell", "observations": "bag.mcap", "estimate": ["hand_eye"],
+        "recordings": {"topics": {"flange": "/flange"}},
+        "camera": {"intrinsics": dict(zip(names, CAMERA.vector.tolist(), strict=False))},
+        "target": {"kind": "charuco", "squares": [5, 7], "square": 0.03, "marker": 0.022,
+                   "dictionary": "DICT_5X5_100"},
+        "accept": {"translation": 0.002},
+    }  # fmt: skip
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    assert_near(found, mounted)
+    images = list((tmp_path / "out" / "observations" / "0_bag" / "images").iterdir())
+    assert len(images) == 9
+    assert sum("images" in name for name in found["inputs"]) == 9
+
+
+def test_a_robot_that_never_stops_is_refused_with_what_to_do(tmp_path, capsys):
+    _, messages = cell(tmp_path)
+    names = [f"joint{i + 1}" for i in range(6)]
+    moving = [
+        (topic, kind, t, bags.joint_state(t, names, np.full(6, 0.3 * t)))
+        if topic == "/joint_states"
+        else (topic, kind, t, message)
+        for topic, kind, t, message in messages
+    ]
+    bags.write(tmp_path / "bag.mcap", moving)
+    assert calibrated(tmp_path)[0] == 2
+    words = capsys.readouterr().err
+    assert "the robot stands still in no image or pose" in words
+    assert "two streams on the move go under streams:" in words
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "rgb8"])
+def test_pixels_of_an_image_are_read(encoding: str, tmp_path: Path) -> None:
+    grey = np.random.default_rng(0).integers(0, 255, (7, 5), dtype=np.uint8)
+    message = bags.image(1.5, grey, encoding)
+    text = encoding.encode() + b"\0"
+    header = np.array([message["header"]["stamp"][k] for k in ("sec", "nanosec")], "<u4")
+    data = b"\0\1\0\0" + header.tobytes() + b"\1\0\0\0\0" + b"\0\0\0"
+    data += np.array([7, 5, len(text)], "<u4").tobytes() + text + b"\0"
+    data += b"\0" * (-(len(data) - 4) % 4) + np.array([message["step"]], "<u4").tobytes()
+    data += np.array([len(message["data"])], "<u4").tobytes() + message["data"]
+    found = picture_of(data, "sensor_msgs/msg/Image", "cdr")
+    np.testing.assert_array_equal(found.grey, grey)
