@@ -86,7 +86,7 @@ def weighed_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
     weights = linear.weights(variances)
     normal = _product(linear.slopes, weights @ linear.slopes) + prior
     try:
-        covariance = np.linalg.inv(normal)
+        covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     except np.linalg.LinAlgError:
         return found, {}
     quantile = float(student.ppf(0.975, max(fit.degrees, 1.0)))

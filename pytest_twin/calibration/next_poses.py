@@ -84,11 +84,12 @@ def next_poses(found: Estimate) -> dict[str, Any]:
         if seen is not None
         else drawn_joints(problem.chain, 60, seed=1)  # type: ignore[arg-type]
     )
-    before = np.linalg.inv(fit.jacobian.T @ fit.jacobian + weak)
+    before = np.asarray(np.linalg.inv(fit.jacobian.T @ fit.jacobian + weak), dtype=np.float64)
+    then = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return {
         "poses": poses,
         "predictions_now": spread(problem, state, before, where).sizes,
-        "predictions_then": spread(problem, state, np.linalg.inv(information), where).sizes,
+        "predictions_then": spread(problem, state, then, where).sizes,
     }
 
 

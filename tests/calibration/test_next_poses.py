@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import cells
@@ -45,10 +46,7 @@ def test_proposed_poses_are_within_limits_and_help_more_than_drawn_ones() -> Non
     more = np.array([[one["joints"][name] for name in chain.joints] for one in proposed])
     assert more.shape == (5, 6)
     assert np.abs(more).max() <= 1.5
-    assert all(
-        a["information"] >= b["information"] > 0
-        for a, b in zip(proposed, proposed[1:], strict=False)
-    )
+    assert all(a["information"] >= b["information"] > 0 for a, b in itertools.pairwise(proposed))
     then = calibrate(plan, observed(rng, chain, np.vstack([readings, more]), truth), chain)
     others = [
         calibrate(

@@ -22,7 +22,7 @@ from pytest_twin.calibration.recordings.at_rest import (
     interpolated,
     rests,
 )
-from pytest_twin.calibration.recordings.pose_topics import poses_asked, relative_seconds
+from pytest_twin.calibration.recordings.pose_topics import first_stamp, poses_asked, seconds
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats import atomic, limits
 from pytest_twin.formats.recording import TOPICS, JointSeries
@@ -92,13 +92,13 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
     state = {"state": plan.topics.get("state", TOPICS["state"])}
     bag = gather_sensors(SensorGatherer(path, state))
     recording = bag.recording()
-    zero = relative_seconds(bag, recording.series.get("state"))
+    zero = first_stamp(bag, recording.series.get("state"))
     wants_images = plan.target.get("kind") in KINDS
     robot = _robot(plan, bag, recording.series.get("state"), zero)
     notes = [f"{path.name}: {note}" for note in (*map(str, recording.damage), *recording.notes)]
     if wants_images:
         topic = _image_topic(plan, bag)
-        stamps = (np.array(bag.stamps[topic], dtype=np.int64) - zero) * 1e-9
+        stamps = seconds(np.array(bag.stamps[topic], dtype=np.int64), zero)
         seen = None
     else:
         topic, seen = poses_asked(plan, bag, "camera_from_target", ("camera", "target"), zero)
@@ -156,7 +156,7 @@ def write_table(rows: Sequence[Mapping[str, str]], path: Path) -> None:
 def _robot(plan: Plan, bag: SensorGatherer, joints: JointSeries | None, zero: int) -> _Robot:
     if joints is not None and joints.position is not None and "flange" not in plan.topics:
         there = np.isfinite(joints.position).all(axis=1)
-        time = (joints.stamp[there] - zero) * 1e-9
+        time = seconds(joints.stamp[there], zero)
         if len(time) > 1:
             order = np.argsort(time, kind="stable")
             width = len(joints.names)

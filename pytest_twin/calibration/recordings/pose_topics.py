@@ -16,11 +16,12 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.sensor_bag import SensorGatherer
 from pytest_twin.formats.sensor_messages import Stamped
+from pytest_twin.formats.serialized import Integers
 
 TF = ("/tf", "/tf_static")
 
 
-def relative_seconds(bag: SensorGatherer, joints: JointSeries | None) -> int:
+def first_stamp(bag: SensorGatherer, joints: JointSeries | None) -> int:
     """The first stamp of a bag, ns: a float of seconds since 1970 has 0.2 us of resolution."""
     first = [min(stamps) for stamps in bag.stamps.values() if stamps]
     first += [min(one.stamp for one in poses) for name, poses in bag.poses.items()
@@ -28,6 +29,11 @@ def relative_seconds(bag: SensorGatherer, joints: JointSeries | None) -> int:
     if joints is not None and len(joints.stamp):
         first.append(int(joints.stamp.min()))
     return min(first, default=0)
+
+
+def seconds(stamps: Integers, zero: int) -> FloatArray:
+    """Stamps in ns as s since ``zero``."""
+    return np.asarray((stamps - zero) * 1e-9, dtype=np.float64)
 
 
 def poses_asked(
@@ -69,7 +75,7 @@ def _stream(poses: Sequence[Stamped], zero: int) -> PoseStream:
     found = np.tile(np.eye(4), (len(rows), 1, 1))
     found[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
     found[:, :3, 3] = values[:, :3]
-    return PoseStream((stamps[rows] - zero) * 1e-9, found)
+    return PoseStream(seconds(stamps[rows], zero), found)
 
 
 def _between(bag: SensorGatherer, parent: str, child: str, zero: int) -> PoseStream:

@@ -9,7 +9,10 @@ import numpy as np
 from mcap_ros2.writer import Writer
 from scipy.spatial.transform import Rotation
 
-HEADER = """================================================================================
+LINE = 80 * "="
+HEADER = (
+    LINE
+    + """
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
@@ -18,7 +21,10 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-POSE = """================================================================================
+)
+POSE = (
+    LINE
+    + """
 MSG: geometry_msgs/Pose
 geometry_msgs/Point position
 geometry_msgs/Quaternion orientation
@@ -34,11 +40,14 @@ float64 y
 float64 z
 float64 w
 """
+)
 TRANSFORM = """std_msgs/Header header
 string child_frame_id
 geometry_msgs/Transform transform
 """
-TRANSFORM_PARTS = """================================================================================
+TRANSFORM_PARTS = (
+    LINE
+    + """
 MSG: geometry_msgs/Transform
 geometry_msgs/Vector3 translation
 geometry_msgs/Quaternion rotation
@@ -54,6 +63,7 @@ float64 y
 float64 z
 float64 w
 """
+)
 TYPES = {
     "sensor_msgs/msg/JointState": "std_msgs/Header header\nstring[] name\nfloat64[] position\n"
     "float64[] velocity\nfloat64[] effort\n" + HEADER,
