@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries, Recording
-from pytest_twin.realization.named_model import NamedModel
+from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import ANGLES, Signals
 from pytest_twin.trial import recordings_at
+from pytest_twin.trial.command_field import commanded_fields
 from pytest_twin.trial.joints import in_model_names
 from pytest_twin.trial.table import kept_commands, sorted_rows
 
@@ -81,7 +82,7 @@ class MeasuredSet:
 
 def read_measured(
     path: Path,
-    realization: NamedModel,
+    realization: Realization,
     topics: Mapping[str, str],
     options: RecordingOptions,
     signals: Signals,
@@ -103,7 +104,7 @@ def read_measured(
 def _named(
     recording: Recording,
     role: str,
-    realization: NamedModel,
+    realization: Realization,
     topics: Mapping[str, str],
     options: RecordingOptions,
 ) -> JointSeries:
@@ -130,7 +131,7 @@ def _named(
 def _commanded_effort(
     recording: Recording,
     states: JointSeries,
-    realization: NamedModel,
+    realization: Realization,
     topics: Mapping[str, str],
     options: RecordingOptions,
 ) -> FloatArray | None:
@@ -140,15 +141,19 @@ def _commanded_effort(
     if "command" not in recording.series:
         return None
     commands = _named(recording, "command", realization, topics, options)
-    if commands.effort is None or not np.isfinite(commands.effort).any():
+    inputs = realization.structure.joint_inputs
+    commanded = commanded_fields(commands, inputs, options, recording.path)
+    if "effort" not in commanded.modes:
         return None
     order = sorted_rows(commands.stamp)
-    table = kept_commands(np.asarray(commands.effort, dtype=np.float64)[order])
+    table = kept_commands(np.asarray(commanded.table, dtype=np.float64)[order])
     at = np.searchsorted(commands.stamp[order], states.stamp, side="right") - 1
     found = np.full((len(states.stamp), len(states.names)), np.nan)
     for column, name in enumerate(states.names):
-        if name in commands.names:
-            found[:, column] = table[np.maximum(at, 0), commands.names.index(name)]
+        if name in commanded.joints:
+            own = commanded.joints.index(name)
+            if commanded.modes[own] == "effort":
+                found[:, column] = table[np.maximum(at, 0), own]
     return found
 
 

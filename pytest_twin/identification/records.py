@@ -84,7 +84,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         "stages": [stage.to_json() for stage in ordered],
         "parameters": parameters,
         "covariance": {"names": names, "matrix": covariance.tolist()},
-        "correlated": _correlated(names, covariance),
+        "correlated": correlated(names, covariance),
         "base_parameters": [_base_json(result, i, values, widths) for i in range(len(base))],
         "held_out": errors,
         "tested_on": "held-out recordings" if tested else "fitted recordings",
@@ -148,7 +148,8 @@ def _mean(errors: dict[str, Any]) -> float:
     return float(np.mean([error.relative for error in errors.values()]))
 
 
-def _correlated(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, Any]]:
+def correlated(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, Any]]:
+    """Pairs of parameters that are known together better than alone."""
     std = np.sqrt(np.diag(covariance).clip(1e-300))
     correlation = covariance / np.outer(std, std)
     found = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.errors import RecordingError, TwinError
 from pytest_twin.identification.measured import Measured, MeasuredSet, read_measured
-from pytest_twin.realization.named_model import NamedModel
+from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 
@@ -20,7 +20,7 @@ _ONE_HELD_OUT_OF = 4
 def read_by_role(
     recordings: Sequence[Path],
     held_out: Sequence[Path],
-    realization: NamedModel,
+    realization: Realization,
     topics: Mapping[str, str],
     options: RecordingOptions,
     signals: Signals,

@@ -8,8 +8,9 @@ from typing import Any
 
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.identification.effort.identify import identify_effort
+from pytest_twin.identification.effort.identify import has_effort, identify_effort
 from pytest_twin.identification.fit_patches import patches_of
+from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.write import write_fitted
@@ -58,34 +59,89 @@ def identify_files(
         NO_OPTIONS if twin is None else twin.recordings
     )
     signals = NO_SIGNALS if twin is None else twin.signals
+    stated = DEFAULT_TOPICS if twin is None else twin.topics
     paths = [Path(one) for one in recordings]
     tested = [Path(one) for one in held_out]
     progress(0.1)
     measured = read_by_role(
         paths, tested, realization,
-        {**(DEFAULT_TOPICS if twin is None else twin.topics), **topics}, chosen, signals,
+        {**stated, **topics}, chosen, signals,
     )  # fmt: skip
+    folder = Path(out) / REALIZATION
+    folder.mkdir()
     progress(0.3)
-    result = identify_effort(realization, measured, signals)
-    progress(0.8)
-    document = effort_document(result, result.stages)
-    document["notes"] = [*notes, *measured.notes, *document["notes"]]
+    if has_effort(measured):
+        result = identify_effort(realization, measured, signals)
+        progress(0.8)
+        document = effort_document(result, result.stages)
+        document["fit"] = patches_of(realization, result)
+        write_fitted(folder, realization, document["fit"])
+        fitted, aside = measured.fit, measured.held_out
+        document["trials"] = {
+            "fit": list(dict.fromkeys(one.path.name for one in fitted)),
+            "held_out": list(dict.fromkeys(one.path.name for one in aside)),
+        }
+    else:
+        document = _from_commands(
+            realization,
+            _paths(measured.fit),
+            _paths(measured.held_out),
+            {**stated, **topics},
+            chosen,
+            folder,
+            progress,
+        )
+    reasons = [] if has_effort(measured) else [n for one in measured.fit for n in one.notes]
+    document["notes"] = [*notes, *measured.notes, *dict.fromkeys(reasons), *document["notes"]]
     document["identification"] = name
-    document["trials"] = {
-        "fit": list(dict.fromkeys(one.path.name for one in measured.fit)),
-        "held_out": list(dict.fromkeys(one.path.name for one in measured.held_out)),
-    }
-    document["fit"] = patches_of(realization, result)
     document["inputs"] = {
         path.name: {"sha256": file_sha256(path)}
         for path in (Path(model), realization.path, *paths, *tested)
         if path.is_file()
     }
-    folder = Path(out) / REALIZATION
-    folder.mkdir()
-    write_fitted(folder, realization, document["fit"])
     document["realization"] = f"{REALIZATION}/"
     progress(1.0)
+    return document
+
+
+def _paths(measured: Sequence[Measured]) -> list[Path]:
+    return list(dict.fromkeys(one.path for one in measured))
+
+
+def _from_commands(
+    realization: Realization,
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+    folder: Path,
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    """No joint has an effort: the closed loop is simulated under the recorded commands."""
+    from pytest_twin.diagnosis.patched.model import patched_of
+    from pytest_twin.diagnosis.patched.write import write_realization
+    from pytest_twin.diagnosis.trials import read_trials
+    from pytest_twin.identification.simulation.document import simulation_document
+    from pytest_twin.identification.simulation.identify import identify_simulation
+    from pytest_twin.realization.quiet import quiet
+
+    trials = read_trials(recordings, held_out, topics, realization.structure, options)
+    inherited = patched_of(realization)
+    with quiet():
+        result = identify_simulation(
+            realization, trials,
+            inherited=inherited, progress=lambda fraction: progress(0.3 + 0.6 * fraction),
+        )  # fmt: skip
+        write_realization(
+            folder, realization, result.prepared.problem, result.hypothesis, inherited,
+            result.prepared.coldness, result.prepared.substeps, result.settled.found_between,
+        )  # fmt: skip
+    document = simulation_document(result)
+    document["fit"] = {}
+    document["trials"] = {
+        "fit": list(dict.fromkeys(t.path.name for t in result.trials.fit)),
+        "held_out": list(dict.fromkeys(t.path.name for t in result.trials.held_out)),
+    }
     return document
 
 

@@ -78,11 +78,13 @@ def judged(stage: Stage, held_out: HeldOut, tolerance: float = 0.0) -> Stage:
     Args:
         stage: with what it fitted.
         held_out: of whole recordings that nothing was fitted on.
-        tolerance: share by which the error may rise and the stage still be accepted.
+        tolerance: share by which chance alone changes such an error.
     """
     better = held_out.after <= (1.0 + tolerance) * held_out.before
     change = 100.0 * (held_out.after / max(held_out.before, 1e-300) - 1.0)
     said = f"the held-out error changes by {change:+.1f} %"
+    if better and change > 0.0:
+        said += f", less than chance explains ({100.0 * tolerance:.1f} %): the model's value holds"
     return replace(
         stage,
         state="accepted" if better else "rejected",

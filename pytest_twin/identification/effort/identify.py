@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.errors import RecordingError
 from pytest_twin.identification.effort.essential import Essential, essential
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
@@ -94,6 +95,11 @@ class EffortResult:
     samples: tuple[Sampled, ...]
     held_out: tuple[Sampled, ...]
     notes: tuple[str, ...]
+
+
+def has_effort(measured: MeasuredSet) -> bool:
+    """Whether some joint has an effort that can be used, in a recording to fit."""
+    return any(bool(np.isfinite(one.effort).any()) for one in measured.fit)
 
 
 def identify_effort(
@@ -227,6 +233,10 @@ def _stages(
     found: list[Stage] = []
     own = np.array(stage_of)
     dry = dry_levels(problem, fitted.values)
+    off = np.where(tested.known, tested.effort - tested.matrix @ fitted.values, 0.0)
+    # The relative standard error of a root mean square of so many independent residuals.
+    independent = effective_samples(off[:, tested.known.any(axis=0)], tested.lengths)
+    chance = float(1.0 / np.sqrt(2.0 * max(independent.sum(), 1.0)))
     for name in _LINEAR_STAGES:
         mine = fitted.kept[own[fitted.kept] == name]
         words = tuple(parameter_name(base, int(i)) for i in mine)
@@ -255,7 +265,8 @@ def _stages(
             "standard deviations of the fit",
         )
         why = "" if held_out else "nothing is held out, the error is that of what was fitted"
-        found.append(judged(Stage(name, "accepted", why, words, None, EXCLUDES[name]), one))
+        stage = Stage(name, "accepted", why, words, None, EXCLUDES[name])
+        found.append(judged(stage, one, chance))
     return tuple(found)
 
 

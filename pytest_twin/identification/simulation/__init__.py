@@ -1,0 +1,1 @@
+"""Identification from commands and positions alone: simulation of the closed loop."""

@@ -1,0 +1,104 @@
+"""``identification.json`` of an identification from commands and positions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin import __version__
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.totals import impossible
+from pytest_twin.effects.base import Parameter
+from pytest_twin.identification.records import correlated, verdict_of
+from pytest_twin.identification.simulation.identify import SimulationResult, place_of
+
+_Z95 = 1.959964
+
+
+def simulation_document(result: SimulationResult) -> dict[str, Any]:
+    """The content of ``identification.json``, without realization, trials and inputs."""
+    problem, hypothesis = result.prepared.problem, result.hypothesis
+    names: list[str] = []
+    kept: list[int] = []
+    scale: list[float] = []
+    parameters: dict[str, Any] = {}
+    at = 0
+    for term in hypothesis.terms:
+        movable = term.movable(hypothesis.theta[hypothesis.slice_of(term)])
+        several = int(movable.sum()) > 1
+        for k, p in enumerate(term.parameters):
+            if movable[k]:
+                unit = problem.scales.value(p, term.joint)
+                name = f"{place_of(problem, term)}.{term.effect}" + (
+                    f".{p.name}" if several else ""
+                )
+                theta, half = float(hypothesis.theta[at]), float(result.spread.half_width[at])
+                low, high = (
+                    (theta - half, theta + half) if np.isfinite(half) else (p.lower, p.upper)
+                )
+                parameters[name] = {
+                    "value": theta * unit,
+                    "unit": _unit(problem, term, p),
+                    "ci95": [low * unit, high * unit],
+                    "prior": None if p.neutral is None else p.neutral * unit,
+                    "stage": result.stage_of[term],
+                    "used": True,
+                }
+                names.append(name)
+                kept.append(at)
+                scale.append(unit)
+            at += 1
+    covariance = _covariance(result, np.array(kept, dtype=np.intp), np.array(scale))
+    against = impossible(problem, hypothesis)
+    errors = result.errors
+    better = np.mean([e.after for e in errors.values()]) < np.mean(
+        [e.before for e in errors.values()]
+    )
+    tested = bool(len(problem.held_out))
+    return {
+        "schema": 1,
+        "verdict": verdict_of(result.stages, bool(better), tested, not against),
+        "way": "commands and positions",
+        "stages": [stage.to_json() for stage in result.stages],
+        "parameters": parameters,
+        "covariance": {"names": names, "matrix": covariance.tolist()},
+        "correlated": correlated(names, covariance),
+        "base_parameters": [],
+        "held_out": {
+            joint: {
+                "position_rms": error.after,
+                "position_unit": error.unit,
+                "position_rms_nominal": error.before,
+                "noise_floor": error.floor,
+            }
+            for joint, error in errors.items()
+        },
+        "tested_on": "held-out recordings" if tested else "fitted recordings",
+        "physical": {
+            "consistent": not against,
+            "violations": [
+                f"{place_of(problem, term)}.{term.effect}: {why}" for term, why in against.items()
+            ],
+        },
+        "unobservable": [],
+        "notes": list(dict.fromkeys(result.notes)),
+        "software": {"pytest-twin": __version__},
+    }
+
+
+def _unit(problem: Problem, term: Term, parameter: Parameter) -> str:
+    joint = max(term.joint, 0)
+    kind = "slide" if problem.simulator.layout.slides[joint] else "hinge"
+    return parameter.unit(kind, str(problem.simulator.layout.servo[joint]))
+
+
+def _covariance(result: SimulationResult, kept: NDArray[np.intp], scale: FloatArray) -> FloatArray:
+    """(n, n) in SI units, as wide as the intervals."""
+    correlation = result.spread.correlation[np.ix_(kept, kept)]
+    half = result.spread.half_width[kept]
+    std = np.where(np.isfinite(half), half, 0.0) / _Z95 * scale
+    return np.nan_to_num(correlation * np.outer(std, std))

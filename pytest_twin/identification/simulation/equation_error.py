@@ -1,0 +1,132 @@
+"""First values of drives and friction, without a simulation: the equation error.
+
+Along the measured motion the model's own drive law says what effort the drive gave, up to its
+gain; the model's inverse dynamics says what effort the motion took. Their ratio, and what the
+speed explains of the rest, are a linear least-squares problem at each joint (as identification
+from an effort in an unknown unit). Simulated errors have many minima; these values are in the
+right one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.smoothing import derivatives
+from pytest_twin.effects.segment import Segment
+
+_SMOOTH = 0.05
+"""s over which positions are smoothed before they are differentiated."""
+_LEAST_SPEED = 0.02
+"""Of a joint's RMS speed: below, dry friction has no direction and the row is left out."""
+_UNSATURATED = 0.98
+"""Of the drive's limit: above, the effort is what the limit says and no gain shows."""
+
+
+def first_values(problem: Problem) -> FloatArray:
+    """(joints, 5) of each joint: gain over the model's, viscous and dry friction, armature, offset.
+
+    The last four are added to the model's own, N*m*s/rad, N*m, kg*m^2, N*m or their like for
+    slides. NaN where a joint has no position or velocity servo, or too little motion.
+    """
+    rows: list[list[FloatArray]] = [[] for _ in problem.joints]
+    efforts: list[list[FloatArray]] = [[] for _ in problem.joints]
+    for at in problem.fit:
+        for joint, (columns, effort) in _of_segment(
+            problem, problem.simulator.segments[at]
+        ).items():
+            rows[joint].append(columns)
+            efforts[joint].append(effort)
+    found = np.full((len(problem.joints), 5), np.nan)
+    for joint, parts in enumerate(rows):
+        if parts:
+            found[joint] = _solved(np.concatenate(parts), np.concatenate(efforts[joint]))
+    return found
+
+
+def _of_segment(problem: Problem, segment: Segment) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Joint -> rows (n, 5) and the effort of the model's own drive law (n,)."""
+    layout = problem.simulator.layout
+    model = segment.model
+    if len(segment.time) < 20 or np.any(np.diff(segment.time) <= 0):
+        return {}
+    q, v, a = _motion(segment)
+    needed = _inverse_dynamics(model, layout.qpos_index, layout.dof_index, q, v, a)
+    setpoint = segment.setpoint.at(segment.time)
+    found = {}
+    for joint in range(q.shape[1]):
+        act = int(layout.actuator[joint])
+        if act < 0 or segment.mode_of(joint) == "effort":
+            continue
+        gear = float(layout.gear[joint])
+        gain = float(model.actuator_gainprm[act, 0]) * float(layout.scale[joint])
+        bias = model.actuator_biasprm[act]
+        force = (
+            gain * setpoint[:, joint]
+            + bias[0]
+            + gear * (bias[1] * q[:, joint] + bias[2] * v[:, joint])
+        )
+        low, high = (
+            model.actuator_forcerange[act]
+            if model.actuator_forcelimited[act]
+            else (-np.inf, np.inf)
+        )
+        speed = np.sqrt(np.mean(v[:, joint] ** 2))
+        use = np.isfinite(force) & (np.abs(v[:, joint]) > _LEAST_SPEED * speed)
+        use &= (force > _UNSATURATED * low) & (force < _UNSATURATED * high)
+        columns = np.column_stack([
+            needed[:, joint], v[:, joint], np.sign(v[:, joint]), a[:, joint], np.ones(len(q)),
+        ])  # fmt: skip
+        found[joint] = columns[use], gear * force[use]
+    return found
+
+
+def _motion(segment: Segment) -> tuple[FloatArray, FloatArray, FloatArray]:
+    smooth, velocity, acceleration = derivatives(segment.time, segment.position, _SMOOTH)
+    return smooth, velocity, acceleration
+
+
+def _inverse_dynamics(
+    model: mujoco.MjModel,
+    qpos: Sequence[int] | np.ndarray,
+    dof: Sequence[int] | np.ndarray,
+    q: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+) -> FloatArray:
+    """(n, joints) effort that the motion takes in the model, without contacts and dry friction."""
+    data = mujoco.MjData(model)
+    before = model.opt.disableflags
+    model.opt.disableflags = before | int(
+        mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    )
+    found = np.empty_like(q)
+    try:
+        for at in range(len(q)):
+            data.qpos[qpos], data.qvel[dof], data.qacc[dof] = q[at], v[at], a[at]
+            mujoco.mj_inverse(model, data)
+            found[at] = data.qfrc_inverse[dof]
+    finally:
+        model.opt.disableflags = before
+    return found
+
+
+def _solved(rows: FloatArray, effort: FloatArray) -> FloatArray:
+    """Gain over the model's, and what is added to it; robust by iterated weights (Huber)."""
+    if len(rows) < 50:
+        return np.full(5, np.nan)
+    weight = np.ones(len(rows))
+    values: FloatArray = np.zeros(5)
+    for _ in range(10):
+        found = np.linalg.lstsq(rows * weight[:, None], effort * weight, rcond=None)[0]
+        values = np.asarray(found, dtype=np.float64)
+        off = np.abs(effort - rows @ values)
+        scale = 1.4826 * float(np.median(off)) + 1e-12
+        weight = np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(off, 1e-12)))
+    if values[0] <= 0.0:
+        return np.full(5, np.nan)
+    return np.array([1.0 / values[0], *(values[1:] / values[0])])

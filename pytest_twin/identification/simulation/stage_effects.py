@@ -1,0 +1,107 @@
+"""Which effects of the catalogue each stage fits, and which it keeps from compensating."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term
+from pytest_twin.effects import catalogue
+from pytest_twin.identification.stages import StageName
+
+SIMULATED: Mapping[StageName, tuple[str, ...]] = {
+    "delay": ("command_delay",),
+    "encoder": ("encoder_bias",),
+    "gravity": ("payload",),
+    "inertia": ("armature",),
+    "friction": ("viscous_friction", "stribeck_friction", "load_dependent_friction"),
+    "drive": ("controller_gain", "dead_zone"),
+}
+"""Stage -> effects that it fits, at every joint or once for the robot."""
+_OF_EFFORT_DRIVES = {"controller_gain": "torque_constant"}
+"""An effort drive has no gains: its torque constant stands in their place."""
+_NUISANCE = ("viscous_friction", "coulomb_friction", "controller_gain", "armature")
+"""What most often passes for something else. It is free while another stage is fitted, and its
+values are thrown away then."""
+
+_GAIN, _VISCOUS, _DRY, _ARMATURE = range(4)
+_FIRST: Mapping[tuple[str, str], int] = {
+    ("controller_gain", "stiffness_error"): _GAIN,
+    ("controller_gain", "damping_error"): _GAIN,
+    ("torque_constant", "relative_error"): _GAIN,
+    ("viscous_friction", "coefficient"): _VISCOUS,
+    ("coulomb_friction", "coulomb"): _DRY,
+    ("stribeck_friction", "coulomb"): _DRY,
+    ("armature", "inertia"): _ARMATURE,
+}
+"""Effect and parameter -> column of the first values."""
+
+EXCLUDES: Mapping[StageName, str] = {
+    "delay": "damping, dry friction, gains and armature were free while the delay was fitted",
+    "encoder": "gains and dry friction were free: both leave an offset at rest, too",
+    "gravity": "gains and friction were free: a soft drive sags as under a weight",
+    "inertia": "gains and damping were free: they move the resonance, too",
+    "friction": "gains and armature were free",
+    "drive": "what the stages before have found is given; nothing else is free",
+    "closed_loop": "all accepted parameters together",
+}
+
+
+def terms_of(stage: StageName, modes: Sequence[str]) -> list[Term]:
+    """The terms that a stage fits.
+
+    Args:
+        stage: which.
+        modes: (joints,) what each joint's drive is sent.
+    """
+    return _terms(SIMULATED[stage], modes)
+
+
+def nuisance_of(stage: StageName, frozen: Sequence[Term], modes: Sequence[str]) -> list[Term]:
+    """The terms that are free beside a stage's own: neither frozen nor another form of these."""
+    if stage == "drive":
+        return []
+    own = set(SIMULATED[stage]) | {term.effect for term in frozen}
+    dry = {"coulomb_friction", "stribeck_friction"}
+    names = [n for n in _NUISANCE if n not in own and not (n in dry and own & dry)]
+    return _terms(names, modes)
+
+
+def _terms(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
+    found = []
+    for name in names:
+        if catalogue()[name].scope == "robot":
+            found.append(Term(name, -1))
+            continue
+        for joint, mode in enumerate(modes):
+            own = _OF_EFFORT_DRIVES.get(name, name) if mode == "effort" else name
+            if own in catalogue():
+                found.append(Term(own, joint))
+    return found
+
+
+def start(terms: Sequence[Term], scales: Scales, first: FloatArray) -> Hypothesis:
+    """A hypothesis where a fit starts: at the first values that the equation error gives.
+
+    Args:
+        terms: of the hypothesis.
+        scales: of their parameters.
+        first: (joints, 5) as :func:`~.equation_error.first_values` has them; what it does not know
+            starts at the model's own value.
+    """
+    theta: list[float] = []
+    for term in terms:
+        own = first[term.joint] if term.joint >= 0 else np.full(first.shape[1], np.nan)
+        for p in term.parameters:
+            value = _FIRST.get((term.effect, p.name))
+            known = np.nan if value is None else own[value]
+            if np.isfinite(known):
+                known = known - 1.0 if value == _GAIN else known / scales.value(p, term.joint)
+                theta.append(float(np.clip(known, p.lower, p.upper)))
+            elif p.neutral is None:
+                theta.append(p.starts[0] if p.choice else p.starts[len(p.starts) // 2])
+            else:
+                theta.append(p.neutral)
+    return Hypothesis(tuple(terms), np.array(theta))

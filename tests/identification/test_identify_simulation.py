@@ -1,0 +1,89 @@
+"""Identification from commands and positions alone, on a pendulum whose parameters are known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin import cli
+from pytest_twin.formats.schema import load_schema
+
+MODEL = """<mujoco model="pendulum">
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody>
+    <body name="arm">
+      <inertial pos="0 0 -0.2" mass="1" diaginertia="0.002 0.002 0.002"/>
+      <joint name="swing" axis="0 1 0" damping="{damping}" frictionloss="{friction}"
+             armature="0.01"/>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="swing" kp="{kp}" kv="0.3"/></actuator>
+</mujoco>"""
+NOMINAL = {"damping": 0.05, "friction": 0.0, "kp": 10.0}
+REAL = {"damping": 0.35, "friction": 0.15, "kp": 8.0}
+
+
+def record(path: Path, seed: int) -> Path:
+    """Position commands and what the real pendulum does."""
+    model = mujoco.MjModel.from_xml_string(MODEL.format(**REAL))
+    data = mujoco.MjData(model)
+    random = np.random.default_rng(seed)
+    frequency, phase = random.uniform(0.2, 1.5, 4), random.uniform(0, 2 * np.pi, 4)
+    rows = []
+    for at in range(250):
+        time = at * 0.02
+        command = 0.3 * np.sin(2 * np.pi * frequency * time + phase).sum()
+        rows.append((time, data.qpos[0] + 1e-4 * random.standard_normal(), command))
+        data.ctrl[0] = command
+        mujoco.mj_step(model, data, 4)
+    np.savetxt(
+        path, rows, fmt="%.9g", delimiter=",", header="time,swing.position,swing.command",
+        comments="",
+    )  # fmt: skip
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    folder = tmp_path_factory.mktemp("cell")
+    (folder / "model.xml").write_text(MODEL.format(**NOMINAL))
+    paths = [str(record(folder / f"{name}.csv", seed)) for name, seed in
+             (("one", 1), ("two", 2), ("check", 3))]  # fmt: skip
+    words = ["identify", str(folder / "model.xml"), *paths[:2], "--held-out", paths[2]]
+    cli.main([*words, "--command-between", "held", "--out", str(folder / "identified")])
+    return folder, json.loads((folder / "identified/identification.json").read_text())
+
+
+def test_the_document_is_as_its_schema_says(found: tuple[Path, dict]) -> None:
+    jsonschema.validate(found[1], load_schema("results/identify.schema.json"))
+    assert found[1]["way"] == "commands and positions"
+    assert [one["stage"] for one in found[1]["stages"]] == [
+        "delay", "encoder", "gravity", "inertia", "friction", "drive", "closed_loop",
+    ]  # fmt: skip
+
+
+def test_friction_and_gain_are_found(found: tuple[Path, dict]) -> None:
+    parameters = found[1]["parameters"]
+    assert parameters["swing.viscous_friction"]["value"] == pytest.approx(0.3, abs=0.1)
+    gain = parameters["swing.controller_gain.stiffness_error"]
+    assert gain["value"] == pytest.approx(-0.2, abs=0.05)
+
+
+def test_held_out_positions_are_predicted(found: tuple[Path, dict]) -> None:
+    error = found[1]["held_out"]["swing"]
+    assert error["position_rms"] < 0.1 * error["position_rms_nominal"]
+    assert error["position_unit"] == "rad"
+
+
+def test_the_folder_replays(found: tuple[Path, dict], tmp_path: Path) -> None:
+    folder, document = found
+    words = ["replay", str(folder / "identified"), str(folder / "check.csv")]
+    assert cli.main([*words, "--command-between", "held", "--out", str(tmp_path / "p.mcap")]) == 0
+    said = json.loads((tmp_path / "p.json").read_text())
+    error = document["held_out"]["swing"]["position_rms"]
+    assert said["joints"]["swing"]["rms"] == pytest.approx(error, rel=0.3, abs=1e-3)
