@@ -29,8 +29,8 @@ def write(source: Path, out: Path) -> dict[str, Path]:
 
     Nothing is scaled: motor positions and motor torques go into the files as they were recorded.
     """
-    positions = _table(source / "motor_positions.csv.gz")
-    torques = _table(source / "currents.csv.gz")
+    positions = read_table(source / "motor_positions.csv.gz")
+    torques = read_table(source / "currents.csv.gz")
     time = np.arange(len(positions)) / RATE
     head = ",".join(["time", *(f"{j}.position" for j in JOINTS), *(f"{j}.effort" for j in JOINTS)])
     cut = round((1.0 - HELD_OUT) * len(positions))
@@ -61,6 +61,6 @@ def _twin() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _table(path: Path) -> np.ndarray:
+def read_table(path: Path) -> np.ndarray:
     with gzip.open(path, "rt") as file:
         return np.loadtxt(file, delimiter=",", skiprows=1)

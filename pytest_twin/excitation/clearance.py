@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -42,9 +43,9 @@ class Nearest:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pair:
+class _GeomPair:
     names: tuple[str, str]
-    geoms: tuple[tuple[int, int], ...]
+    geoms: tuple[int, int]
     required: float
 
 
@@ -65,11 +66,15 @@ class Surroundings:
         self._columns = self._model.jnt_qposadr[self._joint_ids]
         self._shapes = Shapes(realization)
         self._pairs = tuple(self._required_pairs())
-        self._radius = np.where(self._model.geom_rbound > 0.0, self._model.geom_rbound, np.inf)
+        geoms = np.array([pair.geoms for pair in self._pairs], dtype=np.intp).reshape(-1, 2)
+        radius = np.where(self._model.geom_rbound > 0.0, self._model.geom_rbound, np.inf)
+        self._geoms = geoms
+        self._reach = radius[geoms].sum(axis=1)
+        self._required = np.array([pair.required for pair in self._pairs])
 
     @property
     def pairs(self) -> int:
-        """How many pairs are kept apart."""
+        """How many pairs of shapes are kept apart."""
         return len(self._pairs)
 
     def place(self, position: FloatArray) -> mujoco.MjData:
@@ -86,31 +91,52 @@ class Surroundings:
         least: Nearest | None = None
         for at in distinct(positions):
             data = self.place(positions[at])
-            for pair in self._pairs:
-                bound = np.inf if least is None else least.spare
-                found = self._distance(data, pair, bound + pair.required)
-                if found is not None and (least is None or found - pair.required < least.spare):
+            bounds = self._spare_bounds(data)
+            for index in np.argsort(bounds):
+                if least is not None and bounds[index] > least.spare:
+                    break
+                pair = self._pairs[index]
+                found = self._distance(data, pair)
+                if least is None or found - pair.required < least.spare:
                     least = Nearest(pair.names, found, pair.required, int(at))
         return least
 
     def too_near(self, position: FloatArray) -> list[Nearest]:
-        """All pairs that are closer at one pose (j,) than they may be."""
+        """The nearest shapes of all pairs that are closer at one pose (j,) than they may be."""
         data = self.place(position)
-        found = []
-        for pair in self._pairs:
-            distance = self._distance(data, pair, pair.required)
-            if distance is not None and distance < pair.required:
-                found.append(Nearest(pair.names, distance, pair.required, 0))
-        return found
+        found: dict[tuple[str, str], Nearest] = {}
+        for index in np.flatnonzero(self._spare_bounds(data) < 0.0):
+            pair = self._pairs[index]
+            one = Nearest(pair.names, self._distance(data, pair), pair.required, 0)
+            known = found.get(pair.names)
+            if one.spare < 0.0 and (known is None or one.spare < known.spare):
+                found[pair.names] = one
+        return list(found.values())
 
     def is_clear(self, position: FloatArray) -> bool:
         """Whether one pose (j,) keeps all distances and boxes."""
         data = self.place(position)
-        for pair in self._pairs:
-            distance = self._distance(data, pair, pair.required)
-            if distance is not None and distance < pair.required:
+        for index in np.flatnonzero(self._spare_bounds(data) < 0.0):
+            pair = self._pairs[index]
+            if self._distance(data, pair) < pair.required:
                 return False
         return all(spare >= 0.0 for spare, _ in self._spare_in_boxes(data))
+
+    def spare(self, position: FloatArray, most: float) -> float:
+        """Least distance beyond what is required at one pose (j,), of pairs and boxes, m.
+
+        Args:
+            most: larger distances count as this one.
+        """
+        data = self.place(position)
+        least = min((most, *(spare for spare, _ in self._spare_in_boxes(data))))
+        bounds = self._spare_bounds(data)
+        for index in np.argsort(bounds):
+            if bounds[index] >= least:
+                break
+            pair = self._pairs[index]
+            least = min(least, self._distance(data, pair) - pair.required)
+        return least
 
     def least_box_spare(self, positions: FloatArray) -> tuple[float, str, int] | None:
         """Least distance of a frame to the sides of its box, m: negative outside; the frame, and
@@ -129,21 +155,19 @@ class Surroundings:
             origin = self._realization.frame_pose(data, box.frame)[:3, 3]
             yield float(np.minimum(origin - box.lower, box.upper - origin).min()), box.frame
 
-    def _distance(self, data: mujoco.MjData, pair: _Pair, interesting: float) -> float | None:
-        """Distance of a pair, m; None where it is certainly more than ``interesting``."""
-        least: float | None = None
-        for a, b in pair.geoms:
-            between = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
-            if between - self._radius[a] - self._radius[b] > interesting:
-                continue
-            sides = frozenset({a}), frozenset({b})
-            found = self._shapes.distance_by_coal(data, *sides)
-            if not np.isfinite(found):
-                found = self._shapes.distance(data, *sides)
-            least = found if least is None else min(least, found)
-        return least
+    def _spare_bounds(self, data: mujoco.MjData) -> FloatArray:
+        """(pairs,) lower bounds of the spare distances, m, from the spheres around the shapes."""
+        centres = data.geom_xpos[self._geoms]
+        between = np.linalg.norm(centres[:, 0] - centres[:, 1], axis=1)
+        return np.asarray(between - self._reach - self._required)
 
-    def _required_pairs(self) -> Iterator[_Pair]:
+    def _distance(self, data: mujoco.MjData, pair: _GeomPair) -> float:
+        """Signed distance of two shapes, m: by coal, by MuJoCo where coal does not converge."""
+        first, second = (frozenset({geom}) for geom in pair.geoms)
+        found = self._shapes.distance_by_coal(data, first, second)
+        return found if np.isfinite(found) else self._shapes.distance(data, first, second)
+
+    def _required_pairs(self) -> Iterator[_GeomPair]:
         clearance = self._approved.clearance
         if clearance is None:
             return
@@ -155,15 +179,16 @@ class Surroundings:
                 if frozenset(names) in clearance.ignored or all(fixed) or self._adjacent(names):
                     continue
                 own = clearance.to_environment if any(fixed) else clearance.between_links
-            yield self._pair(names, keep * own)
+            yield from self._geom_pairs(names, keep * own)
         stated = set(enabled_pairs(self._realization))
         for names, distance in clearance.pairs.items():
             if names not in stated and (names[1], names[0]) not in stated:
-                yield self._pair(names, keep * distance)
+                yield from self._geom_pairs(names, keep * distance)
 
-    def _pair(self, names: tuple[str, str], required: float) -> _Pair:
+    def _geom_pairs(self, names: tuple[str, str], required: float) -> Iterator[_GeomPair]:
         first, second = (sorted(self._shapes.geoms(name)) for name in names)
-        return _Pair(names, tuple((a, b) for a in first for b in second), required)
+        for a, b in product(first, second):
+            yield _GeomPair(names, (a, b), required)
 
     def _body(self, name: str) -> int:
         geoms = self._shapes.geoms(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,9 @@ from pytest_twin.identification.regressor.regressor import Regressor
 
 STARTS = 3
 _ITERATIONS = 40
+_NEAR_ITERATIONS = 15
+_NEAR_SAMPLES = 2
+"""Every second pose is looked at for what it comes near to."""
 _TOLERANCE = 1e-5
 """Relative change of log det at which a start ends: 0.005 for a log det of 500."""
 _SAMPLES_PER_PERIOD = 8
@@ -24,7 +28,12 @@ _SHARPNESS = 40.0
 """Exponent of the norm that stands for the maximum of a signal: smooth, and 1 to 15 % above."""
 _RIDGE = 1e-9
 _EFFORT_WEIGHT = 200.0
+_SPARE_WEIGHT = 20.0
+_SPARE = 0.02
+"""Spare distance in m from which on a pose is pushed away from what it comes near to."""
 _DIFFERENCE = 1e-5
+_POSE_DIFFERENCE = 1e-4
+"""rad or m: distances are known to 1e-8 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +63,18 @@ class Design:
         regressor: of the approved joints.
         base: parameters that are to be identified.
         std: (joints,) standard deviation of the effort's noise, N*m or N.
+        spare: distance beyond what is required at a pose (j,), at most a given one, m.
     """
 
     def __init__(
-        self, approved: Approved, regressor: Regressor, base: BaseParameters, std: FloatArray
+        self,
+        approved: Approved,
+        regressor: Regressor,
+        base: BaseParameters,
+        std: FloatArray,
+        spare: Callable[[FloatArray, float], float] = lambda position, most: most,
     ) -> None:
+        self._spare = spare
         self._approved = approved
         self._regressor = regressor
         self._base = base
@@ -79,17 +95,25 @@ class Design:
         for _ in range(starts):
             first = random.standard_normal((len(self._up), self.series.width + 1))
             first[:, -1] = 2.0
-            solved = scipy.optimize.minimize(
-                self._objective,
-                first.ravel(),
-                jac=True,
-                method="L-BFGS-B",
-                options={"maxiter": _ITERATIONS, "ftol": _TOLERANCE},
-            )
-            coefficients = self.coefficients(solved.x.reshape(first.shape))
-            found.append((self.log_det(coefficients), coefficients))
-        best = max(range(len(found)), key=lambda at: found[at][0])
-        return Optimum(found[best][1], found[best][0], tuple(value for value, _ in found))
+            free = self._minimized(first, _ITERATIONS, near=False)
+            found.append((self.log_det(self.coefficients(free)), free))
+        best = max(found, key=lambda one: one[0])[1]
+        # Distances cost far more than the information: they are left to the best start.
+        if self._nearness(self._states(self.coefficients(best))[0])[0] > 0.0:
+            best = self._minimized(best, _NEAR_ITERATIONS, near=True)
+        coefficients = self.coefficients(best)
+        return Optimum(coefficients, self.log_det(coefficients), tuple(v for v, _ in found))
+
+    def _minimized(self, first: FloatArray, iterations: int, near: bool) -> FloatArray:
+        solved = scipy.optimize.minimize(
+            self._objective,
+            first.ravel(),
+            args=(near,),
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxiter": iterations, "ftol": _TOLERANCE},
+        )
+        return np.asarray(solved.x.reshape(first.shape))
 
     def random(self, seed: int) -> FloatArray:
         """(j, m) coefficients of a random motion that uses the same limits to the full."""
@@ -130,8 +154,8 @@ class Design:
         stacked = weighted.reshape(-1, weighted.shape[-1])
         return np.asarray(stacked.T @ stacked)
 
-    def _objective(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Minus log det with a penalty on effort, and its derivative by the free vector."""
+    def _objective(self, flat: FloatArray, near: bool) -> tuple[float, FloatArray]:
+        """Minus log det with penalties on effort and nearness, and its derivative by ``flat``."""
         free = flat.reshape(len(self._up), -1)
         z, logit = free[:, :-1], free[:, -1]
         used, used_by_z = _smooth_used(self.series, z, self._up, self._down, self._approved)
@@ -139,6 +163,9 @@ class Design:
         coefficients = z * (share / used)[:, None]
         states = self._states(coefficients)
         value, by_states = self._value(states)
+        if near:
+            nearness, by_position = self._nearness(states[0])
+            value, by_states[0] = value + nearness, by_states[0] + by_position
         own = self.series
         by_coefficients = (
             by_states[0].T @ own.basis
@@ -185,6 +212,20 @@ class Design:
                 by[:, joint] += np.einsum("nj,njp,p->n", push, change, self._regressor.prior)
             found.append(by)
         return value, found
+
+    def _nearness(self, position: FloatArray) -> tuple[float, FloatArray]:
+        """Penalty on poses that come near to something, and its derivative (n, j)."""
+        spares = np.full(len(position), _SPARE)
+        spares[::_NEAR_SAMPLES] = [self._spare(pose, _SPARE) for pose in position[::_NEAR_SAMPLES]]
+        short = 1.0 - spares / _SPARE
+        by = np.zeros_like(position)
+        for at in np.flatnonzero(short > 0.0):
+            for joint in range(position.shape[1]):
+                moved = position[at].copy()
+                moved[joint] += _POSE_DIFFERENCE
+                change = (self._spare(moved, _SPARE) - spares[at]) / _POSE_DIFFERENCE
+                by[at, joint] = -2.0 * _SPARE_WEIGHT * short[at] / _SPARE * change
+        return float(_SPARE_WEIGHT * (short**2).sum()), by
 
 
 def _used(

@@ -9,6 +9,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.excitation import d_optimal, fourier, single_joint
 from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.clearance import Surroundings
 from pytest_twin.excitation.gravity_grid import grid, static_matrix
 from pytest_twin.excitation.motion import Design, Drawn, Role
 from pytest_twin.excitation.prediction import LOADS_APART
@@ -58,7 +59,7 @@ def several_joint_designs(
     regressor: Regressor,
     base: BaseParameters,
     std: FloatArray,
-    is_clear: Callable[[FloatArray], bool],
+    around: Surroundings,
     payloads: Sequence[str],
     seed: int,
 ) -> list[Design]:
@@ -68,7 +69,7 @@ def several_joint_designs(
     for role in ROLES:
         own = _seed(seed, role, len(approved.joints))
         if static:
-            make = grid(approved, regressor, std, is_clear)
+            make = grid(approved, regressor, std, around.is_clear)
             found.append(Design(f"grid_{role}", static, "grid", role, approved.names, make, own))
             if "payload" in asked:
                 found += [
@@ -81,7 +82,8 @@ def several_joint_designs(
         if "inertia" in asked:
             # Held-out motion has to be another one in the same limits, not the best one.
             starts = d_optimal.STARTS if role == "fit" else 1
-            series = _series(d_optimal.Design(approved, regressor, base, std), approved, starts)
+            optimal = d_optimal.Design(approved, regressor, base, std, around.spare)
+            series = _series(optimal, approved, starts)
             found.append(
                 Design(
                     f"fourier_{role}", ("inertia",), "fourier", role, approved.names, series, own

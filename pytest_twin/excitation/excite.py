@@ -136,7 +136,7 @@ def excite(
     loads = loading_poses(approved, regressor, around.is_clear, seed)
     payloads = tuple(twin.payloads)
     designs = single_joint_designs(approved, loads, seed) + several_joint_designs(
-        approved, regressor, base, noise.effort, around.is_clear, payloads, seed
+        approved, regressor, base, noise.effort, around, payloads, seed
     )
     wanted = {design.payload for design in designs}
     robots = {

@@ -12,7 +12,7 @@ from pytest_twin.excitation.motion import Design, Motion
 from pytest_twin.excitation.safety import Verdict, commanded, reasons, simulated
 from pytest_twin.realization.model import Realization
 
-_FIRST_SCALES = (1.0, 0.8, 0.6)
+_FIRST_SCALES = (1.0, 0.9, 0.75, 0.6)
 _LAST_SCALES = (0.45, 0.3, 0.2, 0.1)
 _DRAWN_AGAIN = 2
 """How often a motion of several joints is drawn anew before it is scaled far down."""
