@@ -18,17 +18,21 @@ import os
 import random
 import resource
 import shutil
+import signal
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
+from threading import Thread
 from xml.etree import ElementTree
 
+import psutil
 from confine import confinable
 
 CONFINE = Path(__file__).with_name("confine.py")
@@ -36,13 +40,15 @@ CONFINE = Path(__file__).with_name("confine.py")
 
 def diagnose(
     case: Path, out: Path, seconds: float, cores: Sequence[int] = (), cpu_seconds: int = 0,
-    ends_after: float | None = None,
+    ends_after: float | None = None, interrupted_after: float | None = None,
 ) -> dict[str, object]:  # fmt: skip
     """Run the command on one case, on some cores or all; its status, wall time and last words.
 
     ``cpu_seconds`` limits the time that a processor works on it, which other programs on the
     machine do not change; 0: no limit. A process that reaches it is killed. ``ends_after``: s after
     which the diagnosis itself ends with the best that it has; None: its own default.
+    ``interrupted_after``: s of processor time after which it is interrupted as by Ctrl-C, which
+    ends it in the same way, whatever else the machine does; None: never.
     """
     case, out = case.resolve(), out.resolve()
     box = out.with_name(f"{out.name}.box")
@@ -64,12 +70,18 @@ def diagnose(
     environment = {**os.environ, "TMPDIR": str(box), "HOME": str(box)}
     start, worked = time.perf_counter(), processor_seconds()
     try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=seconds, cwd=case, env=environment
-        )
-    except subprocess.TimeoutExpired:
-        return {**told, "status": "timeout", "seconds": seconds}
-    else:
+        child = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=case,
+            env=environment,
+        )  # fmt: skip
+        if interrupted_after is not None:
+            Thread(target=interrupt, args=(child, interrupted_after), daemon=True).start()
+        try:
+            _, stderr = child.communicate(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.communicate()
+            return {**told, "status": "timeout", "seconds": seconds}
         told["cpu_seconds"] = processor_seconds() - worked
         taken = time.perf_counter() - start
         if (box / "said").exists():
@@ -77,7 +89,23 @@ def diagnose(
             (box / "said").rename(out)
     finally:
         shutil.rmtree(box, ignore_errors=True)
-    return {**told, "status": done.returncode, "seconds": taken, "stderr": done.stderr[-2000:]}
+    return {**told, "status": child.returncode, "seconds": taken, "stderr": stderr[-2000:]}
+
+
+def interrupt(child: subprocess.Popen[str], after: float) -> None:
+    """Interrupt a command once its processes have worked for ``after`` s."""
+    while child.poll() is None:
+        with suppress(psutil.NoSuchProcess):
+            whole = psutil.Process(child.pid)
+            times = [p.cpu_times() for p in (whole, *whole.children(recursive=True))]
+            if (
+                sum(t.user + t.system for t in times)
+                + sum(t.children_user + t.children_system for t in times)
+                >= after
+            ):
+                child.send_signal(signal.SIGINT)
+                return
+        time.sleep(0.5)
 
 
 def model_of(case: Path) -> Path:
@@ -94,12 +122,14 @@ def processor_seconds() -> float:
 
 def answer(
     case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]], cpu_seconds: int = 0,
-    ends_after: float | None = None,
+    ends_after: float | None = None, interrupted_after: float | None = None,
 ) -> float:  # fmt: skip
     """Diagnose a case on the next cores that are free, and say so; s that it took."""
     cores = free.get()
     try:
-        told = diagnose(case, out / case.name, seconds, cores, cpu_seconds, ends_after)
+        told = diagnose(
+            case, out / case.name, seconds, cores, cpu_seconds, ends_after, interrupted_after
+        )
     finally:
         free.put(cores)
     (out / f"{case.name}.run.json").write_text(json.dumps(told, indent=1) + "\n")
@@ -120,6 +150,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--cpu-seconds", type=int, default=0, help="of each process; 0: no limit")
     parser.add_argument("--ends-after", type=float, help="--seconds of the diagnosis itself")
+    parser.add_argument(
+        "--interrupted-after", type=float, help="s of processor time, then as by Ctrl-C"
+    )
     parser.add_argument("--jobs", type=int, default=2, help="cases at the same time")
     parser.add_argument("--cores", type=int, default=1, help="of each case")
     parser.add_argument("--joints", type=int, help="cases of so many alone")
@@ -137,7 +170,8 @@ def main() -> None:
         free.put(every[first : first + args.cores])
     with ThreadPoolExecutor(free.qsize()) as pool:
         one = partial(answer, out=args.out, seconds=args.seconds, free=free,
-                      cpu_seconds=args.cpu_seconds, ends_after=args.ends_after)  # fmt: skip
+                      cpu_seconds=args.cpu_seconds, ends_after=args.ends_after,
+                      interrupted_after=args.interrupted_after)  # fmt: skip
         # Where one ends in an error or is interrupted, those that have not begun do not begin.
         seconds = list(pool.map(one, open_cases))
     if seconds:

@@ -20,6 +20,8 @@ _FEW, _SEVENTH, _APART = 12, 8, 4
 _SPEEDS = 12
 # Share of the samples, those that the model's step changes least, that tell an effort's noise.
 _QUIET = 0.3
+# Of the largest effort that a sensor measured, the least that it resolves: a converter of 13 bits.
+_FINEST_EFFORT = 1e-4
 
 
 def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
@@ -172,8 +174,18 @@ def effort_noise(
     efforts = [s.effort for s in segments if s.effort is not None]
     off = [e - p.effort for e, p in zip(efforts, nominal, strict=True)]
     each = np.minimum(_by_trial(segments, efforts, owner), _by_trial(segments, off, owner))
-    usual: FloatArray = np.median(each, axis=0)
-    return usual
+    return np.maximum(np.median(each, axis=0), finest_effort(segments))
+
+
+def finest_effort(segments: Sequence[Segment]) -> FloatArray:
+    """(joints,) least deviation of a measured effort, N*m or N: no sensor resolves a smaller part
+    of the largest effort that it measured. Efforts of a simulation have no noise at all.
+    """
+    largest = np.max(
+        [np.abs(s.effort).max(axis=0) for s in segments if s.effort is not None], axis=0
+    )
+    finest: FloatArray = _FINEST_EFFORT * largest
+    return finest
 
 
 def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int]) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 from pytest_twin.diagnosis.moving import set_in_motion
-from pytest_twin.diagnosis.noise import effort_noise, greatest_noise, quiet_noise, timing_noise
+from pytest_twin.diagnosis.noise import (
+    effort_noise,
+    finest_effort,
+    greatest_noise,
+    quiet_noise,
+    timing_noise,
+)
 from pytest_twin.diagnosis.problem import (
     REFINE,
     Problem,
@@ -211,19 +217,15 @@ def prepare(
         problem.floor = _floor(noise, problem, steps)
         if segments[0].mode == "effort":
             problem.trust = yielding_trust(problem)
-    if effort_floor is not None and problem.defect:
+    if effort_floor is not None:
         if segments[0].mode == "effort":
             # An effort drive gives what it is sent: only when is open, by a sample.
-            jumps = {i: _steepest(p.effort) for i, p in enumerate(nominal)}
+            jumps = [_steepest(p.effort) for p in nominal]
         else:
-            effort_floor = np.minimum(effort_floor, quiet_noise(problem, nominal, owner))
-            jumps = {
-                i: np.maximum(
-                    np.abs(add.effort),
-                    _steepest(nominal[i].effort) * _commanded_anew(segments[i], simulator.timestep),
-                )
-                for i, add in problem.defect.items()
-            }
+            if problem.defect:
+                quiet = np.maximum(quiet_noise(problem, nominal, owner), finest_effort(segments))
+                effort_floor = np.minimum(effort_floor, quiet)
+            jumps = _jumps(problem, nominal)
         _trust_efforts(problem, effort_floor, jumps)
     parts = {
         NOISE: noise,
@@ -320,18 +322,37 @@ def shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[st
     return joints
 
 
-def _trust_efforts(problem: Problem, noise: FloatArray, jumps: Mapping[int, FloatArray]) -> None:
+def _trust_efforts(problem: Problem, noise: FloatArray, jumps: Sequence[FloatArray]) -> None:
     """Weigh efforts by their noise against what may be wrong beside a jump of the command.
 
     Such a sample is right or wrong as a whole.
 
     Args:
         noise: (joints,) N*m or N.
-        jumps: segment -> (samples, joints) N*m or N.
+        jumps: (samples, joints) per segment, N*m or N.
     """
     problem.effort_floor = noise
-    for i, jump in jumps.items():
+    for i, jump in enumerate(jumps):
         problem.effort_trust[i] = 1.0 / np.sqrt(1.0 + (jump / noise) ** 2)
+
+
+def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
+    """(samples, joints) per segment, by how much the model's effort is uncertain, N*m or N.
+
+    A servo's effort jumps with each command, and no stamp tells whether the sensor read one step
+    before or after that. The model's step makes an error as well, where it is taken out.
+    """
+    simulator = problem.simulator
+    rows = np.arange(len(simulator.segments))
+    values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
+    out = []
+    for i, (here, earlier, later) in enumerate(simulator.efforts_beside(rows, values)):
+        anew = _commanded_anew(simulator.segments[i], simulator.timestep)
+        jump = np.maximum(np.abs(earlier - here), np.abs(later - here))
+        jump = np.maximum(jump, _steepest(nominal[i].effort) * anew)
+        error = problem.defect.get(i)
+        out.append(jump if error is None else np.maximum(jump, np.abs(error.effort)))
+    return out
 
 
 def _commanded_anew(segment: Segment, step: float) -> NDArray[np.bool_]:
@@ -342,6 +363,8 @@ def _commanded_anew(segment: Segment, step: float) -> NDArray[np.bool_]:
         return np.zeros((len(segment.time), segment.command.shape[1]), dtype=bool)
     first = segment.start + step * np.floor((segment.time - segment.start) / step)
     change = np.diff(segment.command, axis=0, prepend=segment.command[:1]) != 0.0
+    # What was commanded before the first command is not recorded.
+    change[0] = True
     changes = np.vstack([np.zeros((1, change.shape[1]), int), np.cumsum(change, axis=0)])
     early, late = (
         np.searchsorted(segment.command_time, first + part * step, side="right")

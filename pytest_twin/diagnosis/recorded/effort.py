@@ -32,6 +32,8 @@ _LATE, _LESS = 0.15, 0.8
 # Ratio of deviations up to which two laws explain the efforts alike.
 _ALIKE = 1.2
 _KEPT = 0.9
+# Share of the efforts' deviation below which a difference is rounding.
+_NEGLIGIBLE = 1e-6
 # Error of gain and offset up to which an effort is the command: half a percent, less than drives
 # are calibrated to.
 _EQUAL = 0.005
@@ -145,7 +147,9 @@ def law(log: Signals, lag: float = 0.0, dead_zone: float = 0.0) -> Law:
         then = [np.interp(log.time - older, log.grid, c) for c in columns]
         table = np.stack([*then, np.ones(len(log.time))], axis=1)
         tried.append((_left(log.effort[inner], table[inner]), float(older)))
-    left, older = min(tried)
+    # Between two steps of a held command all offsets fit alike: the least of them is claimed.
+    alike = _ALIKE * max(min(tried)[0], _NEGLIGIBLE * float(np.std(log.effort)))
+    left, older = min((t for t in tried if t[0] <= alike), key=lambda each: abs(each[1]))
     at_once = min(tried, key=lambda each: abs(each[1]))[0]
     return Law(left, older, at_once)
 

@@ -508,8 +508,12 @@ def _needed(tested: _Tested, k: int) -> bool:
 
 
 def _columns(problem: Problem, term: Term) -> slice:
-    """Signals of the joint where a term acts, or all."""
-    return slice(None) if term.joint < 0 else slice(term.joint, None, len(problem.joints))
+    """Signals of the joint where a term acts, or all; of an error of effort readings those alone,
+    since it changes no motion.
+    """
+    joints = len(problem.joints)
+    first = joints if term.law.needs_effort_sensor and problem.effort_floor is not None else 0
+    return slice(first, None) if term.joint < 0 else slice(first + term.joint, None, joints)
 
 
 def _perhaps_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0) -> bool:
