@@ -347,17 +347,20 @@ def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
     out = []
     for i, (here, earlier, later) in enumerate(simulator.efforts_beside(rows, values)):
-        anew = _commanded_anew(simulator.segments[i], simulator.timestep)
-        jump = np.maximum(np.abs(earlier - here), np.abs(later - here))
-        jump = np.maximum(jump, _steepest(nominal[i].effort) * anew)
+        within, around = (
+            _commanded_anew(simulator.segments[i], simulator.timestep, steps) for steps in (0, 1)
+        )
+        jump = around * np.maximum(np.abs(earlier - here), np.abs(later - here))
+        jump = np.maximum(jump, within * _steepest(nominal[i].effort))
         error = problem.defect.get(i)
         out.append(jump if error is None else np.maximum(jump, np.abs(error.effort)))
     return out
 
 
-def _commanded_anew(segment: Segment, step: float) -> NDArray[np.bool_]:
+def _commanded_anew(segment: Segment, step: float, around: int) -> NDArray[np.bool_]:
     """(samples, joints) whether a command changes within the step of the model that a sample is
-    taken in: the drive is sent a mean of both, and the sensor saw one.
+    taken in, or up to so many steps ``around`` it. In the same step the drive is sent a mean of
+    both commands, and the sensor saw one.
     """
     if segment.moving:
         return np.zeros((len(segment.time), segment.command.shape[1]), dtype=bool)
@@ -368,7 +371,7 @@ def _commanded_anew(segment: Segment, step: float) -> NDArray[np.bool_]:
     changes = np.vstack([np.zeros((1, change.shape[1]), int), np.cumsum(change, axis=0)])
     early, late = (
         np.searchsorted(segment.command_time, first + part * step, side="right")
-        for part in (_EDGE, 1.0 - _EDGE)
+        for part in (_EDGE - around, 1.0 - _EDGE + around)
     )
     anew: NDArray[np.bool_] = changes[late] > changes[early]
     return anew
