@@ -40,6 +40,8 @@ RESULTS = {
     "verify": "`verify --json -`",
     "stamp": "`stamp --json -`",
     "fresh": "`fresh --json -`",
+    "shadow": "`shadow/ID.json` and `shadow --json -`",
+    "rollback": "`rollback --json -`",
     "realize": "`realize --json -`",
     "intake": "the asset's `manifest.json` after `intake`, and `intake --json -`",
     "effects": "`effects --json -`",

@@ -30,6 +30,8 @@ COMMANDS: tuple[str, ...] = (
     "verify",
     "stamp",
     "fresh",
+    "shadow",
+    "rollback",
     "completion",
 )
 READER_GONE = 141

@@ -148,6 +148,17 @@ def replay(
     ]
 
 
+def row_of(realization: Realization, trial: Trial) -> Row:
+    """A trial with the model that steps it: under the controller and payload that it names.
+
+    Raises:
+        SpecError: a controller or payload that the realization lacks.
+    """
+    controller, payload, _ = _variant_ids(realization, trial)
+    variant = realization.variant(controller, payload)
+    return Row(trial, variant.model, calibration_of(realization), realization.path)
+
+
 def replay_rows(
     rows: Sequence[Row],
     *,
@@ -166,7 +177,7 @@ def replay_rows(
     for row in rows:
         if id(row.model) not in scratch:
             scratch[id(row.model)] = mujoco.MjData(row.model)
-        runs.append(_Run(row, scratch[id(row.model)]))
+        runs.append(Run(row, scratch[id(row.model)]))
     total = max(1, sum(run.steps for run in runs))
     done = 0
 
@@ -218,7 +229,7 @@ def measured_qpos(realization: Realization, replayed: Replayed) -> FloatArray:
     return qpos
 
 
-class _Run:
+class Run:
     """One row on its way: its controls step by step, and what is kept of its states.
 
     Args:
@@ -404,9 +415,9 @@ def _hermite(
     return curved
 
 
-def _layouts(runs: Iterable[_Run]) -> list[list[_Run]]:
+def _layouts(runs: Iterable[Run]) -> list[list[Run]]:
     """Runs whose models a batch can hold together, and apply efforts alike."""
-    groups: dict[tuple[object, ...], list[_Run]] = {}
+    groups: dict[tuple[object, ...], list[Run]] = {}
     for run in runs:
         m = run.model
         key = (
@@ -418,7 +429,7 @@ def _layouts(runs: Iterable[_Run]) -> list[list[_Run]]:
     return list(groups.values())
 
 
-def _step(runs: list[_Run], threads: int, advance: Callable[[int], None]) -> None:
+def _step(runs: list[Run], threads: int, advance: Callable[[int], None]) -> None:
     model = runs[0].model
     batch = mujoco_batch.Batch(model, nsim=len(runs), nthread=threads)
     if any(run.model is not model for run in runs):

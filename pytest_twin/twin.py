@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.adaptation_spec import ResidualSpec, ShadowPolicy, UpdateSpec, digest_of
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.calibration_record import CalibrationRecord, read_calibration_record
@@ -290,6 +291,8 @@ class Twin:
         fresh: what size of a change matters to data that the twin stamped.
         excitation: what a person approves for ``pytest-twin excite``, as written; None where
             the section is not there.
+        residual, update: what is declared beside the base model, or None.
+        shadow: what a candidate is judged by.
         lines: dotted field -> 1-based line in ``path``.
     """
 
@@ -313,6 +316,9 @@ class Twin:
     release: ReleasePolicy = field(default_factory=ReleasePolicy)
     fresh: FreshPolicy = field(default_factory=FreshPolicy)
     excitation: Mapping[str, Any] | None = None
+    residual: ResidualSpec | None = None
+    update: UpdateSpec | None = None
+    shadow: ShadowPolicy = field(default_factory=ShadowPolicy)
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
     @property
@@ -344,8 +350,16 @@ class Twin:
         for part in self.parts.values():
             if part.file is not None:
                 found[part.file] = None
+        for adaptation in (self.residual, self.update):
+            record = None if adaptation is None else self.shadow_record(adaptation.id)
+            if record is not None and record.is_file():
+                found[record] = None
         found.update(dict.fromkeys(self.source))
         return tuple(found)
+
+    def shadow_record(self, ident: str) -> Path:
+        """Where the promotion of a residual or update is recorded."""
+        return self.root / "shadow" / f"{ident}.json"
 
     def error(
         self,
@@ -430,10 +444,13 @@ class _Reader:
             calibrations=entries,
             fit=fit,
             fits=fits,
-            parts={name: self._part(name, d) for name, d in data.get("parts", {}).items()},
+            parts=self._parts(),
             tcp=data.get("tcp"),
             retired=dict(data.get("retired", {})),
             release=ReleasePolicy(float(release.get("valid_days", ReleasePolicy().valid_days))),
+            residual=self._residual(),
+            update=UpdateSpec.from_json(data["update"]) if "update" in data else None,
+            shadow=ShadowPolicy.from_json(data.get("shadow", {})),
             fresh=FreshPolicy(**{k: float(v) for k, v in data.get("fresh", {}).items()}),
             excitation=data.get("excitation"),
             lines=self.lines,
@@ -617,6 +634,46 @@ class _Reader:
                 expected="an identification.json whose verdict is accepted",
             )
         return FitEntry(record, data.get("date"), tuple(data.get("supersedes", ())))
+
+    def _parts(self) -> dict[str, DeclaredPart]:
+        """Declared parts; a residual and an update are parts that every golden depends on."""
+        data = self.data
+        found = {name: self._part(name, d) for name, d in data.get("parts", {}).items()}
+        residual = self._residual()
+        update = UpdateSpec.from_json(data["update"]) if "update" in data else None
+        for name, spec in (("residual", residual), ("update", update)):
+            if spec is None:
+                continue
+            if name in found:
+                raise self.section.error(
+                    f"parts.{name}", f"'{name}:' is a part of its own", expected="another name"
+                )
+            file = spec.file if isinstance(spec, ResidualSpec) else None
+            found[name] = DeclaredPart(name, spec.id, digest_of(spec, None), file, None)
+        return found
+
+    def _residual(self) -> ResidualSpec | None:
+        data = self.data.get("residual")
+        if data is None:
+            return None
+        needed = "function" if data["kind"] == "function" else "file"
+        if needed not in data:
+            raise self.section.error(
+                "residual", f"a residual of kind {data['kind']} without {needed!r}",
+                expected=f"{needed}:",
+            )  # fmt: skip
+        for joint, region in data["joints"].items():
+            for name in ("position", "velocity"):
+                low, high = region[name]
+                if not low < high:
+                    raise self.section.error(
+                        f"residual.joints.{joint}.{name}",
+                        "an empty region",
+                        value=f"[{low}, {high}]",
+                        expected="the lower end first",
+                    )
+        file = self._file(data["file"], "residual.file") if "file" in data else None
+        return ResidualSpec.from_json(data, file)
 
     def _part(self, name: str, data: Mapping[str, Any]) -> DeclaredPart:
         ident, value, affects = data.get("id"), data.get("value"), data.get("affects")

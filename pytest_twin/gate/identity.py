@@ -28,6 +28,7 @@ def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) ->
     validation = {golden.path for golden in goldens}
     validation |= {g.path.parent / g.trace.file for g in goldens if g.trace is not None}
     stated = {twin.path, *(entry.record.path for entry in twin.calibrations)}
+    stated |= {entry.record.path for entry in twin.fits}
     stated |= {part.path for part in (twin.calibration, twin.fit) if part is not None}
     stated |= {part.file for part in twin.parts.values() if part.file is not None}
     asset = files.keys() - validation - stated

@@ -12,6 +12,7 @@ from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import bytes_sha256, file_sha256
+from pytest_twin.gate.promoted import unpromoted
 from pytest_twin.gate.source import changed_sources
 from pytest_twin.golden import Golden
 from pytest_twin.realization.features.cache import Features, features_of
@@ -91,6 +92,7 @@ def look_around(
     guarded = {golden.kind: _Guarded(check_of(golden.kind), problems) for golden in goldens}
     surroundings = Surroundings(guarded.__getitem__, installed_version, file_digest)
     problems += changed_sources(twin)
+    problems += unpromoted(twin)
     problems += map(str, rule_problems(twin, goldens, models, kinds()))
     stock = take_stock(twin, goldens, models, surroundings)
     for path in files:

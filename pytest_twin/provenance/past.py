@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.errors import PathError, ReleaseError
+from pytest_twin.errors import ReleaseError
 from pytest_twin.formats import atomic, yaml
-from pytest_twin.formats.digest import file_sha256
 from pytest_twin.release.folder import RELEASES
+from pytest_twin.release.restore import authentic, copy_files
 from pytest_twin.release.statement import Release
-from pytest_twin.release.verify import FILES
 from pytest_twin.twin import FILE_NAME
 
 
@@ -30,6 +29,15 @@ def release_folder(root: Path, number: int) -> Path:
             expected=f"the folder {folder.name} that the data set was stamped with",
         )
     return folder
+
+
+def authentic_now(folder: Path) -> Release:
+    """A release that is signed by a trusted key and undamaged, of whatever age.
+
+    Raises:
+        ReleaseError: it is not.
+    """
+    return authentic(folder, datetime.now(UTC))
 
 
 def lay_out(release: Release, folder: Path, root: Path, into: Path) -> Path:
@@ -51,27 +59,8 @@ def lay_out(release: Release, folder: Path, root: Path, into: Path) -> Path:
         ReleaseError: a file is not what was signed, or there is no ``twin.yaml``.
         PathError: a file is missing, or cannot be copied.
     """
-    for entry in release.files:
-        if not entry.name.startswith(f"{FILES}/"):
-            continue
-        source = folder / entry.name
-        target = into / (entry.original or entry.name.removeprefix(f"{FILES}/"))
-        if not target.resolve().is_relative_to(into.resolve()):
-            raise ReleaseError("a file that leaves its folder", path=folder, value=entry.original)
-        if file_sha256(source) != entry.sha256:
-            raise ReleaseError(
-                "not the file that was signed",
-                path=source,
-                expected="the release as it was written; pytest-twin verify says more",
-            )
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, target)
-        except OSError as error:
-            raise PathError(f"cannot be copied: {error.strerror}", path=source) from None
+    copy_files(release, folder, into)
     file = into / FILE_NAME
-    if not file.is_file():
-        raise ReleaseError(f"a release without {FILE_NAME}", path=folder)
     data = yaml.load(file).data
     if isinstance(data, dict) and data.get("roots"):
         atomic.write_text(file, json.dumps({**data, "roots": _absolute(data["roots"], root)}))

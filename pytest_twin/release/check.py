@@ -29,6 +29,8 @@ from pytest_twin.twin import FILE_NAME
 
 # Envelopes that are opened to find an authentic neighbour; forged ones cost time only.
 _NEIGHBOURS = 16
+OF_THE_PAST = ("expired", "rollback")
+"""Codes of problems that a release has with age alone."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,13 +14,10 @@ from pytest_twin.formats.stamps import Carrier, carriers_of
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
 from pytest_twin.release import seen, stamp
-from pytest_twin.release.check import check
+from pytest_twin.release.restore import authentic
 from pytest_twin.release.stamp import Stamp, StampVerdict
-from pytest_twin.release.statement import Release
 from pytest_twin.twin import find_twin
 
-# Data recorded with a release keep it after it has expired or newer ones have followed.
-_OF_THE_PAST = ("expired", "rollback")
 _SERIES = frozenset("0123456789abcdef")
 
 
@@ -53,7 +50,10 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
         TwinError: a file that holds no stamp, is damaged, or cannot be written.
     """
     now = now or datetime.now(UTC)
-    released, envelope = _authentic(release_folder, now)
+    # Data recorded with a release keep it after it has expired or newer ones have followed.
+    released = authentic(release_folder, now)
+    envelope = folders.read_envelope(release_folder)
+    assert envelope is not None
     found = [
         Stamped(carrier, stamp.make(released, envelope, carrier.digest(), now))
         for carrier in carriers_of(dataset)
@@ -63,19 +63,6 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
         one.carrier.write(one.stamp.to_text())
     seen.remember_twin(released.header.series, release_folder.absolute().parent.parent)
     return found
-
-
-def _authentic(folder: Path, now: datetime) -> tuple[Release, bytes]:
-    verdict = check(folder, now=now)
-    problems = [p for p in verdict.problems if p.code not in _OF_THE_PAST]
-    envelope = folders.read_envelope(folder)
-    if verdict.release is None or problems or envelope is None:
-        raise ReleaseError(
-            f"the release does not hold: {problems[0].text if problems else 'it is not signed'}",
-            path=folder,
-            expected="a release that pytest-twin verify accepts",
-        )
-    return verdict.release, envelope
 
 
 def read(dataset: Path) -> list[Stamped]:

@@ -1,0 +1,253 @@
+"""A candidate in the shadow of a release: both under the same commands, judged by what the release
+declared before.
+
+Runs in the child process.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.adaptation.faults import inject
+from pytest_twin.adaptation.guard import Guard
+from pytest_twin.adaptation.laws import law_of
+from pytest_twin.adaptation.simulated import Log, simulate
+from pytest_twin.adaptation.update_trial import try_update
+from pytest_twin.adaptation_spec import ShadowPolicy
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.replay import replay_whole
+from pytest_twin.errors import SpecError
+from pytest_twin.realization import Realization, load
+from pytest_twin.replay import Replayed, replay, row_of
+from pytest_twin.trial import Trial, make_trials
+from pytest_twin.trial.read import recordings_at
+from pytest_twin.twin import Twin, load_twin
+
+ERRORS = ("position_rms", "velocity_rms", "position_max")
+"""Metrics of predicted less measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """The release or the candidate.
+
+    Attributes:
+        twin: as read.
+        realization: its first.
+    """
+
+    twin: Twin
+    realization: Realization
+
+    @classmethod
+    def of(cls, file: str) -> Side:
+        """Load a ``twin.yaml`` and its first realization.
+
+        Raises:
+            TwinError: it does not load.
+        """
+        twin = load_twin(Path(file))
+        name, reference = next(iter(twin.realizations.items()))
+        return cls(twin, load(reference.file, twin=twin, name=name))
+
+
+def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str, Any]:
+    """Compare a candidate with a release over recordings, and inject faults into it.
+
+    Args:
+        released, candidate: ``twin.yaml`` of either.
+        recordings: paths, in the order of time.
+
+    Raises:
+        TwinError: a twin does not load, a recording cannot be used, or a simulation diverges.
+    """
+    base, other = Side.of(released), Side.of(candidate)
+    trials = [
+        trial
+        for path in recordings
+        for recording in recordings_at(Path(path), base.twin.topics, base.twin.recordings)
+        for trial in make_trials(recording, base.realization.structure, base.twin.recordings)
+    ]
+    policy = base.twin.shadow
+    notes = []
+    if other.twin.shadow != policy:
+        notes.append("the candidate states other metrics under 'shadow:'; the release's count")
+    if other.twin.update is not None:
+        document = try_update(other.twin.update, other.realization, trials, policy)
+    else:
+        document = _compared(base, other, trials, policy)
+    held = all(fault["holds"] for fault in document["faults"])
+    met = all(one["met"] for one in document["metrics"])
+    return {
+        "policy": {"metrics": dict(policy.metrics), "safety": dict(policy.safety)},
+        **document,
+        "verdict": "better" if met and held else "rejected",
+        "notes": [*notes, *document["notes"]],
+    }
+
+
+def _compared(
+    base: Side, other: Side, trials: Sequence[Trial], policy: ShadowPolicy
+) -> dict[str, Any]:
+    before = [_replayed(base, trial) for trial in trials]
+    spec = other.twin.residual
+    faults: list[dict[str, Any]] = []
+    notes: list[str] = []
+    acting = None
+    if spec is None:
+        after = [_replayed(other, trial) for trial in trials]
+        notes.append("the candidate declares no residual and no update: no faults to inject")
+    else:
+        if patched_of(other.realization) is not None:
+            raise SpecError(
+                "a residual beside effects that a diagnosis wrote beside its model",
+                path=other.realization.path,
+                expected="a base model that MJCF holds whole",
+            )
+        _require_joints(other, trials)
+        law = law_of(spec)
+        rows = [row_of(other.realization, trial) for trial in trials]
+        logs: list[Log] = []
+        after = []
+        reasons: Counter[str] = Counter()
+        passed = 0
+        for row in rows:
+            guard = Guard(spec, law)
+            result, log = simulate(row, guard)
+            after.append(result)
+            logs.append(log)
+            passed += guard.passed
+            reasons += guard.reasons
+        total = max(passed + sum(reasons.values()), 1)
+        acting = {
+            "share": passed / total,
+            "kept_out": {reason: count / total for reason, count in reasons.items()},
+        }
+        most = int(np.argmax([_active(log) for log in logs]))
+        faults = inject(spec, law, rows[most], logs[most])
+    for result in (*before, *after):
+        if result.error is not None:
+            raise result.error
+    return {
+        "metrics": judged(measures(before), measures(after), policy),
+        "faults": faults,
+        "acting": acting,
+        "notes": notes,
+    }
+
+
+def _require_joints(side: Side, trials: Sequence[Trial]) -> None:
+    assert side.twin.residual is not None
+    for trial in trials:
+        for joint in side.twin.residual.joints:
+            if joint not in trial.joints:
+                raise SpecError(
+                    "a joint of the residual is not in a recording",
+                    path=trial.path,
+                    where=f"residual.joints.{joint}",
+                    expected=", ".join(trial.joints),
+                )
+
+
+def _replayed(side: Side, trial: Trial) -> Replayed:
+    patched = patched_of(side.realization)
+    if patched is not None:
+        return replay_whole(side.realization, patched, trial)
+    return replay(side.realization, [trial], tcp=False)[0]
+
+
+def _active(log: Log) -> float:
+    _, force = log.table
+    return float(np.count_nonzero(np.any(force != 0.0, axis=1)))
+
+
+def measures(replayed: Sequence[Replayed]) -> dict[str, dict[str, float]]:
+    """Metric -> joint -> value over all trials; NaN where nothing was measured.
+
+    ``position_rms``, ``position_max``, ``velocity_rms`` are of predicted less measured;
+    ``velocity_peak`` and ``effort_peak`` of the prediction alone. SI units.
+    """
+    joints = sorted({joint for one in replayed for joint in one.trial.joints})
+    found: dict[str, dict[str, float]] = {
+        name: {} for name in (*ERRORS, "velocity_peak", "effort_peak")
+    }
+    for joint in joints:
+        position, velocity, speed, effort = (np.zeros(0) for _ in range(4))
+        for one in replayed:
+            if joint not in one.trial.joints:
+                continue
+            at = one.trial.joints.index(joint)
+            position = np.append(position, one.position[:, at] - one.trial.position[:, at])
+            if one.trial.velocity is not None:
+                left = one.velocity[:, at] - one.trial.velocity[:, at]
+                velocity = np.append(velocity, left)
+            speed = np.append(speed, np.abs(one.velocity[:, at]))
+            effort = np.append(effort, np.abs(one.effort[:, at]))
+        found["position_rms"][joint] = _rms(position)
+        found["position_max"][joint] = _largest(position)
+        found["velocity_rms"][joint] = _rms(velocity)
+        found["velocity_peak"][joint] = _largest(speed)
+        found["effort_peak"][joint] = _largest(effort)
+    return found
+
+
+def _rms(values: FloatArray) -> float:
+    some = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(np.square(some)))) if len(some) else float("nan")
+
+
+def _largest(values: FloatArray) -> float:
+    some = values[np.isfinite(values)]
+    return float(np.abs(some).max()) if len(some) else float("nan")
+
+
+def judged(
+    before: Mapping[str, Mapping[str, float]],
+    after: Mapping[str, Mapping[str, float]],
+    policy: ShadowPolicy,
+) -> list[dict[str, Any]]:
+    """Each declared metric with both values and whether it is met. Pure.
+
+    A metric must fall by its share, mean over joints. A safety metric may rise by its share, on
+    no joint by more. A declared metric of which nothing was measured is not met.
+    """
+    listed = []
+    for safety, table in ((False, policy.metrics), (True, policy.safety)):
+        for name, share in table.items():
+            both = {
+                joint: (before[name][joint], after[name][joint])
+                for joint in before[name]
+                if np.isfinite([before[name][joint], after[name][joint]]).all()
+            }
+            rises = [_rise(*pair) for pair in both.values()]
+            # What does not move, in either, neither gains nor loses.
+            rise = (max(rises) if safety else float(np.mean(rises))) if rises else None
+            met = rise is not None and (rise <= share if safety else rise <= -share)
+            listed.append(
+                {
+                    "metric": name,
+                    "safety": safety,
+                    "declared": share,
+                    "change": rise,
+                    "met": bool(met),
+                    "joints": {
+                        joint: {"release": pair[0], "candidate": pair[1]}
+                        for joint, pair in both.items()
+                    },
+                }
+            )
+    return listed
+
+
+def _rise(before: float, after: float) -> float:
+    """(after - before) / before; from zero to zero it is zero."""
+    if before == after:
+        return 0.0
+    return (after - before) / before if before > 0.0 else 1e9

@@ -1,0 +1,193 @@
+"""An online update over recordings in the order of time, and under faults of the sensors."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.adaptation.recursive import (
+    Disturb,
+    Recursion,
+    Window,
+    base_parameters,
+    track,
+)
+from pytest_twin.adaptation_spec import ShadowPolicy, UpdateSpec
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.errors import RecordingError, SpecError
+from pytest_twin.realization import Realization
+from pytest_twin.replay import Row, row_of
+from pytest_twin.trial import Trial
+
+_FAULT_WINDOWS = 3
+_TRIED_WINDOWS = 12
+"""Windows of motion that a fault is tried on: before it, in it, and after it."""
+_WORSE = 1.05
+"""How much worse than the base the update may predict, over all windows with a fault among them."""
+
+
+def try_update(
+    spec: UpdateSpec, realization: Realization, trials: Sequence[Trial], policy: ShadowPolicy
+) -> dict[str, Any]:
+    """Run an update beside the base and judge it; each window is predicted before it is learned.
+
+    Raises:
+        SpecError: parameters that the model lacks, or a base with effects beside its model.
+        RecordingError: no recording is long enough for a window.
+    """
+    if patched_of(realization) is not None:
+        raise SpecError(
+            "an update beside effects that a diagnosis wrote beside its model",
+            path=realization.path,
+            expected="a base model that MJCF holds whole",
+        )
+    rows = [row_of(realization, trial) for trial in trials]
+    recursion = Recursion(spec, base_parameters(spec, rows[0].model))
+    windows = track(recursion, rows)
+    if not windows:
+        raise RecordingError(
+            "no window of motion to learn from",
+            path=trials[0].path,
+            expected=f"recordings of more than {spec.window:g} s with dense positions",
+        )
+    share = policy.metrics.get("position_rms", 0.0)
+    before, after = _rms([w.base_rms for w in windows]), _rms([w.updated_rms for w in windows])
+    allowed = policy.safety.get("position_max", 0.0)
+    worst = [max(getattr(w, name) for w in windows) for name in ("base_rms", "updated_rms")]
+    return {
+        "metrics": [
+            _metric("position_rms", False, share, before, after),
+            _metric("position_max", True, allowed, *worst),
+        ],
+        "faults": _faults(spec, recursion, rows),
+        "acting": {
+            "share": sum(w.state == "updated" for w in windows) / len(windows),
+            "kept_out": {
+                state: count / len(windows)
+                for state, count in Counter(w.state for w in windows).items()
+                if state != "updated"
+            },
+        },
+        "update": {
+            "parameters": list(spec.parameters),
+            "base": recursion.base.tolist(),
+            "value": recursion.value.tolist(),
+            "deviation": np.sqrt(np.diag(recursion.covariance)).tolist(),
+            "windows": [
+                {
+                    "base_rms": w.base_rms,
+                    "updated_rms": w.updated_rms,
+                    "parameters": w.parameters.tolist(),
+                    "state": w.state,
+                }
+                for w in windows
+            ],
+        },
+        "notes": ["metrics are over windows, each predicted before it was learned from"],
+    }
+
+
+def _metric(name: str, safety: bool, share: float, before: float, after: float) -> dict[str, Any]:
+    change = (after - before) / before if before > 0.0 else 0.0
+    return {
+        "metric": name,
+        "safety": safety,
+        "declared": share,
+        "change": change,
+        "met": bool(change <= share if safety else change <= -share),
+        "joints": {"all": {"release": before, "candidate": after}},
+    }
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Each fault on the first windows of motion, from the state that was learned before.
+
+    It holds where the parameters never leave their bounds and the update predicts, over all these
+    windows and against what was truly measured, no worse than the base by more than 5 %.
+    """
+    some: list[Row] = []
+    seconds = 0.0
+    for row in rows:
+        if seconds < _TRIED_WINDOWS * spec.window:
+            some.append(row)
+            seconds += row.trial.duration
+    found = []
+    for name, change in _CHANGES.items():
+        recursion = Recursion(spec, learned.base)
+        recursion.value, recursion.covariance = learned.value.copy(), learned.covariance.copy()
+        counter = _Counter(change)
+        windows = track(recursion, some, disturb=counter)
+        found.append(_verdict(name, spec, windows))
+    return found
+
+
+class _Counter:
+    """Disturbs the windows ``first`` to ``first + 3`` of a run."""
+
+    def __init__(self, change: Disturb) -> None:
+        self.change, self.count = change, 0
+        self.first = 4
+
+    def __call__(self, time: FloatArray, position: FloatArray) -> FloatArray | None:
+        self.count += 1
+        inside = self.first < self.count <= self.first + _FAULT_WINDOWS
+        return self.change(time, position) if inside else position
+
+
+def _verdict(name: str, spec: UpdateSpec, windows: Sequence[Window]) -> dict[str, Any]:
+    low, high = np.array(list(spec.parameters.values())).T
+    values = np.array([w.parameters for w in windows])
+    bounded = bool(((values >= low - 1e-12) & (values <= high + 1e-12)).all())
+    before, after = _rms([w.base_rms for w in windows]), _rms([w.updated_rms for w in windows])
+    problems = []
+    if not bounded:
+        problems.append("a parameter leaves its bounds")
+    if not after <= _WORSE * before:
+        problems.append(f"it predicts {after / before - 1:.0%} worse than the base")
+    return {
+        "fault": name,
+        "holds": not problems,
+        "why": "; ".join(problems) or "bounded, and no worse than the base",
+        "base_rms": before,
+        "updated_rms": after,
+    }
+
+
+def _stale(time: FloatArray, position: FloatArray) -> FloatArray:
+    return np.repeat(position[:1], len(position), axis=0)
+
+
+def _dropout(time: FloatArray, position: FloatArray) -> FloatArray:
+    gone = position.copy()
+    gone[len(gone) // 3 :] = np.nan
+    return gone
+
+
+def _saturated(time: FloatArray, position: FloatArray) -> FloatArray:
+    middle = np.median(position, axis=0)
+    return np.minimum(position, middle)
+
+
+def _contact(time: FloatArray, position: FloatArray) -> FloatArray:
+    """The joints stop half way through, as against a wall."""
+    stopped = position.copy()
+    stopped[len(stopped) // 2 :] = position[len(position) // 2]
+    return stopped
+
+
+_CHANGES: dict[str, Disturb] = {
+    "distribution_shift": lambda time, position: position + 0.5 * (time - time[0])[:, None],
+    "sensor_dropout": _dropout,
+    "stale_time": _stale,
+    "saturation": _saturated,
+    "contact_transition": _contact,
+    "restart": lambda time, position: None,
+}

@@ -1,0 +1,152 @@
+"""What ``twin.yaml`` declares beside the base model: a residual, an online update, and their trial.
+
+None of them edits the asset, the fit, or a calibration.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from pytest_twin.dependency import canonical
+
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class JointRegion:
+    """Where a residual is valid at one joint.
+
+    Attributes:
+        bound: largest force, N*m or N.
+        position, velocity: open intervals, rad and rad/s or m and m/s.
+        jump: change of velocity between two samples from which on it is a contact, rad/s or m/s.
+    """
+
+    bound: float
+    position: Span
+    velocity: Span
+    jump: float
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSpec:
+    """A bounded force beside the base model.
+
+    Attributes:
+        id: its version.
+        kind: what computes it.
+        file: of ``unnamed_laws`` and ``onnx``.
+        function: name of the entry point of ``function``.
+        joints: joint -> where it is valid, in the order of its inputs.
+        period: s between two evaluations.
+        max_age: s; an older sample is stale.
+        hold_off: s of the base alone after a start or a fault.
+        uncertainty: largest standard deviation that it may state, N*m or N; None for no monitor.
+    """
+
+    id: str
+    kind: Literal["unnamed_laws", "onnx", "function"]
+    joints: Mapping[str, JointRegion]
+    file: Path | None = None
+    function: str | None = None
+    period: float = 0.005
+    max_age: float = 0.02
+    hold_off: float = 0.2
+    uncertainty: float | None = None
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any], file: Path | None) -> ResidualSpec:
+        """From the validated table of ``twin.yaml``, its file resolved."""
+        joints = {
+            name: JointRegion(
+                float(one["bound"]),
+                _span(one["position"]),
+                _span(one["velocity"]),
+                float(one["jump"]),
+            )
+            for name, one in data["joints"].items()
+        }
+        times = ("period", "max_age", "hold_off", "uncertainty")
+        given = {name: float(data[name]) for name in times if name in data}
+        return cls(data["id"], data["kind"], joints, file, data.get("function"), **given)
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateSpec:
+    """An online update of named parameters within bounds.
+
+    Attributes:
+        id: its version.
+        parameters: ``JOINT.NAME`` -> bounds in SI units at the joint.
+        window: s of motion between two updates.
+        forgetting: weight of the past at each update.
+        noise: standard deviation of a measured position, rad or m.
+    """
+
+    id: str
+    parameters: Mapping[str, Span]
+    window: float = 1.0
+    forgetting: float = 0.98
+    noise: float = 0.005
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> UpdateSpec:
+        """From the validated table of ``twin.yaml``."""
+        parameters = {
+            name: (float(one["lower"]), float(one["upper"]))
+            for name, one in data["parameters"].items()
+        }
+        numbers = ("window", "forgetting", "noise")
+        given = {name: float(data[name]) for name in numbers if name in data}
+        return cls(data["id"], parameters, **given)
+
+
+@dataclass(frozen=True, slots=True)
+class ShadowPolicy:
+    """What a candidate is judged by.
+
+    Attributes:
+        metrics: metric -> share by which a candidate must lower it, mean over joints.
+        safety: metric -> share by which a candidate may raise it, on any joint.
+    """
+
+    metrics: Mapping[str, float] = field(default_factory=lambda: {"position_rms": 0.0})
+    safety: Mapping[str, float] = field(
+        default_factory=lambda: {"position_max": 0.05, "velocity_peak": 0.1, "effort_peak": 0.1}
+    )
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> ShadowPolicy:
+        """From the validated table of ``twin.yaml``; what it leaves out is as by default."""
+        given = {name: {k: float(v) for k, v in table.items()} for name, table in data.items()}
+        return cls(**given)
+
+
+def digest_of(spec: ResidualSpec | UpdateSpec, file_sha256: str | None) -> str:
+    """SHA-256 of a declaration with its file, hex."""
+    content: dict[str, Any] = {"id": spec.id, "file": file_sha256}
+    if isinstance(spec, UpdateSpec):
+        content |= {
+            "parameters": {name: list(span) for name, span in spec.parameters.items()},
+            "numbers": [spec.window, spec.forgetting, spec.noise],
+        }
+    else:
+        content |= {
+            "kind": spec.kind,
+            "function": spec.function,
+            "numbers": [spec.period, spec.max_age, spec.hold_off, spec.uncertainty],
+            "joints": {
+                name: [one.bound, *one.position, *one.velocity, one.jump]
+                for name, one in spec.joints.items()
+            },
+        }
+    return hashlib.sha256(canonical(content)).hexdigest()
+
+
+def _span(pair: Any) -> Span:
+    low, high = (float(value) for value in pair)
+    return low, high

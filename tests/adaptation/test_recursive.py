@@ -1,0 +1,99 @@
+"""Recursive least squares: it finds what a plant has, keeps its bounds, and falls back."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parent))
+
+from plants import model, record
+
+from pytest_twin.adaptation.recursive import Recursion, base_parameters, track
+from pytest_twin.adaptation.update_trial import try_update
+from pytest_twin.adaptation_spec import ShadowPolicy, UpdateSpec
+from pytest_twin.errors import SpecError
+from pytest_twin.realization import load
+from pytest_twin.replay import row_of
+from pytest_twin.trial import make_trials
+from pytest_twin.trial.read import recording_at
+
+SPEC = UpdateSpec(
+    "one",
+    {"a.viscous_friction": (0.0, 0.4), "a.coulomb_friction": (0.0, 0.2)},
+    window=0.5,
+    noise=0.001,
+)
+
+
+@pytest.fixture(scope="module")
+def setting(tmp_path_factory):
+    """The base model, and trials of a plant whose friction differs."""
+    folder = tmp_path_factory.mktemp("plant")
+    (folder / "model.xml").write_text(model())
+    realization = load(folder / "model.xml")
+    topics = {"state": "/joint_states", "command": "/joint_commands"}
+    trials = []
+    for number in range(3):
+        path = record(folder / f"{number}.mcap", model(damping=0.12, dry=0.03), phase=float(number))
+        trials += make_trials(recording_at(path, topics), realization.structure)
+    return realization, trials
+
+
+def test_it_finds_the_friction_of_the_plant(setting) -> None:
+    realization, trials = setting
+    rows = [row_of(realization, trial) for trial in trials]
+    recursion = Recursion(SPEC, base_parameters(SPEC, rows[0].model))
+    windows = track(recursion, rows)
+    assert recursion.base == pytest.approx([0.05, 0.0])
+    assert recursion.value == pytest.approx([0.12, 0.03], rel=0.1)
+    # Nothing is learned before the first window is predicted.
+    assert windows[0].updated_rms == windows[0].base_rms
+    late = windows[len(windows) // 2 :]
+    assert np.mean([w.updated_rms for w in late]) < 0.1 * np.mean([w.base_rms for w in late])
+
+
+def test_the_bounds_hold_where_the_plant_lies_outside(setting) -> None:
+    realization, trials = setting
+    spec = UpdateSpec("two", {"a.viscous_friction": (0.0, 0.08)}, window=0.5, noise=0.001)
+    rows = [row_of(realization, trial) for trial in trials[:1]]
+    recursion = Recursion(spec, base_parameters(spec, rows[0].model))
+    windows = track(recursion, rows)
+    assert recursion.value[0] == 0.08
+    assert all(0.0 <= w.parameters[0] <= 0.08 for w in windows)
+
+
+def test_a_base_outside_the_bounds_is_refused(setting) -> None:
+    realization, _ = setting
+    spec = UpdateSpec("three", {"a.viscous_friction": (0.1, 0.2)})
+    with pytest.raises(SpecError, match=r"value lies outside the bounds .*got 0\.05"):
+        base_parameters(spec, realization.model)
+
+
+def test_the_fallback_holds_under_every_fault(setting) -> None:
+    realization, trials = setting
+    document = try_update(SPEC, realization, trials, ShadowPolicy())
+    assert {fault["fault"]: fault["holds"] for fault in document["faults"]} == dict.fromkeys(
+        (
+            "distribution_shift", "sensor_dropout", "stale_time", "saturation",
+            "contact_transition", "restart",
+        ),
+        True,
+    )  # fmt: skip
+    assert all(one["met"] for one in document["metrics"])
+
+
+def test_a_lasting_corruption_ends_in_the_base(setting) -> None:
+    """The encoder's scale is wrong for good: what is learned predicts worse, and is not used."""
+    realization, trials = setting
+    rows = [row_of(realization, trial) for trial in trials]
+    recursion = Recursion(SPEC, base_parameters(SPEC, rows[0].model))
+    recursion.compare(0.01, 0.02)
+    assert recursion.falls_back
+    assert recursion.in_use is recursion.base
+    for _ in range(20):
+        recursion.compare(0.02, 0.01)
+    assert not recursion.falls_back
