@@ -121,6 +121,10 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
         lines.append(f"  {stage['stage']}: {stage['state'].replace('_', ' ')}: {stage['why']}")
     lines += [f"error on {document['tested_on']}:"]
     lines += [f"  {line}" for line in identification.error_lines(document)]
+    lines += [
+        f"suspected: {one['what']}; to mend it: {one['mend']}"
+        for one in document.get("suspected", ())
+    ]
     lines += [f"without a usable effort: {joint}" for joint in document.get("without_effort", ())]
     lines += [
         f"not observable: {one['expression']}; to identify it: {one['motion']}"

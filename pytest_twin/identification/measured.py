@@ -24,6 +24,8 @@ _FEWEST = 50
 """States below which nothing is differentiated."""
 _NO_SENSOR = 0.5
 """Share of efforts that are exactly 0 from which nothing measures them: a sensor has noise."""
+_CLIPPED = 0.002
+"""Share of states that stand at the greatest effort, three in a row, from which it is a limit."""
 _GAP = 5.0
 """A pause this many times the usual interval cuts a recording."""
 
@@ -261,6 +263,12 @@ def _efforts(
             )
             effort[:, column] = np.nan
             continue
+        top = _clipped_at(values) if own.limit is None else own.limit
+        if top is not None and own.limit is None:
+            notes.append(
+                f"{name}: effort stands at {top:.4g} again and again: the drive is at its limit or "
+                "the signal is clipped; these samples are left out"
+            )
         factor = 1.0
         if own.quantity == "current":
             if own.constant is None:
@@ -274,8 +282,8 @@ def _efforts(
         if own.side == "motor":
             factor *= signals.of(name).gear
         effort[:, column] = values * factor
-        if own.limit is not None:
-            limit[column] = abs(own.limit * factor)
+        if top is not None:
+            limit[column] = abs(top * factor)
     for column, name in enumerate(names):
         shared = signals.of(name).shared
         if shared is not None and signals.of(name).effort.side == "motor":
@@ -285,6 +293,15 @@ def _efforts(
                 f"{name}: its motor's torque acts on {shared.joint} too and is added there"
             )
     return effort, unscaled, limit, notes
+
+
+def _clipped_at(values: FloatArray) -> float | None:
+    """The amount at which efforts stand, of several samples in a row; None where they do not."""
+    size = np.abs(values[np.isfinite(values)])
+    top = float(size.max(initial=0.0))
+    at_top = size >= top * (1.0 - 1e-9)
+    in_a_row = at_top[2:] & at_top[1:-1] & at_top[:-2]
+    return top if top > 0.0 and in_a_row.mean() > _CLIPPED else None
 
 
 def _unsigned(values: FloatArray) -> bool:

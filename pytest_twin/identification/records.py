@@ -46,7 +46,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     names = [parameter_name(base, int(i)) for i in kept]
     values, half = fitted.solution.values, fitted.solution.half_width
     rejected = {stage.name for stage in stages if stage.state == "rejected"}
-    parameters = {}
+    parameters: dict[str, Any] = {}
     prior = base.values(result.regressor.prior)
     for k, i in enumerate(kept):
         alone = np.count_nonzero(base.combination[i]) == 1
@@ -77,9 +77,20 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     }
     better = _mean(result.errors) < _mean(result.nominal)
     ordered = in_order(stages)
+    fatal = any(one.fatal for one in result.suspected)
+    if result.delay is not None:
+        late = result.delay
+        parameters["robot.effort_delay"] = {
+            "value": late.value,
+            "unit": "s",
+            "ci95": [late.value - late.half_width, late.value + late.half_width],
+            "prior": 0.0,
+            "stage": "delay",
+            "used": True,
+        }
     return {
         "schema": 1,
-        "verdict": verdict_of(ordered, better, tested, result.physical.consistent),
+        "verdict": verdict_of(ordered, better and not fatal, tested, result.physical.consistent),
         "way": "measured effort",
         "stages": [stage.to_json() for stage in ordered],
         "parameters": parameters,
@@ -95,6 +106,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "note": "the base parameters are measured; how they are shared among links is the "
             "model's word under a prior",
         },
+        "suspected": [one.to_json() for one in result.suspected],
         "without_effort": list(result.without_effort),
         "unobservable": _unobservable(result),
         "filter": {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.errors import RecordingError
+from pytest_twin.identification.effort.delay import Delay, delay_of, without_delay
 from pytest_twin.identification.effort.essential import Essential, essential
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
 from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
@@ -24,6 +25,7 @@ from pytest_twin.identification.effort.least_squares import (
     solve,
 )
 from pytest_twin.identification.effort.sampled import Sampled, sample
+from pytest_twin.identification.effort.suspects import Suspect, drifts, suspects
 from pytest_twin.identification.measured import Measured, MeasuredSet
 from pytest_twin.identification.physical import Physical, physical
 from pytest_twin.identification.regressor import (
@@ -78,6 +80,8 @@ class EffortResult:
         filter: how motion was filtered.
         samples: of the recordings that were fitted.
         held_out: of those that were not.
+        delay: of the efforts, where one was found.
+        suspected: mistakes of the input that the fit shows.
         notes: one line each.
     """
 
@@ -94,6 +98,8 @@ class EffortResult:
     filter: Filter
     samples: tuple[Sampled, ...]
     held_out: tuple[Sampled, ...]
+    delay: Delay | None
+    suspected: tuple[Suspect, ...]
     notes: tuple[str, ...]
 
 
@@ -116,6 +122,35 @@ def identify_effort(
         RecordingError: no joint has an effort that can be used.
         SpecError: a payload that the twin does not state.
     """
+    found, late = _identify(realization, measured, signals)
+    if late is None or not late.significant:
+        why = "the efforts are not stamped later than the motion, as far as the motion shows"
+        stage = Stage("delay", "not_observable", why, (), None, EXCLUDES["delay"])
+        return replace(found, stages=(stage, *found.stages))
+    moved = MeasuredSet(
+        without_delay(measured.fit, late.value), without_delay(measured.held_out, late.value)
+    )
+    again, _ = _identify(realization, moved, signals)
+    names = ("robot.effort_delay",)
+    stage = judged(
+        Stage("delay", "accepted", f"efforts are stamped {1e3 * late.value:+.2f} ms "
+              f"(± {1e3 * late.half_width:.2f}) later than the motion", names, None,
+              EXCLUDES["delay"]),
+        HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
+    )  # fmt: skip
+    if stage.state != "accepted":
+        return replace(found, stages=(stage, *found.stages))
+    return replace(again, stages=(stage, *again.stages), delay=late)
+
+
+def _mean_relative(errors: dict[str, EffortError]) -> float:
+    return float(np.mean([error.relative for error in errors.values()]))
+
+
+def _identify(
+    realization: Realization, measured: MeasuredSet, signals: Signals
+) -> tuple[EffortResult, Delay | None]:
+    """The stages after the delay, and the delay that is left."""
     everything = (*measured.fit, *measured.held_out)
     joints = everything[0].joints
     unscaled = [j for k, j in enumerate(joints) if any(m.unscaled[k] for m in measured.fit)]
@@ -161,7 +196,14 @@ def identify_effort(
     said[np.ix_(columns, columns)] = _precision(problem.only(columns), full)
     whole = np.zeros(len(base))
     whole[columns] = full.values
-    return EffortResult(
+    rate = 1.0 / float(np.median(np.diff(fit[0].time)))
+    late = delay_of(problem.only(fitted.kept), rate) if len(fitted.kept) else None
+    gears = [signals.of(joint).gear for joint in joints]
+    suspected = [
+        *suspects(realization, measured.fit, fit, regressor, gears),
+        *drifts(problem.only(fitted.kept), fitted.solution, fit, joints),
+    ]
+    result = EffortResult(
         regressor=regressor,
         base=base,
         fitted=fitted,
@@ -175,8 +217,11 @@ def identify_effort(
         filter=chosen,
         samples=tuple(fit),
         held_out=tuple(held),
+        delay=None,
+        suspected=tuple(suspected),
         notes=tuple(dict.fromkeys(n for m in everything for n in m.notes)),
     )
+    return result, late
 
 
 def _take_off_payload(

@@ -84,6 +84,7 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
                 f"{place_of(problem, term)}.{term.effect}: {why}" for term, why in against.items()
             ],
         },
+        "suspected": [],
         "unobservable": [],
         "notes": list(dict.fromkeys(result.notes)),
         "software": {"pytest-twin": __version__},

@@ -1,0 +1,195 @@
+"""Mistakes of the input that the fit itself shows, each with its mend. None is ever applied."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.effort.least_squares import Linear, Solution, dry_levels, solve
+from pytest_twin.identification.effort.sampled import Sampled
+from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.regressor import Regressor
+from pytest_twin.realization import Realization
+
+_SURE = 6.0
+"""Standard deviations from which a sign or a factor is no chance."""
+_FAR = 4.0
+"""Factor between the model's and the measured effort that no payload and no missing motor explains:
+rigid bodies of CAD models are right to 30 %, rotors double what a joint accelerates."""
+_LIKE = 0.25
+"""Logarithmic distance within which a factor is that of the stated gear."""
+_DRIFT = 0.15
+"""Share by which dry and viscous friction change over a run before it is said."""
+_FEWEST_ROWS, _BLOCKS = 100, 10
+"""Samples of a moving joint, and parts of them, from which a trend is told."""
+_OUTSIDE = 3.0
+"""Times a joint's own range that positions span where they are in degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """One mistake.
+
+    Attributes:
+        what: joint, what is wrong, and the number that shows it.
+        mend: what to do.
+        fatal: whether no result can be accepted before it is mended.
+    """
+
+    what: str
+    mend: str
+    fatal: bool = True
+
+    def to_json(self) -> dict[str, object]:
+        """As it stands in ``identification.json``."""
+        return {"what": self.what, "mend": self.mend, "fatal": self.fatal}
+
+
+def suspects(
+    realization: Realization,
+    recordings: Sequence[Measured],
+    samples: Sequence[Sampled],
+    regressor: Regressor,
+    gears: Sequence[float],
+) -> list[Suspect]:
+    """Degrees, a wrong sign, a gear ratio that is not applied or applied twice.
+
+    Each joint is fitted alone: the model's rigid bodies as one column, friction and a constant
+    beside it. A negative friction cannot be; a factor far from 1 is no error of a CAD model.
+
+    Args:
+        realization: the nominal model.
+        recordings, samples: those to fit.
+        regressor: of the robot.
+        gears: (joints,) ratios that the signals state, 1 where they do not.
+    """
+    found = _degrees(realization, recordings)
+    for k, joint in enumerate(regressor.joints):
+        alone = _alone(samples, regressor, k)
+        if alone is None:
+            continue
+        factor, viscous, dry = alone.values[:3]
+        std = np.maximum(alone.std[:3], 1e-300)
+        negative = max(-viscous / std[1], -dry / std[2]) > _SURE and min(viscous, dry) < 0
+        negative = negative and max(viscous / std[1], dry / std[2]) < _SURE
+        unscaled = any(c.joint == joint and c.kind == "effort_scale" for c in regressor.columns)
+        if negative:
+            found.append(Suspect(
+                f"{joint}: the effort helps the motion (viscous {viscous:.3g}, dry {dry:.3g}, both "
+                "should resist): its sign is wrong",
+                f"signals: joints: {joint}: gear: {-gears[k]:g}, or the sign of its effort alone",
+            ))  # fmt: skip
+        elif factor < 0 and factor < -_SURE * std[0]:
+            found.append(Suspect(
+                f"{joint}: friction resists and the rigid bodies' effort has the opposite sign "
+                f"(factor {factor:.3g}): position and effort are counted against the model's axis",
+                f"calibration: joints: {joint}: {{sign: -1}}, or the axis of the model",
+            ))  # fmt: skip
+        elif not unscaled and factor > _SURE * std[0] and abs(math.log(factor)) > math.log(_FAR):
+            found.append(_factor(joint, float(factor), abs(gears[k])))
+    return found
+
+
+def drifts(
+    problem: Linear, fitted: Solution, samples: Sequence[Sampled], names: Sequence[str]
+) -> list[Suspect]:
+    """Joints whose dry friction changes over a recording, as in a gear that warms up.
+
+    Args:
+        problem, fitted: of the kept columns.
+        samples: the recordings of the problem.
+        names: (joints,).
+    """
+    found = []
+    velocity = np.concatenate([s.velocity for s in samples])
+    share = np.concatenate([(s.time - s.time[0]) / np.ptp(s.time) - 0.5 for s in samples])
+    levels = dry_levels(problem, fitted.values)
+    for k, joint in enumerate(names):
+        use = problem.known[:, k] & ~problem.resting[:, k]
+        if use.sum() < _FEWEST_ROWS or levels[k] <= 0.0:
+            continue
+        way = np.sign(velocity[use, k])
+        rows = np.column_stack([way, way * share[use]])
+        residual = fitted.residual[use, k]
+        slope = float(np.linalg.lstsq(rows, residual, rcond=None)[0][1])
+        # Each block of time by itself: residuals within one are correlated.
+        parts = np.array_split(np.arange(len(rows)), _BLOCKS)
+        means = [float(np.mean(residual[p] * way[p])) for p in parts]
+        middle = [float(np.mean(share[use][p])) for p in parts]
+        error = float(np.std(means - np.polyval(np.polyfit(middle, means, 1), middle)))
+        error /= max(float(np.std(middle)) * math.sqrt(_BLOCKS - 2), 1e-12)
+        if abs(slope) > _DRIFT * levels[k] and abs(slope) > _SURE * error:
+            found.append(Suspect(
+                f"{joint}: dry friction changes by {100 * slope / levels[k]:+.0f} % over a "
+                "recording: the gear warms up, or its load changes",
+                "record after the robot is warm, or identify cold and warm recordings apart",
+                fatal=False,
+            ))  # fmt: skip
+    return found
+
+
+def _degrees(realization: Realization, recordings: Sequence[Measured]) -> list[Suspect]:
+    found = []
+    model = realization.model
+    for k, joint in enumerate(recordings[0].joints):
+        index = realization.joint_index(joint)
+        low, high = model.jnt_range[index]
+        if not model.jnt_limited[index] or high <= low:
+            continue
+        span = max(float(np.ptp(one.position[:, k])) for one in recordings)
+        if span > _OUTSIDE * (high - low) and math.radians(span) <= 1.1 * (high - low):
+            found.append(Suspect(
+                f"{joint}: positions span {span:.4g} rad, its range is {high - low:.3g} rad: they "
+                "seem to be in degrees",
+                f"signals: joints: {joint}: position: {{unit: deg}}",
+            ))  # fmt: skip
+    return found
+
+
+def _factor(joint: str, factor: float, gear: float) -> Suspect:
+    what = f"{joint}: the effort is {factor:.3g} times what the model's bodies need"
+    for power, said in ((1, "is not applied to the effort"), (2, "is applied the wrong way round")):
+        near = abs(abs(math.log(factor)) - power * math.log(gear)) < _LIKE
+        if gear > 1.0 and near:
+            return Suspect(
+                f"{what}: the gear ratio {gear:g} {said}",
+                f"signals: joints: {joint}: side of position and effort, and gear",
+            )
+    return Suspect(
+        f"{what}: no payload and no rotor explains that",
+        f"signals: joints: {joint}: gear, side or unit of its effort; quantity: current where it "
+        "is one",
+    )
+
+
+def _alone(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Solution | None:
+    """Factor of the rigid bodies, viscous and dry friction, constant effort, of one joint."""
+    name = regressor.joints[joint]
+    at = {c.kind: i for i, c in enumerate(regressor.columns) if c.joint == name}
+    rigid = np.array([c.inertial or c.kind == "effort_scale" for c in regressor.columns])
+    weights: FloatArray = np.where(rigid, regressor.prior, 0.0)
+    if "effort_scale" in at:
+        weights[at["effort_scale"]] = 1.0
+    columns = np.concatenate([
+        np.stack([
+            s.matrix[:, joint] @ weights,
+            *(s.matrix[:, joint, at[kind]] for kind in
+              ("viscous_friction", "coulomb_friction", "effort_bias", "armature")),
+        ], axis=1)
+        for s in samples
+    ])  # fmt: skip
+    effort = np.concatenate([s.effort[:, joint] for s in samples])
+    resting = np.concatenate([s.resting[:, joint] for s in samples])
+    known = np.isfinite(effort) & ~resting
+    sizes = np.linalg.norm(columns[known], axis=0)
+    if known.sum() < 50 or sizes[:3].min() < 1e-6 * sizes.max():
+        return None
+    problem = Linear(
+        columns[:, None], np.where(known, effort, 0.0)[:, None], known[:, None], resting[:, None],
+        np.array([[False, False, True, False, False]]), tuple(len(s.time) for s in samples),
+    )  # fmt: skip
+    return solve(problem)

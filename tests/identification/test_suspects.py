@@ -1,0 +1,102 @@
+"""Mistakes of the input are recognised, said with their mend, and never applied."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import JOINTS, real, record, write_model
+
+from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.measured import Measured, MeasuredSet, _clipped_at
+from pytest_twin.realization import load
+from pytest_twin.signals import NO_SIGNALS, Signals
+
+
+def measured(folder: Path, seed: int, seconds: float = 20.0) -> Measured:
+    time, q, effort = record(real(folder), seed, seconds=seconds)
+    return Measured(
+        folder / f"{seed}.csv", 0.0, JOINTS, time, q, None, effort,
+        np.zeros(2, dtype=bool), np.full(2, np.inf), {},
+    )  # fmt: skip
+
+
+def identified(folder: Path, change, signals: Signals = NO_SIGNALS) -> EffortResult:
+    """The result for two recordings that were changed alike, and the second held out."""
+    fit, held = (change(measured(folder, seed)) for seed in (1, 2))
+    return identify_effort(load(write_model(folder)), MeasuredSet((fit,), (held,)), signals)
+
+
+def scaled(factors: list[float]):
+    return lambda one: replace(one, effort=one.effort * np.array(factors))
+
+
+def test_a_sound_recording_has_no_suspect(tmp_path: Path) -> None:
+    assert identified(tmp_path, lambda one: one).suspected == ()
+
+
+def test_a_wrong_sign_of_one_motor_is_named(tmp_path: Path) -> None:
+    (suspect,) = identified(tmp_path, scaled([1.0, -1.0])).suspected
+    assert suspect.what.startswith("elbow: the effort helps the motion")
+    assert "its sign is wrong" in suspect.what
+    assert suspect.fatal
+
+
+def test_a_gear_that_is_not_applied_is_named(tmp_path: Path) -> None:
+    signals = Signals.from_json({"joints": {"elbow": {"gear": 50.0}}})
+    (suspect,) = identified(tmp_path, scaled([1.0, 0.02]), signals).suspected
+    assert "elbow: the effort is 0.0" in suspect.what
+    assert suspect.what.endswith("the gear ratio 50 is not applied to the effort")
+    assert suspect.mend == "signals: joints: elbow: side of position and effort, and gear"
+
+
+def test_an_inverted_gear_is_named(tmp_path: Path) -> None:
+    signals = Signals.from_json({"joints": {"shoulder": {"gear": 50.0}}})
+    (suspect,) = identified(tmp_path, scaled([2500.0, 1.0]), signals).suspected
+    assert suspect.what.endswith("the gear ratio 50 is applied the wrong way round")
+
+
+def test_friction_that_falls_over_the_run_is_said(tmp_path: Path) -> None:
+    def warming(one: Measured) -> Measured:
+        way = np.sign(np.gradient(one.position[:, 0]))
+        fall = 0.4 * (0.5 - one.time / one.time[-1])
+        effort = one.effort.copy()
+        effort[:, 0] += fall * way
+        return replace(one, effort=effort)
+
+    (suspect,) = identified(tmp_path, warming).suspected
+    assert suspect.what.startswith("shoulder: dry friction changes by -")
+    assert not suspect.fatal
+
+
+@pytest.mark.parametrize("late", [0.012, -0.008])
+def test_a_delay_of_the_efforts_is_found_and_taken_out(tmp_path: Path, late: float) -> None:
+    def delayed(one: Measured) -> Measured:
+        columns = [np.interp(one.time - late, one.time, column) for column in one.effort.T]
+        return replace(one, effort=np.column_stack(columns))
+
+    result = identified(tmp_path, delayed)
+    assert result.stages[0].state == "accepted"
+    assert result.delay is not None
+    assert result.delay.value == pytest.approx(late, abs=0.003)
+    plain = identified(tmp_path, lambda one: one)
+    assert plain.stages[0].state == "not_observable"
+
+
+def test_a_clipped_effort_is_found() -> None:
+    wave = 5.0 * np.sin(np.linspace(0, 20, 2000))
+    assert _clipped_at(np.clip(wave, -3.0, 3.0)) == 3.0
+    assert _clipped_at(wave + 0.01 * np.random.default_rng(0).standard_normal(2000)) is None
+
+
+def test_a_joint_that_stands_still_leaves_its_parameters_open(tmp_path: Path) -> None:
+    def stood(one: Measured) -> Measured:
+        position = one.position.copy()
+        position[:, 1] = 0.3
+        return replace(one, position=position)
+
+    result = identified(tmp_path, stood)
+    left = {result.base.names[i] for i in np.flatnonzero(result.unobservable)}
+    assert {"elbow.viscous_friction", "elbow.coulomb_friction", "elbow.armature"} <= left
