@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import rigid
+from pytest_twin.calibration.exported_mjcf import calibrated_mjcf
+from pytest_twin.calibration.joint_changes import joint_changes
 from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.formats import xml
 from pytest_twin.metrics.pose import rotation_of
@@ -22,6 +24,8 @@ from pytest_twin.metrics.pose import rotation_of
 STATIC_TRANSFORMS = "static_transforms.sh"
 EASY_HANDEYE = "easy_handeye2.calib"
 URDF = "calibrated.urdf"
+MJCF = "calibrated.xml"
+CAMERA_INFO = "camera_info.yaml"
 
 _DIGITS = 9
 """Digits after the point of an exported m or rad: a nanometre."""
@@ -48,7 +52,43 @@ def export_files(plan: str, document: Mapping[str, Any], folder: str) -> dict[st
     changes = {"joint_zeros", "geometry", "hand_eye", "tcp"} & set(records)
     if found.robot is not None and found.robot.suffix.lower() == ".urdf" and changes:
         texts[URDF] = calibrated_urdf(found.robot, records, Path(folder))
+    if found.robot is not None and found.robot.suffix.lower() == ".xml" and changes:
+        text = calibrated_mjcf(found.robot, records, Path(folder))
+        if text is not None:
+            texts[MJCF] = text
+    if "intrinsics" in records and (text := camera_info(found, document)) is not None:
+        texts[CAMERA_INFO] = text
     return texts
+
+
+def camera_info(plan: Plan, document: Mapping[str, Any]) -> str | None:
+    """The text of ROS' ``camera_info`` file; None where its models lack a term that is not zero.
+
+    Format: camera_calibration_parsers. ``plumb_bob`` has k1 k2 p1 p2 k3, ``rational_polynomial``
+    k4 k5 k6 too.
+    """
+    record = document["records"]["intrinsics"]
+    size = next((one["size"] for one in document.get("images", {}).values()), None)
+    distortion = [*map(float, record["distortion"]), *[0.0] * 8]
+    if size is None or any(distortion[8:]):
+        return None
+    few = not any(distortion[5:8])
+    (fx, _, cx), (_, fy, cy), _ = record["camera_matrix"]
+
+    def table(rows: int, columns: int, data: list[float]) -> dict[str, Any]:
+        return {"rows": rows, "cols": columns, "data": [float(value) for value in data]}
+
+    content = {
+        "image_width": int(size[0]),
+        "image_height": int(size[1]),
+        "camera_name": plan.id,
+        "camera_matrix": table(3, 3, [fx, 0, cx, 0, fy, cy, 0, 0, 1]),
+        "distortion_model": "plumb_bob" if few else "rational_polynomial",
+        "distortion_coefficients": table(1, 5 if few else 8, distortion[: 5 if few else 8]),
+        "rectification_matrix": table(3, 3, [1, 0, 0, 0, 1, 0, 0, 0, 1]),
+        "projection_matrix": table(3, 4, [fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0]),
+    }
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
 
 
 def static_transforms(records: Mapping[str, Any]) -> Iterator[str]:
@@ -120,7 +160,7 @@ def calibrated_urdf(robot: Path, records: Mapping[str, Any], folder: Path) -> st
     """
     root = xml.parse(robot)
     changes: dict[str, FloatArray] = {}
-    for name, change in _joint_changes(records, root):
+    for name, change in joint_changes(records, _axes_of_urdf(root)):
         changes[name] = changes.get(name, np.eye(4)) @ change
     for joint in root.iter("joint"):
         change_of = changes.get(joint.get("name", ""))
@@ -138,33 +178,15 @@ def calibrated_urdf(robot: Path, records: Mapping[str, Any], folder: Path) -> st
     return etree.tostring(root, encoding="unicode") + "\n"
 
 
-def _joint_changes(records: Mapping[str, Any], root: Any) -> Iterator[tuple[str, FloatArray]]:
-    """Deviations in each joint's own frame: offsets, then tilts, then the zero about its axis."""
-    geometry = records.get("geometry", {"values": {}})["values"].values()
-    for joint in dict.fromkeys(one["joint"] for one in geometry):
-        mine = [one for one in geometry if one["joint"] == joint]
-        offset, tilt = (
-            np.sum(
-                [np.array(one["direction"]) * one["value"] for one in mine if one["kind"] == kind]
-                or [np.zeros(3)],
-                axis=0,
-            )
-            for kind in ("translation", "rotation")
-        )
-        yield joint, rigid(Rotation.from_rotvec(tilt).as_matrix(), offset)
-    axes = {joint.get("name"): joint for joint in root.iter("joint")}
-    for joint, one in records.get("joint_zeros", {"values": {}})["values"].items():
-        element = axes.get(joint)
-        if element is None:
-            continue
-        stated = element.find("axis")
+def _axes_of_urdf(root: Any) -> dict[str, tuple[FloatArray, bool]]:
+    """Joint -> its axis in its own frame, and whether it slides."""
+    found = {}
+    for joint in root.iter("joint"):
+        stated = joint.find("axis")
         text = "1 0 0" if stated is None else stated.get("xyz", "1 0 0")
         axis = np.array([float(word) for word in text.split()])
-        axis = axis / np.linalg.norm(axis) * one["value"]
-        if element.get("type") == "prismatic":
-            yield joint, rigid(np.eye(3), axis)
-        else:
-            yield joint, rigid(Rotation.from_rotvec(axis).as_matrix(), np.zeros(3))
+        found[joint.get("name", "")] = axis, joint.get("type") == "prismatic"
+    return found
 
 
 def _origin(joint: Any) -> FloatArray:

@@ -51,12 +51,14 @@ class Suspect:
         what: what seems to be wrong, in words.
         mend: what to do.
         translation, rotation: median errors with the mistake undone, m and rad (NaN for points).
+        factor: that positions of the target must be multiplied by, where that is the mend.
     """
 
     what: str
     mend: str
     translation: float
     rotation: float
+    factor: float | None = None
 
     def to_json(self) -> dict[str, object]:
         """As ``calibration.json`` has it."""
@@ -67,6 +69,8 @@ class Suspect:
         }
         if np.isfinite(self.rotation):
             made["rotation_median"] = self.rotation
+        if self.factor is not None:
+            made["factor"] = self.factor
         return made
 
 
@@ -269,6 +273,7 @@ def _of_target(factor: float, column: str, translation: float, rotation: float) 
         f"multiply the target's dimensions by {factor:.4f} after measuring them",
         translation,
         rotation,
+        factor,
     )
 
 

@@ -30,7 +30,13 @@ FILE_NAME, PAGE_NAME = "calibration.json", "calibration.html"
 OBSERVATIONS = "observations"
 """Folder in which tables and images of recordings are kept, so that they can be tried again."""
 
-EXPORTS = ("static_transforms.sh", "easy_handeye2.calib", "calibrated.urdf")
+EXPORTS = (
+    "static_transforms.sh",
+    "easy_handeye2.calib",
+    "calibrated.urdf",
+    "calibrated.xml",
+    "camera_info.yaml",
+)
 
 _READABLE = {
     "rad": (1e3, "mrad"),

@@ -10,9 +10,15 @@ import fr3
 import numpy as np
 import yaml
 
-from pytest_twin.calibration.chain import ChainParameters, forward
+from pytest_twin.calibration.chain import ChainParameters, forward, link_parameters
 from pytest_twin.calibration.closed_form import rigid
-from pytest_twin.calibration.exports import calibrated_urdf, easy_handeye, static_transforms
+from pytest_twin.calibration.exported_mjcf import calibrated_mjcf
+from pytest_twin.calibration.exports import (
+    calibrated_urdf,
+    camera_info,
+    easy_handeye,
+    static_transforms,
+)
 from pytest_twin.calibration.run import calibrate
 from pytest_twin.realization.serial_chain import load_serial_chain
 
@@ -82,3 +88,74 @@ def test_the_urdf_moves_as_the_calibration_says(tmp_path: Path) -> None:
         expected.append((total @ chain.end)[:3, 3])
     np.testing.assert_allclose(now.position, expected, atol=1e-9)
     assert load_serial_chain(tmp_path / "new.urdf", "camera").frame == "camera"
+
+
+MJCF_ARM = """<mujoco><compiler angle="degree"/><default><joint axis="0 0 1"/></default><worldbody>
+<body name="a" pos="0 0 0.3" euler="20 0 10"><geom size="0.02"/><joint name="j1" pos="0.01 0 0"/>
+<body name="b" pos="0.2 0.1 0.1" quat="0.9 0.1 0.3 0.1"><geom size="0.02"/>
+<joint name="j2" axis="0 1 0" ref="15"/>
+<body name="c" pos="0.1 0 0.2"><geom size="0.02"/><joint name="j3" type="slide" axis="1 0 0"/>
+<body name="d" pos="0.1 0 0.1"><geom size="0.02"/><joint name="j4" axis="1 0 0"/>
+<body name="tool" pos="0 0 0.1" axisangle="0 1 0 90"/></body></body></body></body></worldbody>
+</mujoco>"""
+
+
+def test_the_mjcf_moves_as_the_calibration_says(tmp_path: Path) -> None:
+    robot = tmp_path / "arm.xml"
+    robot.write_text(MJCF_ARM)
+    chain = load_serial_chain(robot, "tool")
+    links = link_parameters(chain, 1)
+    rng = np.random.default_rng(2)
+    zeros, values = rng.normal(0.0, 0.02, 4), rng.normal(0.0, 0.01, len(links))
+    records = {
+        "joint_zeros": {
+            "values": {n: {"value": v} for n, v in zip(chain.joints, zeros, strict=True)}
+        },
+        "geometry": {
+            "values": {
+                link.label: {
+                    "value": value, "joint": chain.joints[link.joint],
+                    "kind": "rotation" if link.rotation else "translation",
+                    "direction": link.direction.tolist(),
+                }
+                for link, value in zip(links, values, strict=True)
+            }
+        },
+        "hand_eye": pose_record("tool", "camera"),
+    }  # fmt: skip
+    (tmp_path / "new.xml").write_text(calibrated_mjcf(robot, records, tmp_path))
+    new = load_serial_chain(tmp_path / "new.xml", "tool")
+    readings = rng.uniform(-1.0, 1.0, (10, 4))
+    parameters = ChainParameters(
+        len(links), zeros, (-1,) * 4, links, values, tuple(range(len(links)))
+    )
+    expected = forward(chain, readings, parameters)
+    found = forward(new, readings, ChainParameters(0, np.zeros(4), (-1,) * 4))
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-12)
+    assert load_serial_chain(tmp_path / "new.xml", "camera").joints == chain.joints
+
+
+def test_camera_info_has_what_ros_reads() -> None:
+    distortion = [-0.1, 0.02, 0.001, -0.002, 0.003] + 7 * [0.0]
+    matrix = [[900.0, 0.0, 510.0], [0.0, 905.0, 378.0], [0.0, 0.0, 1.0]]
+    document = {
+        "records": {"intrinsics": {"camera_matrix": matrix, "distortion": distortion}},
+        "images": {"1": {"size": [1024, 768]}},
+    }
+    found = yaml.safe_load(camera_info(cells.plan("intrinsics"), document))
+    assert (found["image_width"], found["image_height"]) == (1024, 768)
+    assert found["distortion_model"] == "plumb_bob"
+    assert found["distortion_coefficients"] == {"rows": 1, "cols": 5, "data": distortion[:5]}
+    for name, rows, columns in (
+        ("camera_matrix", 3, 3), ("rectification_matrix", 3, 3), ("projection_matrix", 3, 4)
+    ):  # fmt: skip
+        assert (found[name]["rows"], found[name]["cols"]) == (rows, columns)
+        assert len(found[name]["data"]) == rows * columns
+    np.testing.assert_array_equal(np.reshape(found["camera_matrix"]["data"], (3, 3)), matrix)
+    distortion[5] = 0.2
+    found = yaml.safe_load(camera_info(cells.plan("intrinsics"), document))
+    assert found["distortion_model"] == "rational_polynomial"
+    assert len(found["distortion_coefficients"]["data"]) == 8
+    distortion[8] = 0.1
+    assert camera_info(cells.plan("intrinsics"), document) is None

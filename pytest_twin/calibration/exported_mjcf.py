@@ -1,0 +1,121 @@
+"""An MJCF with joint zeros and link geometry in the places of its bodies, and new sites."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from lxml import etree
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.closed_form import inverse, rigid
+from pytest_twin.calibration.joint_changes import joint_changes
+from pytest_twin.formats import xml
+from pytest_twin.metrics.pose import quaternion_of, rotation_of
+from pytest_twin.realization.loading import load
+
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+
+
+def calibrated_mjcf(robot: Path, records: Mapping[str, Any], folder: Path) -> str | None:
+    """An MJCF's text in which a frame around each body holds what its joint deviates by.
+
+    Everything else stays as it was written: defaults, classes, includes. None where the change
+    cannot be told in this way: a joint that is not its body's first, a body inside a frame or in
+    an included file.
+
+    Args:
+        robot: the MJCF before calibration.
+        records: of ``calibration.json``.
+        folder: where the text will lie; references to other files are rewritten for it.
+
+    Raises:
+        TwinError: the model cannot be loaded.
+    """
+    root = xml.parse(robot)
+    model = load(robot).model
+    axes = {
+        model.joint(at).name: (
+            np.array(model.jnt_axis[at]),
+            model.jnt_type[at] == mujoco.mjtJoint.mjJNT_SLIDE,
+        )
+        for at in range(model.njnt)
+    }
+    changes: dict[str, FloatArray] = {}
+    for name, change in joint_changes(records, axes):
+        changes[name] = changes.get(name, np.eye(4)) @ change
+    bodies = {body.get("name"): body for body in root.iter("body") if body.get("name")}
+    for name, change in changes.items():
+        joint = model.joint(name).id
+        at = int(model.jnt_bodyid[joint])
+        element = bodies.get(model.body(at).name)
+        parent = None if element is None else element.getparent()
+        if parent is None or parent.tag == "frame" or model.body_jntadr[at] != joint:
+            return None
+        body = rigid(rotation_of(model.body_quat[at]), model.body_pos[at])
+        # A joint's frame is that at position 0; the file has the body at the reference position.
+        back = -float(model.qpos0[model.jnt_qposadr[joint]]) * axes[name][0]
+        anchor = rigid(np.eye(3), model.jnt_pos[joint]) @ (
+            rigid(np.eye(3), back)
+            if axes[name][1]
+            else rigid(Rotation.from_rotvec(back).as_matrix(), np.zeros(3))
+        )
+        moved = body @ anchor @ change @ inverse(anchor) @ inverse(body)
+        frame = etree.Element("frame", pos=_words(moved[:3, 3]), quat=_turn(moved))
+        parent.replace(element, frame)
+        frame.append(element)
+    for name in ("hand_eye", "tcp"):
+        record = records.get(name)
+        if record is not None and record["transform"]["quaternion_wxyz"] is not None:
+            _add_site(root, bodies, record)
+    _relocate(root, robot.parent, folder)
+    etree.indent(root)
+    return etree.tostring(root, encoding="unicode") + "\n"
+
+
+def _add_site(root: Any, bodies: Mapping[str, Any], record: Mapping[str, Any]) -> None:
+    """A site of the record's child frame in its parent body, where there is none yet."""
+    taken = {site.get("name") for site in root.iter("site")}
+    body = bodies.get(record["parent"])
+    if body is None or record["child"] in taken:
+        return
+    transform = record["transform"]
+    etree.SubElement(
+        body, "site", name=record["child"], pos=_words(transform["xyz"]),
+        quat=_words(transform["quaternion_wxyz"]),
+    )  # fmt: skip
+
+
+def _relocate(root: Any, before: Path, after: Path) -> None:
+    """Rewrite folders of assets and included files, which are relative to the file itself."""
+
+    def moved(reference: str) -> str:
+        path = Path(reference)
+        return reference if path.is_absolute() else os.path.relpath(before / path, after)
+
+    for element in root.iter("include"):
+        element.set("file", moved(element.get("file", "")))
+    compilers = list(root.iter("compiler"))
+    if any(element.get("file") for element in root.iter("mesh", "texture", "hfield", "skin")):
+        compilers = compilers or [etree.SubElement(root, "compiler")]
+    for element in compilers[:1]:
+        if element.get("assetdir") is None:
+            for name in ("meshdir", "texturedir"):
+                element.set(name, element.get(name, "."))
+    for element in compilers:
+        for name in _FOLDERS:
+            if element.get(name) is not None:
+                element.set(name, moved(element.get(name)))
+
+
+def _words(values: Any) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _turn(pose: FloatArray) -> str:
+    return _words(quaternion_of(pose[:3, :3]))
