@@ -32,6 +32,7 @@ from pytest_twin.calibration.records import (
     with_directions,
 )
 from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of
+from pytest_twin.calibration.scene import scene
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import is_subset, starts
@@ -216,6 +217,9 @@ def calibrate(
     seen_notes = () if seen is None else seen.notes
     document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
     document["covariance"] = full_covariance(solved.estimate)
+    document["scene"] = scene(
+        problem, fit.state, {"held_out": (held, errors), "fitted": (fit.problem, fitted)}
+    )
     document["pose_diversity"] = pose_diversity(fit.problem, solved.estimate)
     document["next_poses"] = next_poses(solved.estimate)
     document["software"] = {"pytest-twin": __version__}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,11 @@ from pytest_twin.report.calibration_plots import (
     covariance_figure,
     overlay_figure,
     residuals_figure,
+    scene_figure,
     solvers_figure,
 )
 from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.text import printable
 
 MOST_OVERLAYS = 6
 """Images that are shown, those with the largest reprojection error first."""
@@ -46,6 +48,9 @@ def render(document: Mapping[str, Any], images: Path) -> str:
         style_hash=style.sha256,
         headline=headline,
         mood=mood,
+        estimates=list(_estimates(document["records"])),
+        scene=svg_uri(scene_figure(document)) if "scene" in document else None,
+        proposed=_proposed(document),
         overlays=_overlays(seen, images),
         residuals=svg_uri(residuals_figure(document)) if seen else None,
         solvers=svg_uri(solvers_figure(document)) if any(document["solvers"].values()) else None,
@@ -55,6 +60,54 @@ def render(document: Mapping[str, Any], images: Path) -> str:
             if "transform" in record and len(record["covariance"]) == 6
         ],
     )
+
+
+def _estimates(records: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Rows of record, coordinate, value, half of its 95 % interval, and unit."""
+    scales = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms")}
+    for name, record in records.items():
+        title = printable(name.replace("_", " "))
+        if "transform" in record:
+            frames = printable(f"{record['parent']} to {record['child']}")
+            for axis, value in zip("xyz", record["transform"]["xyz"], strict=True):
+                width = (record["ci95"][axis][1] - record["ci95"][axis][0]) / 2.0
+                yield title, f"{frames}: {axis}", f"{1e3 * value:.3f}", f"{1e3 * width:.3f}", "mm"
+            if record["transform"]["quaternion_wxyz"] is None:
+                continue
+            words = ", ".join(f"{value:.5f}" for value in record["transform"]["quaternion_wxyz"])
+            widths = ", ".join(f"{1e3 * record['ci95'][n][1]:.3f}" for n in ("rx", "ry", "rz"))
+            yield title, f"{frames}: quaternion w x y z", words, widths, "1; mrad"
+            continue
+        for label, one in record.get("values", {"": record}).items():
+            if "value" not in one:
+                continue
+            factor, unit = scales.get(one["unit"], (1.0, one["unit"]))
+            width = factor * (one["ci95"][1] - one["ci95"][0]) / 2.0
+            yield title, printable(label), f"{factor * one['value']:.4g}", f"{width:.2g}", unit
+
+
+def _proposed(document: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Heading and rows of the proposed poses, and what they would bring."""
+    found = document.get("next_poses", {})
+    poses = found.get("poses", [])
+    if not poses:
+        return None
+    if "joints" in poses[0]:
+        names = [printable(name) for name in poses[0]["joints"]]
+        rows = [list(one["joints"].values()) for one in poses]
+    else:
+        names = ["x", "y", "z", "qw", "qx", "qy", "qz"]
+        rows = [one["flange"] for one in poses]
+    now, then = (found[f"predictions_{when}"].get("translation") for when in ("now", "then"))
+    return {
+        "names": names,
+        "rows": [
+            ([f"{value:.3f}" for value in row], f"{one['information']:.1f}")
+            for row, one in zip(rows, poses, strict=True)
+        ],
+        "now": None if now is None else f"{1e3 * now:.2f}",
+        "then": None if then is None else f"{1e3 * then:.2f}",
+    }
 
 
 def _overlays(seen: Mapping[str, Any], images: Path) -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.report.drawn import png, svg
-from pytest_twin.report.plot_style import DIM, FAIL, INK, NOW, PASS
+from pytest_twin.report.plot_style import DIM, FAIL, GOLDEN, INK, NOW, PASS
 from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _ARROW_SHARE = 0.03
 """Length of an arrow that 95 % are shorter than, as a share of the image's width."""
+_ARROW_REACH = 0.12
+"""The same for errors in space, as a share of the scene's extent."""
 _ELLIPSE = 2.4477
 """Radius of a 95 % ellipse in standard deviations (chi-square with two degrees of freedom)."""
 
@@ -68,6 +70,59 @@ def residuals_figure(document: Mapping[str, Any]) -> bytes:
         axes.set_ylabel("y [px]")
 
     return svg(draw, 7.0, 1.0 + 6.2 * height / width)
+
+
+def scene_figure(document: Mapping[str, Any]) -> bytes:
+    """The chain in one pose, the frames around it, and errors over the workspace, as SVG."""
+    scene = document["scene"]
+    arrows = scene["arrows"]
+    places = np.array([one["at"] for one in arrows]).reshape(-1, 3)
+    errors = np.array([one["error"] for one in arrows]).reshape(-1, 3)
+    frames = np.array([one["xyz"] for one in scene["frames"]])
+    everything = np.vstack([places, frames, *(np.array([one["xyz"]]) for one in scene["chain"])])
+    reach = float(np.ptp(everything, axis=0).max())
+    usual = max(float(np.percentile(np.linalg.norm(errors, axis=1), 95.0)), 1e-9) if arrows else 1.0
+    scale = _ARROW_REACH * reach / usual
+
+    def draw(figure: Figure) -> None:
+        axes: Any = figure.add_axes((0.0, 0.02, 1.0, 0.92), projection="3d")
+        if scene["chain"]:
+            chain = np.array([one["xyz"] for one in scene["chain"]])
+            axes.plot(*chain.T, "o-", color=GOLDEN, linewidth=2.2, markersize=4, zorder=1)
+        for one in scene["frames"]:
+            _axes_of_frame(axes, one, 0.07 * reach)
+        for kind, colour in (("fitted", DIM), ("held_out", NOW)):
+            chosen = np.array([one["kind"] == kind for one in arrows], dtype=bool)
+            if not chosen.any():
+                continue
+            axes.scatter(*places[chosen].T, s=3, color=colour, depthshade=False)
+            axes.quiver(
+                *places[chosen].T, *(scale * errors[chosen]).T, color=colour, linewidth=1.0,
+                arrow_length_ratio=0.25, label=kind.replace("_", "-"),
+            )  # fmt: skip
+        centre, half = (everything.max(axis=0) + everything.min(axis=0)) / 2.0, 0.52 * reach
+        for name, middle in zip("xyz", centre, strict=True):
+            getattr(axes, f"set_{name}lim")(middle - half, middle + half)
+            getattr(axes, f"set_{name}label")(f"{name} [m]")
+        axes.set_box_aspect((1, 1, 1))
+        axes.view_init(elev=22, azim=-55)
+        if arrows:
+            axes.legend(loc="upper right")
+        figure.text(
+            0.02, 0.96,
+            f"arrows {scale:.0f} times enlarged; 95 % are shorter than {1e3 * usual:.2f} mm",
+            color=INK,
+        )  # fmt: skip
+
+    return svg(draw, 7.6, 6.4)
+
+
+def _axes_of_frame(axes: Any, frame: Mapping[str, Any], length: float) -> None:
+    at = np.array(frame["xyz"])
+    for axis, colour in zip(frame["axes"], (FAIL, PASS, NOW), strict=True):
+        end = at + length * np.array(axis)
+        axes.plot(*np.stack([at, end]).T, color=colour, linewidth=1.6)
+    axes.text(*(at + 0.25 * length), printable(frame["name"]), color=INK, fontsize=8.5)
 
 
 def covariance_figure(record: Mapping[str, Any], name: str) -> bytes:

@@ -77,6 +77,16 @@ def test_it_writes_estimates_with_intervals_and_held_out_errors(
         "easy_handeye2.calib",
         "static_transforms.sh",
     }
+    scene = found["scene"]
+    assert {one["name"] for one in scene["frames"]} == {"base", "fr3_link8", "camera", "target"}
+    np.testing.assert_allclose(scene["chain"][-1]["xyz"], scene["frames"][1]["xyz"], atol=1e-12)
+    assert len(scene["arrows"]) == 30
+    errors = [one["error"] for one in scene["arrows"] if one["kind"] == "held_out"]
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(
+        found["held_out"]["translation_rms"]
+    )
+    page = Path("out/calibration.html").read_text()
+    assert all(f"<h2>{title} " in page for title in ("Estimates", "Workspace", "Next poses"))
     out = capsys.readouterr().out
     assert "Accepted: cell_hand_eye" in out
     assert "fr3_joint4" in out

@@ -1,0 +1,111 @@
+"""What a picture of a calibration needs: the chain in one pose, and errors over the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.closed_form import rigid
+from pytest_twin.calibration.parameters import State
+from pytest_twin.calibration.problem import Problem, predicted_poses, words_of
+from pytest_twin.calibration.residual_errors import Errors
+from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
+
+MOST_ARROWS = 400
+
+
+def scene(
+    problem: Problem, state: State, errors: Mapping[str, tuple[Problem, Errors]]
+) -> dict[str, Any]:
+    """The chain and the frames around it in the base, m, and the errors as arrows there.
+
+    Args:
+        problem: with the unknowns that were solved for.
+        state: the solution.
+        errors: ``held_out`` and ``fitted`` -> the problem on these observations, their errors.
+    """
+    flange = predicted_poses(problem, state)
+    there = np.flatnonzero(np.isfinite(flange).all(axis=(1, 2)))
+    middle = flange[there, :3, 3].mean(axis=0)
+    # The pose nearest to the middle of the workspace stands for the others.
+    row = int(there[np.argmin(np.linalg.norm(flange[there, :3, 3] - middle, axis=1))])
+    return {
+        "observation": problem.observations.ids[row],
+        "chain": _chain(problem, state, row) if problem.chain is not None else [],
+        "frames": _frames(problem, state, flange[row]),
+        "arrows": [
+            arrow
+            for kind, (part, found) in errors.items()
+            for arrow in _arrows(kind, part, state, found)
+        ],
+    }
+
+
+def _chain(problem: Problem, state: State, row: int) -> list[dict[str, Any]]:
+    """Name and place of the base, each joint and the flange."""
+    chain = problem.chain
+    assert chain is not None
+    values = chain.signs * problem.readings[row] + chain.offsets + state.zeros
+    pose = np.eye(4)
+    found = [{"name": chain.base, "xyz": [0.0, 0.0, 0.0]}]
+    for at, name in enumerate(chain.joints):
+        pose = pose @ chain.placements[at]
+        found.append({"name": name, "xyz": pose[:3, 3].tolist()})
+        moved = chain.axes[at] * values[at]
+        turn = Rotation.from_rotvec(moved * chain.revolute[at]).as_matrix()
+        pose = pose @ rigid(turn, moved * (not chain.revolute[at]))
+    found.append({"name": chain.frame, "xyz": (pose @ chain.end)[:3, 3].tolist()})
+    return found
+
+
+def _frames(problem: Problem, state: State, flange: FloatArray) -> list[dict[str, Any]]:
+    found = [_frame("base", np.eye(4)), _frame(problem.plan.flange, flange)]
+    for name, pose in state.poses.items():
+        words = words_of(name, problem.plan.mount).removeprefix("the ").partition(" ")[0]
+        if name.endswith(".mounted"):
+            found.append(_frame(words, flange @ pose))
+        else:
+            found.append(_frame(words, pose))
+    return found
+
+
+def _frame(name: str, pose: FloatArray) -> dict[str, Any]:
+    return {"name": name, "xyz": pose[:3, 3].tolist(), "axes": pose[:3, :3].T.tolist()}
+
+
+def _arrows(kind: str, problem: Problem, state: State, errors: Errors) -> list[dict[str, Any]]:
+    """Where the flange was, and by how much the prediction was off in the base's axes, m."""
+    flange = predicted_poses(problem, state)
+    turns = [_turns(term, state, flange) for term in problem.terms]
+    if not len(errors.ids) or not turns:
+        return []
+    of_row = {int(r): turn for term, part in zip(problem.terms, turns, strict=True)
+              for r, turn in zip(term.rows, part, strict=True)}  # fmt: skip
+    step = max(1, -(-len(errors.ids) // MOST_ARROWS))
+    return [
+        {
+            "id": name,
+            "kind": kind,
+            "at": flange[row, :3, 3].tolist(),
+            "error": (of_row[int(row)] @ error).tolist(),
+        }
+        for name, row, error in list(zip(errors.ids, errors.rows, errors.translation, strict=True))[
+            ::step
+        ]
+    ]
+
+
+def _turns(term: object, state: State, flange: FloatArray) -> FloatArray:
+    """(m, 3, 3) from the axes that a term's errors are in to those of the base."""
+    if isinstance(term, PoseTerm):
+        if term.mount == "hand":
+            return flange[term.rows, :3, :3] @ state.poses[term.mounted][:3, :3]
+        return np.tile(state.poses[term.world][:3, :3], (len(term.rows), 1, 1))
+    if isinstance(term, PointTerm):
+        return np.tile(state.poses[term.world][:3, :3], (len(term.rows), 1, 1))
+    assert isinstance(term, PivotTerm)
+    return np.tile(np.eye(3), (len(term.rows), 1, 1))
