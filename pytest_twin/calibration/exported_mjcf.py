@@ -49,13 +49,18 @@ def calibrated_mjcf(robot: Path, records: Mapping[str, Any], folder: Path) -> st
     changes: dict[str, FloatArray] = {}
     for name, change in joint_changes(records, axes):
         changes[name] = changes.get(name, np.eye(4)) @ change
-    bodies = {name: body for body in root.iter("body") if (name := body.get("name"))}
+    bodies = {body.get("name", ""): body for body in root.iter("body")}
     for name, change in changes.items():
         joint = model.joint(name).id
         at = int(model.jnt_bodyid[joint])
         element = bodies.get(model.body(at).name)
         parent = None if element is None else element.getparent()
-        if element is None or parent is None or parent.tag == "frame" or model.body_jntadr[at] != joint:
+        if (
+            element is None
+            or parent is None
+            or parent.tag == "frame"
+            or model.body_jntadr[at] != joint
+        ):
             return None
         body = rigid(rotation_of(model.body_quat[at]), model.body_pos[at])
         # A joint's frame is that at position 0; the file has the body at the reference position.
