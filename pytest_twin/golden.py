@@ -47,7 +47,7 @@ class Golden:
         id: path relative to the twin's root without suffix, ``golden/fk/home``.
         path: the spec file.
         kind: the check that runs it.
-        realizations: names from ``twin.yaml`` that it runs on.
+        realizations: names from ``twin.yaml`` that it runs on, the authoritative one first.
         criticality: ``critical`` blocks a release, ``advisory`` is reported.
         target, stimulus: as the kind's schema declares them.
         tolerance: name -> quantity in SI units.

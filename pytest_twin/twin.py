@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -254,6 +255,19 @@ class ReleasePolicy:
 
 
 @dataclass(frozen=True, slots=True)
+class Authority:
+    """Which realization is authoritative for some goldens.
+
+    Attributes:
+        realization: its name.
+        goldens: those that match every tuple that is not empty.
+    """
+
+    realization: str
+    goldens: Affects
+
+
+@dataclass(frozen=True, slots=True)
 class FreshPolicy:
     """From which size on a change of the twin matters to data that it stamped.
 
@@ -291,6 +305,7 @@ class Twin:
         fresh: what size of a change matters to data that the twin stamped.
         excitation: what a person approves for ``pytest-twin excite``, as written; None where
             the section is not there.
+        authority: rules, of which the first that matches a golden holds.
         residual, update: what is declared beside the base model, or None.
         shadow: what a candidate is judged by.
         lines: dotted field -> 1-based line in ``path``.
@@ -316,6 +331,7 @@ class Twin:
     release: ReleasePolicy = field(default_factory=ReleasePolicy)
     fresh: FreshPolicy = field(default_factory=FreshPolicy)
     excitation: Mapping[str, Any] | None = None
+    authority: tuple[Authority, ...] = ()
     residual: ResidualSpec | None = None
     update: UpdateSpec | None = None
     shadow: ShadowPolicy = field(default_factory=ShadowPolicy)
@@ -356,6 +372,16 @@ class Twin:
                 found[record] = None
         found.update(dict.fromkeys(self.source))
         return tuple(found)
+
+    def authority_of(self, ident: str, kind: str) -> str | None:
+        """The realization whose word counts for a golden; None where no rule says."""
+        for rule in self.authority:
+            kinds, patterns = rule.goldens.kinds, rule.goldens.goldens
+            if (not kinds or kind in kinds) and (
+                not patterns or any(fnmatchcase(ident, pattern) for pattern in patterns)
+            ):
+                return rule.realization
+        return None
 
     def shadow_record(self, ident: str) -> Path:
         """Where the promotion of a residual or update is recorded."""
@@ -448,6 +474,7 @@ class _Reader:
             tcp=data.get("tcp"),
             retired=dict(data.get("retired", {})),
             release=ReleasePolicy(float(release.get("valid_days", ReleasePolicy().valid_days))),
+            authority=self._authority(),
             residual=self._residual(),
             update=UpdateSpec.from_json(data["update"]) if "update" in data else None,
             shadow=ShadowPolicy.from_json(data.get("shadow", {})),
@@ -510,6 +537,22 @@ class _Reader:
                 expected="MJCF (.xml, .mjcf), URDF (.urdf), or the folder of a diagnosis",
             )
         return self._file(reference, where)
+
+    def _authority(self) -> tuple[Authority, ...]:
+        known = [*(["mujoco"] if "model" in self.data else []), *self.data.get("realizations", {})]
+        found = []
+        for at, rule in enumerate(self.data.get("authority", ())):
+            name = rule["realization"]
+            if name not in known:
+                raise self.section.error(
+                    f"authority.{at}.realization",
+                    "no such realization",
+                    value=name,
+                    expected=", ".join(known),
+                )
+            matched = Affects(tuple(rule.get("kinds", ())), tuple(rule.get("goldens", ())))
+            found.append(Authority(name, matched))
+        return tuple(found)
 
     def _beside(self, key: str) -> _Section | None:
         """The table of ``key``: inline, or what its ``file:`` holds."""

@@ -14,6 +14,7 @@ from urllib.parse import quote
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
+from pytest_twin.gate.authority import difference_lines
 from pytest_twin.gate.diagnosing import Diagnosed
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import NEVER_PROVEN, Task, line_of
@@ -68,6 +69,11 @@ def close(
     if proven and plan.baseline is not None:
         lines.append(f"{len(proven)} still proven by release {plan.baseline.number:04d}")
     lines += [f"changed during the run: {changed}" for changed in facts.changed]
+    if facts.outcomes:
+        simulators = {name: ref.simulator for name, ref in gate.twin.realizations.items()}
+        goldens = {task.golden.id: task.golden for task in plan.tasks.values()}
+        outcomes = {**facts.proven, **facts.outcomes}
+        lines += difference_lines(list(goldens.values()), outcomes, simulators)
     if gate.unsaved_plots is not None:
         lines.append(f"plots are not saved: {gate.unsaved_plots}")
     refusals: tuple[str, ...] = ()

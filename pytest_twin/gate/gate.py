@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from pytest_twin import staleness
 from pytest_twin.errors import TwinError
 from pytest_twin.gate import specs
+from pytest_twin.gate.authority import recorded_elsewhere
 from pytest_twin.gate.identity import digests
 from pytest_twin.gate.parts import changed_since, look_around
 from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, gone, vouched
@@ -137,7 +138,7 @@ class Gate:
                 path.relative_to(self.root).as_posix() for path in traces if path not in referred
             ),
             files=today.files,
-            problems=(*broken.values(), *today.problems),
+            problems=(*broken.values(), *today.problems, *recorded_elsewhere(goldens)),
             notes=notes,
         )
 

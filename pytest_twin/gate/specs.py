@@ -115,7 +115,9 @@ def load_golden(path: Path, twin: Twin) -> Golden:
 def _realizations(
     data: Mapping[str, Any], twin: Twin, path: Path, lines: Mapping[str, int]
 ) -> tuple[str, ...]:
-    declared = tuple(data.get("realizations") or tuple(twin.realizations)[:1])
+    """Where a golden runs, the authoritative realization first: it is what gets recorded."""
+    authority = twin.authority_of(golden_id(path, twin), data["kind"])
+    declared = tuple(data.get("realizations") or (authority or next(iter(twin.realizations)),))
     for index, name in enumerate(declared):
         if name not in twin.realizations:
             raise SpecError(
@@ -126,7 +128,18 @@ def _realizations(
                 value=name,
                 expected="one of " + ", ".join(twin.realizations),
             )
-    return declared
+    if authority is None:
+        return declared
+    if authority not in declared:
+        raise SpecError(
+            f"does not run on {authority!r}, which is authoritative for it",
+            path=path,
+            line=lines.get("realizations"),
+            where="realizations",
+            value=", ".join(declared),
+            expected=f"{authority!r} among them, or another rule under 'authority:' in twin.yaml",
+        )
+    return (authority, *(name for name in declared if name != authority))
 
 
 def _tolerance(
