@@ -78,6 +78,15 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     better = _mean(result.errors) < _mean(result.nominal)
     ordered = in_order(stages)
     fatal = any(one.fatal for one in result.suspected)
+    for joint, scale in result.scales.items():
+        parameters[f"{joint}.effort_scale"] = {
+            "value": scale.value,
+            "unit": "1",
+            "ci95": [scale.value - scale.half_width, scale.value + scale.half_width],
+            "prior": 1.0,
+            "stage": "drive",
+            "used": scale.significant and "drive" not in rejected,
+        }
     if result.delay is not None:
         late = result.delay
         parameters["robot.effort_delay"] = {

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,14 @@ from pytest_twin.identification.effort.least_squares import (
     solve,
 )
 from pytest_twin.identification.effort.sampled import Sampled, sample
+from pytest_twin.identification.effort.scale import (
+    Scale,
+    payload_effort,
+    payload_scales,
+    scaled,
+)
 from pytest_twin.identification.effort.suspects import Suspect, drifts, suspects
-from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.measured import MeasuredSet
 from pytest_twin.identification.physical import Physical, physical
 from pytest_twin.identification.regressor import (
     BaseParameters,
@@ -81,6 +87,7 @@ class EffortResult:
         samples: of the recordings that were fitted.
         held_out: of those that were not.
         delay: of the efforts, where one was found.
+        scales: joint -> recorded over true effort, where known payloads tell it.
         suspected: mistakes of the input that the fit shows.
         notes: one line each.
     """
@@ -101,6 +108,7 @@ class EffortResult:
     delay: Delay | None
     suspected: tuple[Suspect, ...]
     notes: tuple[str, ...]
+    scales: Mapping[str, Scale] = field(default_factory=dict)
 
 
 def has_effort(measured: MeasuredSet) -> bool:
@@ -123,24 +131,67 @@ def identify_effort(
         SpecError: a payload that the twin does not state.
     """
     found, late = _identify(realization, measured, signals)
+    measured, found, delay = _with_delay(realization, measured, signals, found, late)
+    return _with_scales(realization, measured, signals, replace(found, stages=(
+        delay, *found.stages,
+    )))  # fmt: skip
+
+
+def _with_delay(
+    realization: Realization,
+    measured: MeasuredSet,
+    signals: Signals,
+    found: EffortResult,
+    late: Delay | None,
+) -> tuple[MeasuredSet, EffortResult, Stage]:
+    """The stage of the delay: the efforts are moved where that lowers the held-out error."""
     if late is None or not late.significant:
         why = "the efforts are not stamped later than the motion, as far as the motion shows"
         stage = Stage("delay", "not_observable", why, (), None, EXCLUDES["delay"])
-        return replace(found, stages=(stage, *found.stages))
+        return measured, found, stage
     moved = MeasuredSet(
         without_delay(measured.fit, late.value), without_delay(measured.held_out, late.value)
     )
     again, _ = _identify(realization, moved, signals)
-    names = ("robot.effort_delay",)
+    said = (
+        f"efforts are stamped {1e3 * late.value:+.2f} ms (± {1e3 * late.half_width:.2f}) later "
+        "than the motion"
+    )
     stage = judged(
-        Stage("delay", "accepted", f"efforts are stamped {1e3 * late.value:+.2f} ms "
-              f"(± {1e3 * late.half_width:.2f}) later than the motion", names, None,
-              EXCLUDES["delay"]),
+        Stage("delay", "accepted", said, ("robot.effort_delay",), None, EXCLUDES["delay"]),
+        HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
+    )
+    if stage.state != "accepted":
+        return measured, found, stage
+    return moved, replace(again, delay=late), stage
+
+
+def _with_scales(
+    realization: Realization, measured: MeasuredSet, signals: Signals, found: EffortResult
+) -> EffortResult:
+    """The drive's scales, where known payloads tell them: efforts are divided by them."""
+    scales = payload_scales(realization, measured.fit, found.regressor, found.filter)
+    off = {joint: scale for joint, scale in scales.items() if scale.significant}
+    found = replace(found, scales=scales)
+    if not off:
+        return found
+    right = MeasuredSet(scaled(measured.fit, off), scaled(measured.held_out, off))
+    again, _ = _identify(realization, right, signals)
+    words = ", ".join(f"{joint} {scale.value:.3f}" for joint, scale in off.items())
+    stage = judged(
+        Stage(
+            "drive", "accepted", f"recorded over true effort, from known payloads: {words}",
+            tuple(f"{joint}.effort_scale" for joint in off), None, EXCLUDES["drive"],
+        ),
         HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
     )  # fmt: skip
     if stage.state != "accepted":
-        return replace(found, stages=(stage, *found.stages))
-    return replace(again, stages=(stage, *again.stages), delay=late)
+        return replace(found, stages=tuple(stage if s.name == "drive" else s for s in found.stages))
+    own = {s.name: s for s in again.stages}
+    biases = own["drive"].parameters
+    stage = replace(stage, parameters=(*stage.parameters, *biases))
+    kept = (found.stages[0], *(stage if s.name == "drive" else s for s in again.stages))
+    return replace(again, stages=kept, delay=found.delay, scales=scales)
 
 
 def _mean_relative(errors: dict[str, EffortError]) -> float:
@@ -164,7 +215,9 @@ def _identify(
     regressors = [regressor] * len(everything)
     sampled = sample(everything, regressors, chosen)
     for recording, rows in zip(everything, sampled, strict=True):
-        _take_off_payload(realization, regressor, recording, rows)
+        carried = payload_effort(realization, regressor, recording, rows)
+        if carried is not None:
+            rows.effort[...] -= carried
     fit, held = sampled[: len(measured.fit)], sampled[len(measured.fit) :]
     known = np.array([
         any(np.isfinite(s.effort[:, k]).any() for s in fit) for k in range(len(joints))
@@ -222,20 +275,6 @@ def _identify(
         notes=tuple(dict.fromkeys(n for m in everything for n in m.notes)),
     )
     return result, late
-
-
-def _take_off_payload(
-    realization: Realization, regressor: Regressor, recording: Measured, rows: Sampled
-) -> None:
-    """Take what a known payload of the recording adds off its effort."""
-    payload = recording.metadata.get("payload")
-    if payload is None or realization.twin is None or payload not in realization.twin.payloads:
-        return
-    loaded = Regressor(realization.variant(payload=payload), regressor.joints)
-    change = loaded.prior - Regressor(realization, regressor.joints).prior
-    names = {c.name: k for k, c in enumerate(regressor.columns)}
-    columns = [names[c.name] for c in loaded.columns]
-    rows.effort[...] -= rows.matrix[..., columns] @ change
 
 
 def _base(regressor: Regressor, known: NDArray[np.bool_]) -> BaseParameters:

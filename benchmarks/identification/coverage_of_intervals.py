@@ -1,0 +1,136 @@
+"""Coverage of the intervals on simulated arms: how often the true parameters lie in them.
+
+    python benchmarks/identification/coverage_of_intervals.py [--arms N]
+
+Each arm has random true parameters, a nominal model that is off, and three recordings along random
+Fourier series with noise on positions and efforts, one of them held out. The noise of the efforts is
+correlated over 20 ms, as that of a current loop is. Efforts come from MuJoCo's inverse dynamics.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from scipy import signal
+
+from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.regressor import Regressor
+from pytest_twin.realization import Realization, load
+from pytest_twin.signals import NO_SIGNALS
+
+JOINTS = ("shoulder", "elbow", "wrist")
+MODEL = """<mujoco model="arm">
+  <worldbody>
+    <body name="upper">
+      <inertial pos="{c0} 0.01 0.02" mass="{m0}" diaginertia="0.03 0.1 0.1"/>
+      <joint name="shoulder" axis="0 1 0" armature="{a0}" damping="{d0}" frictionloss="{f0}"/>
+      <body name="lower" pos="0.5 0 0">
+        <inertial pos="{c1} 0 0.02" mass="{m1}" diaginertia="0.02 0.05 0.05"/>
+        <joint name="elbow" axis="0 0 1" armature="{a1}" damping="{d1}" frictionloss="{f1}"/>
+        <body name="hand" pos="0.4 0 0">
+          <inertial pos="{c2} 0.02 0.01" mass="{m2}" diaginertia="0.005 0.01 0.01"/>
+          <joint name="wrist" axis="0 1 0" armature="{a2}" damping="{d2}" frictionloss="{f2}"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>"""
+RATE, SECONDS = 200.0, 16.0
+
+
+def arm(folder: Path, name: str, random: np.random.Generator, nominal: dict | None) -> dict:
+    """Write an arm; with ``nominal``, its true parameters are up to a third off these."""
+    if nominal is None:
+        values = {}
+        for k, (mass, com) in enumerate(((4.0, 0.25), (2.5, 0.2), (1.0, 0.1))):
+            values |= {f"m{k}": mass, f"c{k}": com, f"a{k}": 0.1 / (k + 1), f"d{k}": 0.0,
+                       f"f{k}": 0.0}  # fmt: skip
+    else:
+        values = {key: value * random.uniform(0.7, 1.4) for key, value in nominal.items()}
+        for k in range(3):
+            values[f"d{k}"] = random.uniform(0.3, 2.0) / (k + 1)
+            values[f"f{k}"] = random.uniform(0.2, 1.5) / (k + 1)
+    (folder / name).write_text(MODEL.format(**values))
+    return values
+
+
+def record(robot: Realization, path: Path, random: np.random.Generator) -> Measured:
+    """One random Fourier series with noise."""
+    time = np.arange(round(SECONDS * RATE)) / RATE
+    q, v, a = (np.zeros((len(time), 3)) for _ in range(3))
+    for joint in range(3):
+        for harmonic in range(1, 7):
+            omega = 2 * np.pi * 0.125 * harmonic
+            size, phase = random.uniform(0.1, 0.5) / harmonic**0.5, random.uniform(0, 2 * np.pi)
+            q[:, joint] += size * np.sin(omega * time + phase)
+            v[:, joint] += size * omega * np.cos(omega * time + phase)
+            a[:, joint] -= size * omega**2 * np.sin(omega * time + phase)
+    model, data = robot.model, mujoco.MjData(robot.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    effort = np.empty_like(q)
+    for at in range(len(time)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[at], v[at], a[at]
+        mujoco.mj_inverse(model, data)
+        effort[at] = data.qfrc_inverse + model.dof_frictionloss * np.sign(v[at])
+    low = signal.butter(1, 8.0, fs=RATE, output="sos")
+    noise = signal.sosfilt(low, random.standard_normal(effort.shape), axis=0)
+    effort += 0.03 * effort.std(axis=0) * noise / noise.std(axis=0)
+    q += 2e-5 * random.standard_normal(q.shape)
+    return Measured(path, 0.0, JOINTS, time, q, None, effort, np.zeros(3, dtype=bool),
+                    np.full(3, np.inf), {})  # fmt: skip
+
+
+def identified(seed: int, folder: Path) -> tuple[EffortResult, np.ndarray]:
+    """The identification of one arm, and its true base parameters."""
+    random = np.random.default_rng(seed)
+    nominal = arm(folder, "nominal.xml", random, None)
+    arm(folder, "real.xml", random, nominal)
+    real = load(folder / "real.xml")
+    runs = [record(real, folder / f"{name}.csv", random) for name in ("one", "two", "check")]
+    result = identify_effort(
+        load(folder / "nominal.xml"), MeasuredSet(tuple(runs[:2]), (runs[2],)), NO_SIGNALS
+    )
+    return result, result.base.values(Regressor(real, JOINTS).prior)
+
+
+def covered(result: EffortResult, true: np.ndarray) -> np.ndarray:
+    """(k,) whether the true value of each essential parameter lies in its 95 % interval."""
+    off = np.abs(result.fitted.solution.values - true[result.fitted.kept])
+    return np.asarray(off <= result.fitted.solution.half_width)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--arms", type=int, default=100)
+    args = parser.parse_args()
+    inside: list[bool] = []
+    missed: Counter[str] = Counter()
+    held, nominal, consistent, rejected = [], [], 0, Counter()
+    for seed in range(args.arms):
+        with tempfile.TemporaryDirectory() as scratch:
+            result, true = identified(seed, Path(scratch))
+        hit = covered(result, true)
+        inside += hit.tolist()
+        for k in np.flatnonzero(~hit):
+            missed[result.base.expressions[result.fitted.kept[k]]] += 1
+        consistent += result.physical.consistent
+        held += [error.relative for error in result.errors.values()]
+        nominal += [error.relative for error in result.nominal.values()]
+        rejected.update(stage.name for stage in result.stages if stage.state == "rejected")
+    print(f"{args.arms} arms, {len(inside)} intervals")
+    print(f"coverage: {100 * np.mean(inside):.1f} % (goal: 90 to 99 %)")
+    print(f"physically consistent: {consistent} of {args.arms} (goal: all)")
+    print(f"held-out effort error: median {100 * np.median(held):.2f} %, nominal model "
+          f"{100 * np.median(nominal):.1f} %")  # fmt: skip
+    print(f"stages rejected: {dict(rejected) or 'none'}")
+    print(f"most often outside: {missed.most_common(5)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""Scale of each joint's effort (its torque constant), from payloads that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import effective_samples
+from pytest_twin.identification.effort.essential import SIGNIFICANT
+from pytest_twin.identification.effort.filtering import Filter
+from pytest_twin.identification.effort.sampled import Sampled, sample
+from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.regressor import Regressor
+from pytest_twin.realization import Realization
+
+_Z95 = 1.959964
+_LEAST_SHARE = 0.01
+"""Of the effort: a payload that adds less beside what the robot's own parameters can do says
+nothing of the scale."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Recorded effort over true effort of one joint.
+
+    Attributes:
+        value: 1 where the recorded effort is right.
+        half_width: of the 95 % interval.
+    """
+
+    value: float
+    half_width: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether it differs from 1."""
+        return abs(self.value - 1.0) * _Z95 >= SIGNIFICANT * self.half_width
+
+
+def payload_effort(
+    realization: Realization, regressor: Regressor, recording: Measured, rows: Sampled
+) -> FloatArray | None:
+    """(n, joints) effort that a known payload of the recording adds; None without one.
+
+    Raises:
+        SpecError: the payload names a body that the model lacks.
+    """
+    payload = recording.metadata.get("payload")
+    if payload is None or realization.twin is None or payload not in realization.twin.payloads:
+        return None
+    loaded = Regressor(realization.variant(payload=payload), regressor.joints)
+    change = loaded.prior - Regressor(realization, regressor.joints).prior
+    at = {column.name: k for k, column in enumerate(regressor.columns)}
+    columns = [at[column.name] for column in loaded.columns]
+    return np.asarray(rows.matrix[..., columns] @ change)
+
+
+def payload_scales(
+    realization: Realization, recordings: Sequence[Measured], regressor: Regressor, chosen: Filter
+) -> dict[str, Scale]:
+    """Joint -> its scale, where recordings with different known payloads tell it.
+
+    Each joint is fitted alone: effort = scale (W p + payload). All of the robot's own parameters
+    are free, so that the scale is what the known payload adds beside them.
+
+    Args:
+        realization: the nominal model, with the twin that states the payloads.
+        recordings: those to fit.
+        regressor: of the robot.
+        chosen: how motion is filtered.
+    """
+    rows = sample(recordings, [regressor] * len(recordings), chosen)
+    added = [
+        payload_effort(realization, regressor, one, own)
+        for one, own in zip(recordings, rows, strict=True)
+    ]
+    if all(one is None for one in added):
+        return {}
+    known = np.concatenate([
+        np.zeros_like(own.effort) if one is None else one
+        for one, own in zip(added, rows, strict=True)
+    ])  # fmt: skip
+    effort = np.concatenate([own.effort for own in rows])
+    matrix = np.concatenate([own.matrix for own in rows])
+    saturated = np.concatenate([own.saturated | own.resting for own in rows])
+    found = {}
+    for k, joint in enumerate(regressor.joints):
+        use = np.isfinite(effort[:, k]) & ~saturated[:, k]
+        lengths = [int(n) for n in _lengths(use, rows) if n]
+        if use.sum() > 2 * matrix.shape[2]:
+            scale = _scale(matrix[use, k], known[use, k], effort[use, k], lengths)
+            if scale is not None:
+                found[joint] = scale
+    return found
+
+
+def scaled(recordings: Sequence[Measured], scales: Mapping[str, Scale]) -> tuple[Measured, ...]:
+    """The recordings with each effort divided by its scale."""
+    return tuple(
+        replace(
+            one,
+            effort=one.effort
+            / np.array([scales[j].value if j in scales else 1.0 for j in one.joints]),
+        )
+        for one in recordings
+    )
+
+
+def _lengths(use: np.ndarray, rows: Sequence[Sampled]) -> list[int]:
+    ends = np.cumsum([len(own.time) for own in rows])
+    starts = [0, *ends[:-1]]
+    return [int(use[a:b].sum()) for a, b in zip(starts, ends, strict=True)]
+
+
+def _scale(
+    matrix: FloatArray, known: FloatArray, effort: FloatArray, lengths: Sequence[int]
+) -> Scale | None:
+    """Of one joint; None where its own parameters can do all that the payload does."""
+    sizes = np.linalg.norm(matrix, axis=0)
+    basis, singular, _ = np.linalg.svd(matrix[:, sizes > 0] / sizes[sizes > 0], full_matrices=False)
+    basis = basis[:, singular > 1e-8 * singular[0]]
+    beside = known - basis @ (basis.T @ known)
+    if np.linalg.norm(beside) < _LEAST_SHARE * np.linalg.norm(effort):
+        return None
+    power = float(beside @ beside)
+    value = float(beside @ effort) / power
+    residual = effort - basis @ (basis.T @ effort) - value * beside
+    independent = max(float(effective_samples(residual[:, None], lengths)[0]), 2.0)
+    noise = float(np.sqrt(np.mean(residual**2) * len(residual) / independent))
+    return Scale(value, _Z95 * noise / np.sqrt(power))
