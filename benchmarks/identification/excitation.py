@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,6 @@ import tx40_files
 
 from pytest_twin.excitation.approved import Approved, JointLimits, Stop
 from pytest_twin.excitation.d_optimal import Design
-from pytest_twin.excitation.designs import repeated
 from pytest_twin.excitation.motion import Drawn
 from pytest_twin.excitation.noise import noise_of
 from pytest_twin.excitation.prediction import of_base
@@ -97,7 +97,8 @@ def from_model(realization: Realization, left_out: tuple[str, ...]) -> Approved:
 
 
 def worst(realization: Realization, limits: Approved, drawn: Drawn) -> tuple[float, float]:
-    """log det of the information, and the worst relative deviation in percent."""
+    """log det of the information, and the worst relative deviation in percent of parameters that
+    are not small."""
     regressor = Regressor(realization, limits.names)
     base = structural_base(regressor)
     noise = noise_of(realization, limits)
@@ -119,9 +120,9 @@ def compared(name: str, realization: Realization, limits: Approved, theirs: Draw
     since = time.process_time()
     best = design.optimum(1)
     seconds = time.process_time() - since
-    ours = worst(realization, limits, repeated(best.coefficients, limits))
+    ours = worst(realization, limits, design.drawn(best.coefficients))
     random = [
-        worst(realization, limits, repeated(design.random(seed), limits)) for seed in range(RANDOM)
+        worst(realization, limits, design.drawn(design.random(seed))) for seed in range(RANDOM)
     ]
     middle = [float(np.median([one[i] for one in random])) for i in (0, 1)]
     found: dict[str, Any] = {
@@ -167,29 +168,30 @@ def envelope(realization: Realization, names: tuple[str, ...], drawn: Drawn) -> 
 
 def flobaroid(checkout: Path) -> tuple[Realization, tuple[str, ...], Drawn]:
     """The published motion of the KUKA LWR4, at 100 Hz."""
-    realization = load(without_meshes(checkout / "model" / "kuka_lwr4.urdf"))
+    realization = without_meshes(checkout / "model" / "kuka_lwr4.urdf")
     file = np.load(checkout / "model" / "kuka_lwr4.urdf.trajectory_opt_1.npz", allow_pickle=False)
     rows = slice(None, None, round(float(file["frequency"]) / RATE))
     drawn = Drawn(*(file[k][rows] for k in ("times", "positions", "velocities", "accelerations")))
     return realization, movable_joints(realization), drawn
 
 
-def without_meshes(urdf: Path) -> Path:
-    """The same robot without shapes, which the checkout names by a package of its own."""
+def without_meshes(urdf: Path) -> Realization:
+    """A robot without its shapes, whose meshes come by a package that is not here."""
     from lxml import etree
 
     tree = etree.parse(urdf, etree.XMLParser(resolve_entities=False, no_network=True))
     for link in tree.iter("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
-    bare = urdf.with_name("kuka_lwr4_bare.urdf")
-    tree.write(bare)
-    return bare
+    with tempfile.TemporaryDirectory() as scratch:
+        bare = Path(scratch) / urdf.name
+        tree.write(bare)
+        return load(bare)
 
 
 def tx40(source: Path) -> tuple[Realization, tuple[str, ...], Drawn]:
     """The recorded motion of the TX40 at the joints, low-passed as its authors do, at 100 Hz."""
-    realization = load(source / "tx40.urdf")
+    realization = without_meshes(source / "tx40.urdf")
     motor = tx40_files.read_table(source / "motor_positions.csv.gz")
     turned = motor / np.array(tx40_files.GEARS)
     turned[:, 5] -= turned[:, 4]
@@ -246,8 +248,6 @@ def _stated(
 
 
 def _mjcf() -> tuple[Realization, Approved, None]:
-    import tempfile
-
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "arm.xml"
         path.write_text(MJCF)

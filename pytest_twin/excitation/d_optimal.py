@@ -11,7 +11,8 @@ import scipy.optimize
 from pytest_twin.arrays import FloatArray
 from pytest_twin.excitation.approved import Approved
 from pytest_twin.excitation.closed_loop import WORSE
-from pytest_twin.excitation.fourier import Series, series
+from pytest_twin.excitation.fourier import REST, Series, free_time, series
+from pytest_twin.excitation.motion import Drawn, Path
 from pytest_twin.identification.regressor.base_parameters import BaseParameters
 from pytest_twin.identification.regressor.regressor import Regressor
 
@@ -32,6 +33,9 @@ _SPARE_WEIGHT = 20.0
 _SPARE = 0.02
 """Spare distance in m from which on a pose is pushed away from what it comes near to."""
 _DIFFERENCE = 1e-5
+_OFF_CENTRE = 0.3
+"""Distance of the start from the middle as a share of half the range, in the worst joint, from
+which on the series swings about the middle: the way there and back costs time."""
 _POSE_DIFFERENCE = 1e-4
 """rad or m: distances are known to 1e-8 m."""
 
@@ -79,13 +83,14 @@ class Design:
         self._regressor = regressor
         self._base = base
         self._std = std
-        whole = series(approved)
+        self.centre, self.travel = self._centre_and_travel()
+        whole = series(approved, self.travel)
         highest = float(whole.frequencies.max() * whole.period)
         samples = min(len(whole.time), max(40, round(_SAMPLES_PER_PERIOD * highest)))
-        self.series: Series = series(approved, samples)
+        self.series: Series = series(approved, self.travel, samples)
         self._fine = whole
         lower, upper = approved.room
-        self._up, self._down = upper - approved.start, approved.start - lower
+        self._up, self._down = upper - self.centre, self.centre - lower
         self._effort = np.minimum(approved.effort, approved.array("effort") / WORSE)
 
     def optimum(self, seed: int, starts: int = STARTS) -> Optimum:
@@ -136,12 +141,53 @@ class Design:
         )
         return float(value) if sign > 0 else -np.inf
 
+    def drawn(self, coefficients: FloatArray, scale: float = 1.0) -> Drawn:
+        """The whole motion: to the centre, as many periods as fit, and back.
+
+        Args:
+            coefficients: (j, m), rad/s or m/s.
+            scale: share of the amplitude and of the way to the centre.
+        """
+        approved, own = self._approved, self._fine
+        centre = approved.start + scale * (self.centre - approved.start)
+        path = Path(approved.start, approved.speed, approved.acceleration, approved.rate)
+        path.dwell(REST)
+        path.move(centre)
+        around = scale * coefficients.T
+        once = (centre + own.basis @ around, own.velocity @ around, own.acceleration @ around)
+        free = free_time(approved, self.travel)
+        path.repeat(*once, times=max(1, int(free / own.period + 1e-9)))
+        path.move(approved.start)
+        path.dwell(REST - 1.0 / approved.rate)
+        return path.drawn()
+
     # -- inside
+
+    def _centre_and_travel(self) -> tuple[FloatArray, float]:
+        """Pose that the series swings about, and s for the way there and back.
+
+        The middle of the range where the start lies far off it and the way is clear: both sides
+        then have the most room.
+        """
+        approved = self._approved
+        start = approved.start
+        lower, upper = approved.room
+        middle = 0.5 * (lower + upper)
+        off = float((np.abs(middle - start) / (0.5 * (upper - lower))).max())
+        path = Path(start, approved.speed, approved.acceleration, approved.rate)
+        travel = 2.0 * path.time_to(middle)
+        low, high = approved.band
+        free = free_time(approved, travel)
+        enough = np.floor(high * free) - np.ceil(low * free) >= 1.0
+        way = (start + share * (middle - start) for share in np.linspace(1.0, 0.0, 6))
+        if off > _OFF_CENTRE and enough and all(self._spare(at, _SPARE) > 0.0 for at in way):
+            return middle, travel
+        return start, 0.0
 
     def _states(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         own = self.series
         return (
-            self._approved.start + own.basis @ coefficients.T,
+            self.centre + own.basis @ coefficients.T,
             own.velocity @ coefficients.T,
             own.acceleration @ coefficients.T,
         )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation import d_optimal, fourier, single_joint
+from pytest_twin.excitation import d_optimal, single_joint
 from pytest_twin.excitation.approved import Approved
 from pytest_twin.excitation.clearance import Surroundings
 from pytest_twin.excitation.gravity_grid import grid, static_matrix
@@ -83,7 +83,7 @@ def several_joint_designs(
             # Held-out motion has to be another one in the same limits, not the best one.
             starts = d_optimal.STARTS if role == "fit" else 1
             optimal = d_optimal.Design(approved, regressor, base, std, around.spare)
-            series = _series(optimal, approved, starts)
+            series = _series(optimal, starts)
             found.append(
                 Design(
                     f"fourier_{role}", ("inertia",), "fourier", role, approved.names, series, own
@@ -123,44 +123,21 @@ def loading_poses(
     return found
 
 
-def _series(
-    design: d_optimal.Design, approved: Approved, starts: int
-) -> Callable[[float, int], Drawn]:
+def _series(design: d_optimal.Design, starts: int) -> Callable[[float, int], Drawn]:
     known: dict[int, d_optimal.Optimum] = {}
 
     def make(scale: float, seed: int) -> Drawn:
         if seed not in known:
             known[seed] = design.optimum(seed, starts)
-        return repeated(scale * known[seed].coefficients, approved).described(
+        return design.drawn(known[seed].coefficients, scale).described(
             frequencies=design.series.frequencies.tolist(),
             period=design.series.period,
+            centre=design.centre.tolist(),
             log_det=known[seed].log_det,
             log_det_of_starts=list(known[seed].starts),
         )
 
     return make
-
-
-def repeated(coefficients: FloatArray, approved: Approved) -> Drawn:
-    """A series over as many whole periods as the duration holds, then a moment at rest.
-
-    Args:
-        coefficients: (j, m) of :class:`fourier.Series`, rad/s or m/s.
-    """
-    own = fourier.series(approved)
-    free = approved.duration - 2.0 * fourier.REST
-    times = max(1, int(free / own.period + 1e-9))
-    rest = max(1, int(fourier.REST * approved.rate))
-    still = np.zeros(len(approved.joints))
-
-    def whole(basis: FloatArray, at_rest: FloatArray) -> FloatArray:
-        once = at_rest + basis @ coefficients.T
-        ends = np.tile(at_rest, (rest, 1))
-        return np.concatenate([ends, np.tile(once, (times, 1)), ends])
-
-    position = whole(own.basis, approved.start)
-    time = np.arange(len(position)) / approved.rate
-    return Drawn(time, position, whole(own.velocity, still), whole(own.acceleration, still))
 
 
 def _seed(seed: int, role: Role, which: int) -> int:

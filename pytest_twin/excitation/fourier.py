@@ -20,11 +20,11 @@ _LONGEST_PERIOD = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Position of one joint about its start: ``basis @ z``, and its derivatives.
+    """Position of one joint about its centre: ``basis @ z``, and its derivatives.
 
     The functions are sin(w t) and 1 - cos(w t) of some harmonics (Swevers and others, IEEE
     Transactions on Robotics and Automation 13, 1997), combined so that velocity and acceleration
-    are 0 at both ends of a period: any z gives a motion from rest to rest at the start.
+    are 0 at both ends of a period: any z gives a motion from rest to rest at the centre.
 
     Attributes:
         time: (n,) s over one period, the end left out.
@@ -46,10 +46,14 @@ class Series:
         return int(self.basis.shape[1])
 
 
-def period_and_frequencies(approved: Approved) -> tuple[float, FloatArray]:
-    """Period in s and the harmonics in Hz of a series within the task's band."""
+def period_and_frequencies(approved: Approved, travel: float) -> tuple[float, FloatArray]:
+    """Period in s and the harmonics in Hz of a series within the task's band.
+
+    Args:
+        travel: s that the way from the start and back takes.
+    """
     low, high = approved.band
-    free = approved.duration - 2.0 * REST
+    free = free_time(approved, travel)
     for seconds in (min(free, _LONGEST_PERIOD / low), free):
         period = math.floor(seconds * approved.rate + 1e-9) / approved.rate
         numbers = np.arange(math.ceil(low * period - 1e-9), math.floor(high * period + 1e-9) + 1)
@@ -64,9 +68,14 @@ def period_and_frequencies(approved: Approved) -> tuple[float, FloatArray]:
     return period, numbers / period
 
 
-def series(approved: Approved, samples: int | None = None) -> Series:
+def free_time(approved: Approved, travel: float) -> float:
+    """s of the approved duration that are left for whole periods."""
+    return approved.duration - 2.0 * REST - travel
+
+
+def series(approved: Approved, travel: float = 0.0, samples: int | None = None) -> Series:
     """The functions at ``samples`` instants of a period; by default at every command."""
-    period, frequencies = period_and_frequencies(approved)
+    period, frequencies = period_and_frequencies(approved, travel)
     count = round(period * approved.rate) if samples is None else samples
     time = np.arange(count) * period / count
     omega = 2.0 * math.pi * frequencies

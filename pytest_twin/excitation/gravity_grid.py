@@ -72,7 +72,9 @@ def grid(
         ridge = _RIDGE * float(np.einsum("njb,njb->", weighted, weighted)) / len(poses)
         information = ridge * np.eye(len(base))
         approach = np.minimum(APPROACH * scale, 0.1 * (upper - lower))
-        path = Path(start, approved.speed, approved.acceleration, approved.rate)
+        # Slower too: a servo that overshoots breaks the speed limit on moves of any length.
+        speed, acceleration = scale * approved.speed, scale * approved.acceleration
+        path = Path(start, speed, acceleration, approved.rate)
         path.dwell(0.5 / approved.band[1])
         chosen: list[FloatArray] = []
         free = list(range(len(poses)))
@@ -90,7 +92,7 @@ def grid(
                 break
             free.remove(found)
             pose = poses[found]
-            if not _fits(path, approved, pose, approach):
+            if not _fits(path, approved, pose, approach, scale):
                 # A nearer pose may still fit; the search for one is not worth many tries.
                 if len(free) < len(poses) // 2:
                     break
@@ -128,10 +130,12 @@ def _first_reachable(
     return None
 
 
-def _fits(path: Path, approved: Approved, pose: FloatArray, approach: FloatArray) -> bool:
+def _fits(
+    path: Path, approved: Approved, pose: FloatArray, approach: FloatArray, scale: float
+) -> bool:
     """Whether a pose and the way back to the start fit in the time that is left."""
     there = path.time_to(pose)
-    small = Path(pose, approved.speed, approved.acceleration, approved.rate)
+    small = Path(pose, scale * approved.speed, scale * approved.acceleration, approved.rate)
     near = small.time_to(pose + approach)
     back = small.time_to(approved.start)
     needed = there + 5.0 * near + 2.0 * (DWELL + 1.0 / approved.rate) + back

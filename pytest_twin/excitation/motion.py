@@ -198,6 +198,19 @@ class Path:
         states[1][:, joint], states[2][:, joint] = v, a
         self._add(*states)
 
+    def repeat(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, times: int
+    ) -> None:
+        """States (n, j) that begin at rest where the path is and end there, several times.
+
+        The first state is the one where the path is; the end of the last period is left out.
+        """
+        for part in range(times):
+            first = 1 if part == 0 else 0
+            self._add(position[first:], velocity[first:], acceleration[first:])
+        rest = np.zeros((1, position.shape[1]))
+        self._add(position[:1], rest, rest)
+
     def drawn(self) -> Drawn:
         """All states so far."""
         position, velocity, acceleration = (

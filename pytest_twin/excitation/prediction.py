@@ -26,6 +26,8 @@ SMALL_INERTIA = 0.1
 """Of the largest moment of the same order of the same link: moments within it are small. A product
 of inertia that is 0 in the drawing is determined once its interval shows that it is small."""
 _TWO_SIDED = 1.96
+_STATED = 1e-6
+"""Of the robot's largest moment: below it, a link's moments are rounding or were never stated."""
 _ROUNDING = 1e-6
 _FRICTION = {"viscous_friction": "viscous friction", "coulomb_friction": "Coulomb friction"}
 LOADS_APART = 0.02
@@ -118,6 +120,10 @@ def _small(base: BaseParameters, nominal: FloatArray, approved: Approved) -> Flo
     """(b,) value of each parameter below which its effect is small, in its own unit."""
     limits = {joint.name: joint for joint in approved.joints}
     kinds = [base.columns[index] for index in base.independent]
+    sizes: dict[str, dict[str, float]] = {}
+    for column, value in zip(kinds, nominal.tolist(), strict=True):
+        of_unit = sizes.setdefault(column.unit, {})
+        of_unit[column.joint] = max(abs(value), of_unit.get(column.joint, 0.0))
     found = np.zeros(len(base))
     for at, column in enumerate(kinds):
         joint = limits.get(column.joint)
@@ -126,12 +132,11 @@ def _small(base: BaseParameters, nominal: FloatArray, approved: Approved) -> Flo
         elif column.kind == "viscous_friction" and joint is not None:
             found[at] = SMALL_EFFORT * joint.effort / joint.velocity
         else:
-            alike = [
-                abs(float(value))
-                for other, value in zip(kinds, nominal, strict=True)
-                if other.joint == column.joint and other.unit == column.unit
-            ]
-            found[at] = SMALL_INERTIA * max(alike)
+            links = sizes[column.unit]
+            stated = _STATED * max(links.values())
+            # A link that the model gives no moments counts as the smallest that it gives some.
+            least = min((size for size in links.values() if size > stated), default=0.0)
+            found[at] = SMALL_INERTIA * max(links[column.joint], least)
     return found
 
 

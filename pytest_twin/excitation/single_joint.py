@@ -29,7 +29,7 @@ def steps(approved: Approved, joint: int) -> Make:
     def make(scale: float, seed: int) -> Drawn:
         random = np.random.default_rng(seed)
         height = scale * _amplitude(approved, joint)
-        path = _path(approved)
+        path = _path(approved, scale)
         low, high = approved.band
         path.dwell(0.5 / high)
         start = approved.start
@@ -107,21 +107,22 @@ def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> M
     ) -> tuple[Path, list[float]]:
         lower, upper = approved.room
         room = 2.0 * scale * min(upper[joint] - centre[joint], centre[joint] - lower[joint])
-        path = _path(approved)
+        path = _path(approved, scale)
         path.dwell(0.5 / high)
         path.move(centre)
         used = []
         for share in shares:
             jitter = 1.0 if role == "fit" else float(random.uniform(0.7, 1.0))
-            speed = share * jitter * approved.speed[joint]
+            speed = scale * share * jitter * approved.speed[joint]
             # Half a period each way, no further than the room and no faster than the limits.
-            blend = math.pi * speed / approved.acceleration[joint]
+            blend = math.pi * speed / (scale * approved.acceleration[joint])
             half = min(0.5 * period, 0.95 * room / speed)
             if half <= 1.2 * blend:
                 # The room or the period is too short for this speed: as fast as still fits.
                 half = 0.5 * period
                 speed = min(
-                    half * approved.acceleration[joint] / (1.2 * math.pi), 0.95 * room / half
+                    half * scale * approved.acceleration[joint] / (1.2 * math.pi),
+                    0.95 * room / half,
                 )
             if speed <= 0.0:
                 continue
@@ -140,8 +141,10 @@ def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> M
     return make
 
 
-def _path(approved: Approved) -> Path:
-    return Path(approved.start, approved.speed, approved.acceleration, approved.rate)
+def _path(approved: Approved, scale: float) -> Path:
+    """A path that is slower too where the motion is scaled down: servos overshoot."""
+    speed, acceleration = scale * approved.speed, scale * approved.acceleration
+    return Path(approved.start, speed, acceleration, approved.rate)
 
 
 def _amplitude(approved: Approved, joint: int) -> float:
