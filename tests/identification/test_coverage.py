@@ -1,4 +1,4 @@
-"""A sample of benchmarks/identification/coverage_of_intervals.py: true parameters lie in their intervals."""
+"""A sample of benchmarks/identification/coverage_of_intervals.py: the truth is in the intervals."""
 
 from __future__ import annotations
 
