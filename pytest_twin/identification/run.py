@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.diagnosis.patched.model import MODEL_FILE
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats.digest import file_sha256
+from pytest_twin.identification.closed_loop import simulated
 from pytest_twin.identification.effort.identify import has_effort, identify_effort
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.measured import Measured
@@ -18,7 +20,7 @@ from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.signals import NO_SIGNALS
-from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
+from pytest_twin.twin import DEFAULT_TOPICS, FILE_NAME, Twin, load_twin
 
 REALIZATION = "realization"
 
@@ -73,9 +75,19 @@ def identify_files(
     if has_effort(measured):
         result = identify_effort(realization, measured, signals)
         progress(0.8)
-        document = effort_document(result, result.stages)
-        document["fit"] = patches_of(realization, result)
-        write_fitted(folder, realization, document["fit"])
+        fit = patches_of(realization, result)
+        write_fitted(folder, realization, fit)
+        positions, loop = simulated(
+            realization, _written(folder),
+            _paths(measured.held_out) or _paths(measured.fit), {**stated, **topics}, chosen,
+        )  # fmt: skip
+        document = effort_document(result, (*result.stages, loop))
+        document["fit"] = fit
+        for joint, error in positions.items():
+            document["held_out"].setdefault(joint, {}).update(
+                position_rms=error.fitted, position_unit=error.unit,
+                position_rms_nominal=error.nominal,
+            )  # fmt: skip
         fitted, aside = measured.fit, measured.held_out
         document["trials"] = {
             "fit": list(dict.fromkeys(one.path.name for one in fitted)),
@@ -102,6 +114,12 @@ def identify_files(
     document["realization"] = f"{REALIZATION}/"
     progress(1.0)
     return document
+
+
+def _written(folder: Path) -> Realization:
+    """The fitted model as other commands load it: the fit of the nominal twin is in it already."""
+    beside = folder / FILE_NAME
+    return load(folder / MODEL_FILE, twin=load_twin(beside) if beside.is_file() else None)
 
 
 def _paths(measured: Sequence[Measured]) -> list[Path]:

@@ -1,0 +1,92 @@
+"""The fitted model under the recorded commands: open-loop simulation beside the nominal model's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.errors import TwinError
+from pytest_twin.identification.stages import HeldOut, Stage, judged
+from pytest_twin.metrics.residual import residual
+from pytest_twin.realization import Realization
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.trial import Trial, make_trials, recordings_at
+
+_EXCLUDES = "nothing is fitted here: all accepted parameters together are simulated"
+
+
+@dataclass(frozen=True, slots=True)
+class PositionError:
+    """Root mean square of predicted less measured positions of one joint.
+
+    Attributes:
+        nominal, fitted: of the two models, rad or m.
+        unit: of both.
+    """
+
+    nominal: float
+    fitted: float
+    unit: str
+
+
+def simulated(
+    nominal: Realization,
+    fitted: Realization,
+    recordings: Sequence[Path],
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+) -> tuple[dict[str, PositionError], Stage]:
+    """Joint -> error of both models under the commands of recordings, and the stage.
+
+    Args:
+        nominal, fitted: the two models.
+        recordings: that nothing was fitted on, or those that were where there are no others.
+        topics, options: how they are read.
+    """
+    try:
+        trials = [
+            trial
+            for path in recordings
+            for one in recordings_at(path, topics, options)
+            for trial in make_trials(one, nominal.structure, options)
+        ]
+        before, after = (_errors(model, trials) for model in (nominal, fitted))
+    except TwinError as error:
+        why = f"no command can be simulated: {error.problem}"
+        return {}, Stage("closed_loop", "not_observable", why, (), None, _EXCLUDES)
+    kinds = nominal.structure.joint_type
+    found = {
+        joint: PositionError(before[joint], after[joint], "m" if kinds[joint] == "slide" else "rad")
+        for joint in before
+        if joint in after and np.isfinite(before[joint]) and np.isfinite(after[joint])
+    }
+    if not found:
+        why = "the simulation under the recorded commands diverges"
+        return {}, Stage("closed_loop", "not_observable", why, (), None, _EXCLUDES)
+    held = HeldOut(
+        1.0,
+        float(np.sqrt(np.mean([
+            (one.fitted / max(one.nominal, 1e-12)) ** 2 for one in found.values()
+        ]))),
+        "nominal position error",
+    )  # fmt: skip
+    why = "open-loop simulation under the recorded commands"
+    return found, judged(Stage("closed_loop", "accepted", why, (), None, _EXCLUDES), held)
+
+
+def _errors(realization: Realization, trials: Sequence[Trial]) -> dict[str, float]:
+    from pytest_twin.replay import replay
+
+    each: dict[str, list[float]] = {}
+    results = replay(realization, list(trials), tcp=False)
+    for trial, result in zip(trials, results, strict=True):
+        if result.error is not None:
+            raise result.error
+        for column, joint in enumerate(trial.joints):
+            seen = np.isfinite(trial.position[:, column])
+            off = residual(result.position[seen, column], trial.position[seen, column])
+            each.setdefault(joint, []).append(off.rms)
+    return {joint: float(np.sqrt(np.mean(np.square(all_)))) for joint, all_ in each.items()}
