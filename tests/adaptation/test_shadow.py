@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,13 +12,15 @@ import jsonschema
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parent))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
+from in_process import InProcess
 from plants import model, record
 
 from pytest_twin import cli
 from pytest_twin.adaptation import faults, shadow
 from pytest_twin.adaptation.guard import Guard
+from pytest_twin.commands import shadow as command
 from pytest_twin.effects.unnamed_law import KNOTS
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.gate.promoted import unpromoted
@@ -63,9 +66,16 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def place(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    import shutil
+def place(
+    template: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> Path:
 
+    # The test of the promotion starts the child process; the others are spared its start.
+    if "promoted_then" not in request.node.name:
+        monkeypatch.setattr(command, "Sandbox", InProcess)
     shutil.copytree(template, tmp_path / "p")
     user(monkeypatch, tmp_path / "p" / "home")
     return tmp_path / "p"
@@ -149,13 +159,15 @@ def test_a_residual_is_promoted_then_released_and_never_unnoticed(place: Path) -
     asset = (twin / "model.xml").read_bytes()
     (problem,) = unpromoted(load_twin(twin / "twin.yaml"))
     assert "residual 'spring-1': no shadow run vouches for it" in problem
+    assert gate(twin, "--twin-release") != 0
     run(place, 0, "--promote")
     assert gate(twin, "--twin-release") == 0
     assert (twin / "releases" / "0002" / "files" / "spring.onnx").is_file()
     assert (twin / "releases" / "0002" / "files" / "shadow" / "spring-1.json").is_file()
     assert (twin / "model.xml").read_bytes() == asset
     onnx_spring(twin / "spring.onnx", 0.3)
-    assert gate(twin, "--twin-release") != 0
+    (problem,) = unpromoted(load_twin(twin / "twin.yaml"))
+    assert "residual 'spring-1' has changed since its shadow run" in problem
     assert cli.main(["rollback", "--twin", str(twin)]) == 0
     released = twin / "releases" / "0002" / "files"
     for name in ("spring.onnx", "twin.yaml", "shadow/spring-1.json"):

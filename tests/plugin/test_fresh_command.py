@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from pathlib import Path
 
 import jsonschema
@@ -15,9 +16,14 @@ import numpy as np
 import pytest
 
 from pytest_twin import cli
+from pytest_twin.commands import fresh as command
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.schema import load_schema
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+from in_process import InProcess
 
 JOINTS = ("shoulder", "elbow")
 
@@ -44,6 +50,13 @@ def fresh(data: Path, status: int) -> dict:
     document = json.loads(out.read_text())
     jsonschema.validate(document, load_schema("results/fresh.schema.json"))
     return document
+
+
+@pytest.fixture(autouse=True)
+def in_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One test starts the child process; the others are spared its start."""
+    if request.function is not test_nothing_changed:
+        monkeypatch.setattr(command, "Sandbox", InProcess)
 
 
 def test_nothing_changed(released, data: Path) -> None:

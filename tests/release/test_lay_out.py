@@ -1,0 +1,40 @@
+"""A released twin laid out again: its files where they were, folders outside it where they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from release_twins import MakeRelease
+
+from pytest_twin.errors import ReleaseError
+from pytest_twin.provenance.past import lay_out, release_folder
+
+
+def test_roots_outside_are_those_of_today_and_roots_inside_those_of_the_release(
+    root: Path, make: MakeRelease, tmp_path: Path
+) -> None:
+    (root / "twin.yaml").write_text(
+        "name: arm\nmodel: arm.xml\nroots: {shared: ../shared, meshes: meshes}\n"
+    )
+    (tmp_path / "shared").mkdir()
+    released = make()
+    (root / "arm.xml").write_text("today")
+    into = tmp_path / "past"
+    into.mkdir()
+    file = lay_out(released, release_folder(root, 1), root, into)
+    roots = yaml.safe_load(file.read_text())["roots"]
+    assert roots == {"shared": str(tmp_path / "shared"), "meshes": "meshes"}
+    assert (into / "arm.xml").read_text() == "<mujoco><worldbody/></mujoco>\n"
+    assert (into / "meshes" / "link.stl").read_bytes() == bytes(range(97))
+
+
+def test_a_file_that_was_changed_is_refused(root: Path, make: MakeRelease, tmp_path: Path) -> None:
+    released = make()
+    folder = release_folder(root, 1)
+    (folder / "files" / "arm.xml").write_text("<mujoco/>")
+    with pytest.raises(ReleaseError, match="not the file that was signed"):
+        lay_out(released, folder, root, tmp_path)
+    with pytest.raises(ReleaseError, match="release 2 is not in this twin"):
+        release_folder(root, 2)
