@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import shutil
 import sys
 from datetime import UTC, datetime
@@ -14,7 +15,9 @@ import pytest
 from release_twins import MakeRelease
 
 from pytest_twin import cli
+from pytest_twin.errors import TwinError
 from pytest_twin.formats.schema import load_schema
+from pytest_twin.formats.stamps import carriers_of
 
 sys.path.append(str(Path(__file__).parents[1] / "formats"))
 
@@ -264,3 +267,25 @@ def test_a_stamp_outlives_the_releases_after_it_and_the_twin(
     shutil.rmtree(two)
     assert cli.main(["verify", str(data), "--keys", str(keys)]) == 0
     assert cli.main(["verify", str(data)]) == 2
+
+
+@pytest.mark.parametrize("kind", ["mcap", "hdf5", "onnx"])
+def test_a_damaged_file_is_refused_or_read_and_never_crashes(kind: str, tmp_path: Path) -> None:
+    path = write(kind, tmp_path)
+    (carrier,) = carriers_of(path)
+    carrier.write('{"a": 1}')
+    whole, draw = path.read_bytes(), random.Random(0)
+    refused = 0
+    for number in range(60):
+        data = bytearray(whole)
+        if number % 3 == 0:
+            data = data[: draw.randrange(len(data))]
+        else:
+            data[-1 - draw.randrange(min(len(data), 300))] = draw.randrange(256)
+        path.write_bytes(data)
+        for read in (carrier.read, carrier.digest, lambda: carrier.write("{}")):
+            try:
+                read()
+            except TwinError:
+                refused += 1
+    assert refused >= 60

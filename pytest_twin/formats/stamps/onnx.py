@@ -63,6 +63,11 @@ class OnnxStamp:
             model.ParseFromString(data)
         except DecodeError as error:
             raise FormatError(f"not an ONNX model: {str(error)[:80]}", path=self.path) from None
+        # The library hands text that is not UTF-8 out as bytes, and does not take it back.
+        if not all(isinstance(t, str) for e in model.metadata_props for t in (e.key, e.value)):
+            raise FormatError(
+                "a metadata property that is not UTF-8 text", path=self.path, expected="UTF-8"
+            )
         if not model.ir_version or not model.HasField("graph"):
             raise FormatError(
                 "not an ONNX model", path=self.path, expected="a model with a version and a graph"
