@@ -192,7 +192,9 @@ def _points(found: Estimate) -> dict[str, Any]:
             "parent": problem.plan.flange,
             "child": "tcp",
             "transform": {"xyz": xyz.tolist(), "quaternion_wxyz": None},
-            "orientation": "not determined by a point; None is given",
+            "orientation": "not determined by a point. To have it, give poses of the tool "
+            "(camera_from_target with camera: {mount: world}), or three markers at known places "
+            "in the tool (target: {kind: points, points: ...})",
             "covariance": covariance.tolist(),
             "covariance_of": ["x", "y", "z"],
             "ci95": {
