@@ -8,7 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.chain import LinkParameter, forward, link_parameters
+from pytest_twin.calibration.chain import (
+    ChainParameters,
+    LinkParameter,
+    forward,
+    link_parameters,
+)
 from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import Layout, State, Variables
@@ -85,6 +90,20 @@ class Problem:
         """The same problem on other observations of the same kinds."""
         terms = terms_of(self.plan, observations, self.chain is not None)
         return replace(self, observations=observations, terms=terms)
+
+
+def reported_flange(chain: SerialChain | None, observations: Observations) -> FloatArray | None:
+    """(rows, 4, 4) the flange as the robot reports it, m; None without robot and flange poses."""
+    if observations.flange is not None:
+        return observations.flange
+    if chain is None or any(name not in observations.joints for name in chain.joints):
+        return None
+    readings = np.stack([observations.joints[name] for name in chain.joints], axis=1)
+    held = ChainParameters(0, np.zeros(len(chain.joints)), (-1,) * len(chain.joints))
+    moving = forward(chain, readings, held)
+    poses = np.tile(np.eye(4), (len(readings), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = moving.rotation, moving.position
+    return poses
 
 
 def make_problem(plan: Plan, observations: Observations, chain: SerialChain | None) -> Problem:

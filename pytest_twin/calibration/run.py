@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin import __version__
+from pytest_twin.calibration.cameras.half_turn import with_one_way_round
 from pytest_twin.calibration.cameras.observed import Images, read_images
 from pytest_twin.calibration.cameras.seen import Seen, calibrate_intrinsics
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
@@ -22,7 +23,7 @@ from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermin
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
-from pytest_twin.calibration.problem import Problem, make_problem
+from pytest_twin.calibration.problem import Problem, make_problem, reported_flange
 from pytest_twin.calibration.recordings.gathered import gather
 from pytest_twin.calibration.records import (
     Estimate,
@@ -158,7 +159,12 @@ def calibrate(
     """
     observations, left_out = without_coincident(observations)
     fit_rows, held_rows = split(plan, observations)
+    turned = ""
+    if images is not None and (flange := reported_flange(chain, observations)) is not None:
+        images, turned = with_one_way_round(images, observations.ids, flange)
     seen = None if images is None else Seen(images, observations, fit_rows)
+    if seen is not None and turned:
+        seen.notes.append(turned)
     if seen is not None:
         observations = seen.posed(observations)
     problem = make_problem(plan, observations, chain)

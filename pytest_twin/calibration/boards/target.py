@@ -35,8 +35,8 @@ class Target:
     as OpenCV has them. The corners of an ``apriltag_grid`` are the four of each tag.
 
     The first square of a ``chessboard`` is dark. Where a half turn leaves its colours unchanged
-    (columns and rows both even or both odd), x is taken to point to the right of the image, so
-    such a board must not be turned by more than 90 degrees between images.
+    (columns and rows both even or both odd), x is taken to point to the right of the image.
+    Where a robot says how it turned, ``cameras.half_turn`` mends that for boards turned further.
 
     Tags of an ``apriltag_grid`` are numbered from 0 along the rows. Whether the rows go down the
     page (OpenCV's ``GridBoard``) or up (Kalibr's AprilGrid), and how the tags are turned on the

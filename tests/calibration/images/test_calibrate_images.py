@@ -11,7 +11,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "boards"))
-from rendered_boards import CAMERA, charuco, view
+from rendered_boards import CAMERA, charuco, chessboard, view
 
 from pytest_twin import cli
 from pytest_twin.calibration.cameras.increments import changed, inverse
@@ -173,3 +173,41 @@ def test_an_image_outside_the_folder_is_refused(tmp_path, capsys, place):
     table.write_text(table.read_text().replace("images/0.png", place))
     assert cli.main(["calibrate", str(folder / "plan.yaml"), "--out", str(folder / "o")]) == 2
     assert "image" in capsys.readouterr().err
+
+
+def test_a_board_that_looks_alike_after_a_half_turn_may_be_turned_all_around(tmp_path):
+    board = {"kind": "chessboard", "squares": [8, 6], "square": 0.03}
+    names = ("fx", "fy", "cx", "cy")
+    given = dict(zip(names, CAMERA.vector.tolist(), strict=False))
+    rng = np.random.default_rng(4)
+    hand_eye = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
+    robot_world = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
+    rows = [",".join(["id", "image", *(f"flange.{part}" for part in POSE)])]
+    middle = np.array([0.12, 0.09, 0.0])
+    for number in range(10):
+        # About its own normal by any angle.
+        turn = Rotation.from_rotvec([*rng.uniform(-0.4, 0.4, 2), 0.0]) * Rotation.from_rotvec(
+            [0.0, 0.0, 0.7 * number]
+        )
+        seen = np.eye(4)
+        seen[:3, :3] = turn.as_matrix()
+        seen[:3, 3] = [0.0, 0.0, rng.uniform(0.45, 0.55)] - turn.apply(middle)
+        image = view(chessboard(squares=[8, 6]), turn.as_rotvec().tolist(), seen[:3, 3].tolist())
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image)
+        flange = robot_world @ inverse(seen) @ inverse(hand_eye)
+        quaternion = np.roll(Rotation.from_matrix(flange[:3, :3]).as_quat(), 1)
+        numbers = [repr(float(v)) for v in (*flange[:3, 3], *quaternion)]
+        rows.append(",".join([f"n{number}", f"{number}.png", *numbers]))
+    (tmp_path / "observations.csv").write_text("\n".join(rows) + "\n")
+    plan = {
+        "calibration": "cell", "observations": "observations.csv", "estimate": ["hand_eye"],
+        "camera": {"mount": "hand", "intrinsics": given}, "target": board,
+        "accept": {"translation": 0.001},
+    }  # fmt: skip
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    assert found["excluded"] == []
+    xyz = found["records"]["hand_eye"]["transform"]["xyz"]
+    np.testing.assert_allclose(xyz, hand_eye[:3, 3], atol=5e-4)
+    assert any("taken the other way round" in note for note in found["notes"])
