@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded import Settled, settle
 from pytest_twin.diagnosis.searched import joint_errors, left_everywhere, pose
+from pytest_twin.diagnosis.totals import at_zero
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.identification.simulation.equation_error import first_values
@@ -170,7 +171,8 @@ def _together(
         return found, list(stages), Stage(name, "not_observable", why, (), None, EXCLUDES[name])
     apart = _with_slopes(problem, found)
     weights = problem.weights(np.mean(apart.residual**2, axis=0))
-    (moved,) = fit(problem, [found], weights, problem.fit, iterations=_LAST)
+    (moved,) = fit(problem, [found], weights, problem.fit, iterations=_LAST, slopes=False)
+    moved = _with_slopes(problem, _possible(problem, moved.hypothesis))
     held = HeldOut(_error(problem, found), _error(problem, moved.hypothesis), "noise floors")
     words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in found.terms)
     stage = judged(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
@@ -221,7 +223,16 @@ def _fitted(problem: Problem, terms: Sequence[Term], first: FloatArray) -> Fitte
     begun = start(terms, problem.scales, first) if terms else EMPTY
     residual = problem.residuals([begun], problem.fit)[0]
     weights = problem.weights(np.mean(residual**2, axis=0))
-    return fit(problem, [begun], weights, problem.fit, iterations=_ITERATIONS, slopes=False)[0]
+    (found,) = fit(problem, [begun], weights, problem.fit, iterations=_ITERATIONS, slopes=False)
+    possible = _possible(problem, found.hypothesis)
+    return fit(problem, [possible], weights, problem.fit, iterations=0, slopes=False)[0]
+
+
+def _possible(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with totals of model and corrections of at least zero: no joint pushes
+    itself.
+    """
+    return hypothesis.with_theta(at_zero(problem, hypothesis))
 
 
 def _with_slopes(problem: Problem, hypothesis: Hypothesis) -> Fitted:
