@@ -88,7 +88,8 @@ class StructureSearch:
                 if self.leave(result.model):
                     return replace(result, has_left=True)
         except OutOfTime:
-            self.problem.refine_at(result.model.hypothesis)
+            with self.diagnosis_run.budget.reserved():
+                self.problem.refine_at(result.model.hypothesis)
         return result
 
     def _following(self, result: Result) -> Result | None:
@@ -106,9 +107,13 @@ class StructureSearch:
             self._record(model, gain, incumbent, taken=model is winner)
         if winner is incumbent:
             return None
-        better, jacobian = settled(scorer, winner, self.settings.refinements)
-        # Each with the error of the simulator's step as it is at its own parameters.
-        own = scorer.at(incumbent.hypothesis)
+        try:
+            better, jacobian = settled(scorer, winner, self.settings.refinements)
+            # Each with the error of the simulator's step as it is at its own parameters.
+            own = scorer.at(incumbent.hypothesis)
+        except OutOfTime:
+            # It was chosen by simulation, and its last fit is what the time is too short for.
+            return Result(winner, np.zeros((*winner.residual.shape, 0)))
         scorer.problem.refine_at(better.hypothesis)
         if not scorer.is_better(better, own):
             self._record(better, scorer.gain(better, own), own, taken=False)
