@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import yaml
 from arms import approved_for_arm, loaded, touching, write_drawn, write_twin
 from hypothesis import HealthCheck, Phase, given, settings
@@ -135,6 +136,20 @@ def test_one_seed_gives_one_excitation(tmp_path: Path) -> None:
         found = excite_file(str(path), str(tmp_path / name), 3)
         texts.append([f.read_bytes() for f in written(found["document"], tmp_path / name, "")])
     assert texts[0] == texts[1]
+
+
+def test_limits_and_commands_are_what_the_encoders_read(tmp_path: Path) -> None:
+    section = approved_for_arm(mechanisms=["delay", "gravity"])
+    path = write_twin(tmp_path, section)
+    with path.open("a") as stream:
+        stream.write("calibration: {id: c, joints: {lift: {sign: -1, offset: 0.5}}}\n")
+    (tmp_path / "out").mkdir()
+    found = excite_file(str(path), str(tmp_path / "out"), 1)
+    files = written(found["document"], tmp_path / "out", ".csv")
+    assert len(files) == 6
+    assert [breaks(file, section) for file in files] == [[]] * 6
+    outside = found["abort"]["abort_when"]["joints"]["lift"]["position_outside"]
+    assert outside == pytest.approx([-1.2, 1.2])
 
 
 @settings(
