@@ -2,30 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
-
 import pytest
-from arms import approved_for_arm, loaded, write_twin
+from approved_arms import Excited, approved_for_arm, loaded, write_twin
 
 from pytest_twin.excitation import excite as module
-from pytest_twin.excitation.excite import Excitation
-
-
-@dataclass(frozen=True)
-class Excited:
-    """What was designed for the planar arm.
-
-    Attributes:
-        folder: of the twin; ``out`` in it has the files.
-        found: the motions.
-        document: of ``excitation.json``.
-    """
-
-    folder: Path
-    found: Excitation
-    document: dict[str, Any]
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from arms import ARM, approved_for_arm, loaded, write_twin
+from approved_arms import ARM, approved_for_arm, loaded, write_twin
 
 from pytest_twin import cli
 from pytest_twin.errors import TwinError

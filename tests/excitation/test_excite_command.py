@@ -8,9 +8,8 @@ from typing import Any
 
 import jsonschema
 import pytest
-from arms import approved_for_arm, write_twin
+from approved_arms import Excited, approved_for_arm, write_twin
 
-from conftest import Excited
 from pytest_twin import cli
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.report import excitation as page

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import approved_for_arm, loaded, write_twin
+from approved_arms import Excited, approved_for_arm, loaded, write_twin
 
-from conftest import Excited
 from pytest_twin.excitation.d_optimal import Design
 from pytest_twin.excitation.excite import Excitation, excite
 from pytest_twin.excitation.find_safe import Safe

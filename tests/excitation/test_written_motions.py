@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from arms import approved_for_arm, loaded, touching, write_drawn, write_twin
+from approved_arms import Excited, approved_for_arm, loaded, touching, write_drawn, write_twin
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from conftest import Excited
 from pytest_twin.excitation.excite import excite_file
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.strategies import robots

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.excite import Excitation
 from pytest_twin.realization.collision import enabled_pairs
 from pytest_twin.realization.loading import load
 from pytest_twin.realization.model import Realization
@@ -31,6 +32,21 @@ ARM = """\
 <actuator><position joint="lift" kp="280" kv="8" forcerange="-20 20"/>
 <position joint="elbow" kp="100" kv="2" forcerange="-8 8"/></actuator></mujoco>
 """
+
+
+@dataclass(frozen=True)
+class Excited:
+    """What was designed for the planar arm.
+
+    Attributes:
+        folder: of the twin; ``out`` in it has the files.
+        found: the motions.
+        document: of ``excitation.json``.
+    """
+
+    folder: Path
+    found: Excitation
+    document: dict[str, Any]
 
 
 def approved_for_arm(**changes: Any) -> dict[str, Any]:
