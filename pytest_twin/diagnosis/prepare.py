@@ -345,12 +345,12 @@ def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
     simulator = problem.simulator
     rows = np.arange(len(simulator.segments))
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
-    out = []
+    out = list[FloatArray]()
     for i, (here, earlier, later) in enumerate(simulator.efforts_beside(rows, values)):
         within, around = (
             _commanded_anew(simulator.segments[i], simulator.timestep, steps) for steps in (0, 1)
         )
-        jump = around * np.maximum(np.abs(earlier - here), np.abs(later - here))
+        jump: FloatArray = around * np.maximum(np.abs(earlier - here), np.abs(later - here))
         jump = np.maximum(jump, within * _steepest(nominal[i].effort))
         error = problem.defect.get(i)
         out.append(jump if error is None else np.maximum(jump, np.abs(error.effort)))
