@@ -350,7 +350,8 @@ def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
         within, around = (
             _commanded_anew(simulator.segments[i], simulator.timestep, steps) for steps in (0, 1)
         )
-        jump: FloatArray = around * np.maximum(np.abs(earlier - here), np.abs(later - here))
+        change = np.maximum(np.abs(earlier - here), np.abs(later - here))
+        jump: FloatArray = np.where(around, change, 0.0)
         jump = np.maximum(jump, within * _steepest(nominal[i].effort))
         error = problem.defect.get(i)
         out.append(jump if error is None else np.maximum(jump, np.abs(error.effort)))
