@@ -132,7 +132,7 @@ def results(root: Path, most: int | None) -> pd.DataFrame:
             theirs = benchmark.evaluate_sequence(
                 sequence, list(benchmark.SOLVERS), mode, np.random.default_rng(number)
             )
-            tags = {"group": group_of(sequence, str(track)), "level": mine["level"].iloc[0]}
+            tags = {"group": group_of(sequence, str(track))}
             rows += [one | tags for one in theirs] + [ours(sequence) | tags]
         print(f"{track}: {len(chosen)} sequences", file=sys.stderr, flush=True)
     return pd.DataFrame(rows)
