@@ -285,7 +285,10 @@ def _place(name: str, model: mujoco.MjModel) -> tuple[str, int]:
     joint, _, parameter = name.rpartition(".")
     index = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint))
     if index < 0:
-        raise SpecError("no such joint", where=f"update.parameters.{name}", value=joint)
+        raise SpecError(
+            "no such joint", where=f"update.parameters.{name}", value=joint,
+            expected="a joint of the model",
+        )  # fmt: skip
     return _FIELDS[parameter], int(model.jnt_dofadr[index])
 
 

@@ -60,7 +60,10 @@ def copy_files(release: Release, folder: Path, into: Path) -> None:
             continue
         target = into / place
         if not target.resolve().is_relative_to(into.resolve()):
-            raise ReleaseError("a file that leaves its folder", path=folder, value=place)
+            raise ReleaseError(
+                "a file that leaves its folder", path=folder, value=place,
+                expected="files inside the release's folder",
+            )  # fmt: skip
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             with open_regular(folder / entry.name) as source, target.open("wb") as sink:
@@ -74,7 +77,9 @@ def copy_files(release: Release, folder: Path, into: Path) -> None:
                 expected="the release as it was written; pytest-twin verify says more",
             )
     if not (into / FILE_NAME).is_file():
-        raise ReleaseError(f"a release without {FILE_NAME}", path=folder)
+        raise ReleaseError(
+            f"a release without {FILE_NAME}", path=folder, expected="a release of a twin"
+        )
 
 
 def last_validated(root: Path, now: datetime) -> Path:

@@ -111,7 +111,11 @@ def parse(text: str) -> Stamp:
     Raises:
         ReleaseError: no stamp; the message says what is wrong with it.
     """
-    wrong = ReleaseError("not a stamp of pytest-twin", expected="the text that it wrote")
+    wrong = ReleaseError(
+        "not a stamp of pytest-twin",
+        where="stamp",
+        expected="the text that pytest-twin stamp wrote",
+    )
     try:
         fields = json.loads(text)
     except (ValueError, RecursionError):

@@ -41,7 +41,10 @@ class Hdf5Stamp:
                 return None
             pieces = [file.attrs[NAME], *(file.attrs[name] for name in _rest(file))]
         if not all(isinstance(piece, str) for piece in pieces):
-            raise FormatError("the stamp is no text", path=self.path, where=f"attribute {NAME}")
+            raise FormatError(
+                "the stamp is no text", path=self.path, where=f"attribute {NAME}",
+                expected="the text that pytest-twin stamp wrote",
+            )  # fmt: skip
         return "".join(pieces)
 
     def write(self, text: str) -> None:
@@ -91,8 +94,9 @@ class Hdf5Stamp:
                 yield file
         except (OSError, RuntimeError, ValueError, KeyError) as error:
             raise FormatError(
-                f"cannot be read as HDF5: {' '.join(str(error).split())[:100]}", path=self.path
-            ) from None
+                f"cannot be read as HDF5: {' '.join(str(error).split())[:100]}", path=self.path,
+                expected="an undamaged HDF5 file",
+            ) from None  # fmt: skip
 
 
 def _h5py(path: Path) -> Any:

@@ -165,7 +165,10 @@ class McapStamp:
                 raise self._damaged(f"a record at byte {start} is cut off")
             count += 1
             if count > limits.MCAP.messages_of(end):
-                raise LimitError("too many records", path=self.path, value=count)
+                raise LimitError(
+                    "too many records", path=self.path, value=count,
+                    expected=f"at most {limits.MCAP.messages_of(end)} in a file of this size",
+                )  # fmt: skip
             yield _Record(opcode, start, start + 9 + length)
             start += 9 + length
 
@@ -177,7 +180,10 @@ class McapStamp:
         if not data_end <= start <= end <= footer:
             raise self._damaged("its footer points outside the index")
         if end - start > _SUMMARY_BYTES:
-            raise LimitError("its index is too large", path=self.path, value=end - start)
+            raise LimitError(
+                "its index is too large", path=self.path, value=end - start,
+                expected=f"at most {_SUMMARY_BYTES} bytes",
+            )  # fmt: skip
         found = []
         for record in self._records(stream, start, end):
             stream.seek(record.start + 9)
@@ -191,7 +197,10 @@ class McapStamp:
 
         length = record.end - record.start - 9
         if length > limits.STAMPS.stamp_bytes:
-            raise LimitError("a metadata record is too large", path=self.path, value=length)
+            raise LimitError(
+                "a metadata record is too large", path=self.path, value=length,
+                expected=f"at most {limits.STAMPS.stamp_bytes} bytes",
+            )  # fmt: skip
         stream.seek(record.start + 9)
         try:
             return Metadata.read(ReadDataStream(io.BytesIO(stream.read(length))))
