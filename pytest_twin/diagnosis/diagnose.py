@@ -24,7 +24,7 @@ from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt, with_fewer_effects
-from pytest_twin.diagnosis.rival_sets import with_rival_sets
+from pytest_twin.diagnosis.rival_sets import with_rival_sets, without_rival_sets
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.rivals import Selected
@@ -312,7 +312,7 @@ def find_structure(
         found, simulations = run.attempt(
             "other sets of effects in the place of the final one",
             lambda: with_rival_sets(likeliest, run),
-            (likeliest, 0.0),
+            (without_rival_sets(likeliest), 0.0),
         )
     found = with_final_parameters(found, run.budget)
     if given.creeps:

@@ -13,8 +13,11 @@ from pytest_twin.diagnosis.budget import RESERVED, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime, check
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import prepare
+from pytest_twin.diagnosis.rival_sets import without_rival_sets
 from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.contest import Contest
+from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.searched import search
 from pytest_twin.diagnosis.trace import MOST_STEPS, Step, Trace
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.realization import Realization
@@ -109,6 +112,19 @@ def test_work_is_shared_by_all_searches(braked: tuple[Realization, TrialSet]) ->
     assert run.attempt("more", lambda: "more", "the best so far") == "the best so far"
     (note,) = not_tried(run)
     assert "its 20 simulations of all data were used. Not tried: more" in note
+
+
+def test_no_effect_is_sure_whose_set_was_not_compared_with_others(
+    braked: tuple[Realization, TrialSet],
+) -> None:
+    realization, trials = braked
+    prepared = prepare(realization, trials.fit, (), threads=1)
+    found = search(prepared, trials, Selection(prepared.problem, Run()))
+    (term,) = found.selected.best.hypothesis.terms
+    assert found.selected.confidence[term] > 0.99
+    unsure = without_rival_sets(found)
+    assert unsure.selected.confidence == {term: 0.8}
+    assert unsure.selected.best is found.selected.best
 
 
 def test_simulations_are_counted_in_the_result(braked: tuple[Realization, TrialSet]) -> None:
