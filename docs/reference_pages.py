@@ -31,6 +31,7 @@ RESULTS = {
     "fleet": "`fleet.json` and `diagnose --fleet --json -`",
     "calibrate": "`calibration.json` and `calibrate --json -`",
     "identify": "`identification.json` and `identify --json -`",
+    "budget": "`budget.json` and `budget --json -`",
     "excite": "`excitation.json` and `excite --json -`",
     "replay": "the JSON file beside a prediction, and `replay --json -`",
     "audit": "`NAME.audit.json` and `audit --json -`",

@@ -24,6 +24,7 @@ COMMANDS: tuple[str, ...] = (
     "calibrate",
     "excite",
     "identify",
+    "budget",
     "convert",
     "show",
     "effects",

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.adaptation_spec import ResidualSpec, ShadowPolicy, UpdateSpec, digest_of
+from pytest_twin.budget_spec import BudgetSpec
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.calibration_record import CalibrationRecord, read_calibration_record
@@ -308,6 +309,7 @@ class Twin:
         authority: rules, of which the first that matches a golden holds.
         residual, update: what is declared beside the base model, or None.
         shadow: what a candidate is judged by.
+        budget: what the error budget is about.
         lines: dotted field -> 1-based line in ``path``.
     """
 
@@ -335,6 +337,7 @@ class Twin:
     residual: ResidualSpec | None = None
     update: UpdateSpec | None = None
     shadow: ShadowPolicy = field(default_factory=ShadowPolicy)
+    budget: BudgetSpec = field(default_factory=BudgetSpec)
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
     @property
@@ -478,6 +481,7 @@ class _Reader:
             residual=self._residual(),
             update=UpdateSpec.from_json(data["update"]) if "update" in data else None,
             shadow=ShadowPolicy.from_json(data.get("shadow", {})),
+            budget=self._budget(),
             fresh=FreshPolicy(**{k: float(v) for k, v in data.get("fresh", {}).items()}),
             excitation=data.get("excitation"),
             lines=self.lines,
@@ -717,6 +721,18 @@ class _Reader:
                     )
         file = self._file(data["file"], "residual.file") if "file" in data else None
         return ResidualSpec.from_json(data, file)
+
+    def _budget(self) -> BudgetSpec:
+        data = self.data.get("budget", {})
+        files = enumerate(data.get("recordings", ()))
+        found = tuple(self._recording(name, f"budget.recordings.{at}") for at, name in files)
+        return BudgetSpec.from_json(data, found)
+
+    def _recording(self, reference: str, where: str) -> Path:
+        """A file, or a folder that is one recording."""
+        folder = (self.path.parent / reference).is_dir()
+        line = _line(self.lines, where)
+        return self.roots.resolve(reference, at=self.path, line=line, where=where, folder=folder)
 
     def _part(self, name: str, data: Mapping[str, Any]) -> DeclaredPart:
         ident, value, affects = data.get("id"), data.get("value"), data.get("affects")

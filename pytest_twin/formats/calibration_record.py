@@ -9,9 +9,34 @@ from typing import Any
 
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.digest import bytes_sha256
-from pytest_twin.formats.record_fields import number, numbers, read_record, text
+from pytest_twin.formats.record_fields import (
+    Matrix,
+    number,
+    numbers,
+    read_record,
+    square,
+    standard_deviation,
+    text,
+)
 
 Transform = tuple[tuple[float, ...], tuple[float, ...] | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """A deviation of a link from its nominal geometry.
+
+    Attributes:
+        joint: whose placement on the link before it deviates.
+        rotation: True for an angle (rad), False for an offset (m).
+        direction: (3,) in the joint's frame.
+        value: rad or m.
+    """
+
+    joint: str
+    rotation: bool
+    direction: tuple[float, ...]
+    value: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +58,11 @@ class CalibrationRecord:
         seen: observation -> position (m) and quaternion w x y z of the target in the camera, from
             its image.
         inputs: file, relative to the plan's folder -> SHA-256, hex.
+        frames: record -> its parent and child.
+        covariances: record -> covariance of its x y z [m] and, of a pose, rx ry rz [rad].
+        covariance_names, covariance: of all unknowns together, as the fit had them.
+        deviations: label -> deviation of a link.
+        time_offset: of one clock against the other and its standard deviation, s, or None.
     """
 
     id: str
@@ -47,6 +77,12 @@ class CalibrationRecord:
     held_out_ids: tuple[str, ...] = ()
     seen: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
+    frames: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    covariances: Mapping[str, Matrix] = field(default_factory=dict)
+    covariance_names: tuple[str, ...] = ()
+    covariance: Matrix = ()
+    deviations: Mapping[str, Deviation] = field(default_factory=dict)
+    time_offset: tuple[float, float] | None = None
 
 
 def read_calibration_record(path: Path) -> CalibrationRecord:
@@ -64,6 +100,9 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
         records = content["records"]
         zeros = records.get("joint_zeros", {"values": {}})["values"]
         base = records.get("base_world")
+        together = content.get("covariance", {"of": [], "matrix": []})
+        names = tuple(text(name) for name in together["of"])
+        offset = records.get("time_offset")
         return CalibrationRecord(
             id=text(content["calibration"]),
             path=path,
@@ -99,6 +138,31 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             inputs={
                 text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()
             },
+            frames={
+                text(name): (text(one["parent"]), text(one["child"]))
+                for name, one in records.items()
+                if "transform" in one and "parent" in one
+            },
+            covariances={
+                text(name): square(one["covariance"], len(one["covariance_of"]))
+                for name, one in records.items()
+                if "transform" in one and "covariance" in one
+            },
+            covariance_names=names,
+            covariance=square(together["matrix"], len(names)),
+            deviations={
+                text(label): Deviation(
+                    text(one["joint"]),
+                    one["kind"] == "rotation",
+                    numbers(one["direction"], 3),
+                    number(one["value"]),
+                )
+                for label, one in records.get("geometry", {"values": {}})["values"].items()
+                if "direction" in one
+            },
+            time_offset=None
+            if offset is None
+            else (number(offset["value"]), standard_deviation(offset["ci95"])),
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FormatError(

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.errors import FormatError
 from pytest_twin.formats import limits
 from pytest_twin.formats.digest import bytes_sha256
-from pytest_twin.formats.record_fields import number, read_record, text
+from pytest_twin.formats.record_fields import (
+    Matrix,
+    number,
+    read_record,
+    square,
+    standard_deviation,
+    text,
+)
 
 _EXPECTED = "identification.json of pytest-twin identify"
 _FAMILIES = ("joint", "actuator", "body", "geom")
@@ -35,6 +42,9 @@ class IdentificationRecord:
         recordings: names of the held-out recordings.
         filter: cutoff, parallel cutoff and rate, Hz; None without measured effort.
         inputs: file -> SHA-256, hex.
+        units: parameter -> unit.
+        deviations: parameter -> standard deviation in its unit.
+        position_rms: joint -> error of its simulated position on held-out recordings, rad or m.
     """
 
     id: str
@@ -45,11 +55,14 @@ class IdentificationRecord:
     stages: Mapping[str, str]
     values: Mapping[str, float]
     covariance_names: tuple[str, ...]
-    covariance: tuple[tuple[float, ...], ...]
+    covariance: Matrix
     held_out: Mapping[str, float]
     recordings: tuple[str, ...]
     filter: tuple[float, float, float] | None
     inputs: Mapping[str, str]
+    units: Mapping[str, str] = field(default_factory=dict)
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    position_rms: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_identification_record(path: Path) -> IdentificationRecord:
@@ -66,9 +79,8 @@ def read_identification_record(path: Path) -> IdentificationRecord:
             raise KeyError("schema")
         covariance = content["covariance"]
         names = tuple(text(name) for name in covariance["names"])
-        matrix = tuple(tuple(number(v) for v in row) for row in covariance["matrix"])
-        if any(len(row) != len(names) for row in matrix) or len(matrix) != len(names):
-            raise ValueError("covariance")
+        matrix = square(covariance["matrix"], len(names))
+        used = {k: v for k, v in content["parameters"].items() if v.get("used", True)}
         filtered = content.get("filter")
         return IdentificationRecord(
             id=text(content["identification"]),
@@ -77,11 +89,7 @@ def read_identification_record(path: Path) -> IdentificationRecord:
             verdict=text(content["verdict"]),
             fit=_fit(content["fit"]),
             stages={text(one["stage"]): text(one["state"]) for one in content["stages"]},
-            values={
-                text(name): number(one["value"])
-                for name, one in content["parameters"].items()
-                if one.get("used", True)
-            },
+            values={text(name): number(one["value"]) for name, one in used.items()},
             covariance_names=names,
             covariance=matrix,
             held_out={
@@ -99,6 +107,17 @@ def read_identification_record(path: Path) -> IdentificationRecord:
             ),
             inputs={
                 text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()
+            },
+            units={text(name): text(one["unit"]) for name, one in used.items() if "unit" in one},
+            deviations={
+                text(name): standard_deviation(one["ci95"])
+                for name, one in used.items()
+                if "ci95" in one
+            },
+            position_rms={
+                text(joint): number(one["position_rms"])
+                for joint, one in content["held_out"].items()
+                if "position_rms" in one
             },
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:

@@ -11,6 +11,10 @@ from pytest_twin.errors import FormatError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 
+Matrix = tuple[tuple[float, ...], ...]
+_Z95 = 1.959964
+"""Half of a 95 % interval of a normal value, in standard deviations."""
+
 
 def read_record(path: Path, expected: str) -> tuple[Any, bytes]:
     """A record's JSON, and its bytes.
@@ -58,6 +62,29 @@ def numbers(values: Any, count: int) -> tuple[float, ...]:
     if not isinstance(values, list) or len(values) != count:
         raise ValueError(f"not {count} numbers")
     return tuple(number(value) for value in values)
+
+
+def square(rows: Any, size: int) -> Matrix:
+    """A square matrix of finite numbers.
+
+    Raises:
+        ValueError: it is none of this size.
+    """
+    if not isinstance(rows, list) or len(rows) != size:
+        raise ValueError(f"not {size} rows")
+    return tuple(numbers(row, size) for row in rows)
+
+
+def standard_deviation(ci95: Any) -> float:
+    """Standard deviation of a normal value from its 95 % interval.
+
+    Raises:
+        ValueError: it is no interval.
+    """
+    low, high = numbers(ci95, 2)
+    if high < low:
+        raise ValueError(f"{ci95!r} is no interval")
+    return (high - low) / (2.0 * _Z95)
 
 
 def _refuse(word: str) -> NoReturn:

@@ -129,8 +129,8 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         "ARM/twin.yaml:2: tpc: is not a known field (expected one of schema, name, model, "
         "realizations, source, roots, topics, joints, command_mode, columns, units, clock, "
         "command_between, signals, controllers, payloads, calibration, calibrations, fit, "
-        "excitation, parts, tcp, retired, release, authority, fresh, residual, update, shadow; did "
-        "you mean 'topics'?)",
+        "excitation, parts, tcp, retired, release, authority, fresh, residual, update, shadow, "
+        "budget; did you mean 'topics'?)",
     ),
     (
         "twin.yaml that is no YAML",

@@ -1,0 +1,173 @@
+"""The categories of an error budget, what measures each, and the test that would tell more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Category:
+    """One kind of cause.
+
+    Attributes:
+        id: as ``budget.json`` and ``owners:`` have it.
+        metric: what is stated of it.
+        command: what would measure it.
+        next_test: the experiment that tells its causes apart, or narrows them.
+        goldens: kinds of golden that watch it.
+    """
+
+    id: str
+    metric: str
+    command: str
+    next_test: str
+    goldens: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """Its name for people."""
+        return self.id.replace("_", " ")
+
+
+_IDENTIFY = "pytest-twin identify MODEL RECORDING... --held-out RECORDING... --out DIR"
+_CALIBRATE = "pytest-twin calibrate PLAN.yaml --out DIR"
+_DIAGNOSE = "pytest-twin diagnose MODEL RECORDING... --out DIR"
+
+CATEGORIES: tuple[Category, ...] = (
+    Category(
+        "asset_and_geometry",
+        "deviations of links from the drawing",
+        f"{_CALIBRATE}, with estimate: [geometry]",
+        "measure tool positions with a tracker over the whole workspace, and fit the geometry",
+        ("fk", "limits", "joint_direction"),
+    ),
+    Category(
+        "frame_calibration",
+        "joint zeros, base, tool and camera frames",
+        f"{_CALIBRATE}, with estimate: [joint_zeros, base_world, tcp, hand_eye]",
+        "add the poses that next_poses of the calibration names, and hold out a third of them",
+        ("calibration", "tcp_accuracy"),
+    ),
+    Category(
+        "timing",
+        "delays and offsets between clocks",
+        f"{_IDENTIFY} (stage delay), or {_CALIBRATE}, with streams: and estimate: [time_offset]",
+        "repeat one path at two speeds: a delay moves the tool in proportion to the speed",
+        ("replay",),
+    ),
+    Category(
+        "sensing",
+        "encoder zeros and scales that the motion tells",
+        f"{_IDENTIFY} (stage encoder)",
+        "hold each joint at both ends of its range and compare with an outside measurement",
+        ("replay",),
+    ),
+    Category(
+        "actuation",
+        "constant efforts and scales of the drives",
+        f"{_IDENTIFY} (stage drive)",
+        "repeat the recording with a known payload: it tells the scale of each drive",
+        ("step", "frequency_response"),
+    ),
+    Category(
+        "rigid_body_dynamics",
+        "base parameters: masses, first and second moments, armatures",
+        f"pytest-twin excite MODEL --out DIR, then {_IDENTIFY}",
+        "run the D-optimal motions of pytest-twin excite, and hold out one of them",
+        ("mass_properties", "identification"),
+    ),
+    Category(
+        "friction_and_transmission",
+        "viscous and Coulomb friction of the joints",
+        f"pytest-twin excite MODEL --out DIR, then {_IDENTIFY}",
+        "slow reversals and two constant speeds of each joint, cold and warm",
+        ("identification", "replay"),
+    ),
+    Category(
+        "compliance_and_backlash",
+        "elasticity and backlash between motor and link",
+        _DIAGNOSE,
+        "push the tool with the motors held, in both directions, and measure where it goes",
+        ("settling",),
+    ),
+    Category(
+        "contact_and_material",
+        "friction, stiffness and damping of contacts",
+        f"{_DIAGNOSE}, with recordings that touch something",
+        "touch, press and slide at two speeds and two loads",
+        ("contact",),
+    ),
+    Category(
+        "environment_and_object",
+        "where fixtures and objects are",
+        f"{_CALIBRATE}, with estimate: [fixture]",
+        "measure the fixture again after it has been taken off and put back",
+        ("collision_distance",),
+    ),
+    Category(
+        "unmodelled",
+        "held-out error beyond what the uncertainty of the estimates explains",
+        f"{_CALIBRATE}, or {_IDENTIFY}, with recordings or observations held out",
+        f"{_DIAGNOSE}, on the held-out recordings",
+        ("replay", "task"),
+    ),
+)
+BY_ID: Mapping[str, Category] = {one.id: one for one in CATEGORIES}
+
+_OF_RECORD = {
+    "base_world": "frame_calibration",
+    "robot_world": "frame_calibration",
+    "tcp": "frame_calibration",
+    "hand_eye": "frame_calibration",
+    "joint_zeros": "frame_calibration",
+    "fixture": "environment_and_object",
+    "geometry": "asset_and_geometry",
+    "time_offset": "timing",
+}
+_OF_EFFECT = {
+    "command_delay": "timing",
+    "sensor_delay": "timing",
+    "effort_delay": "timing",
+    "clock_drift": "timing",
+    "encoder_bias": "sensing",
+    "encoder_scale": "sensing",
+    "encoder_eccentricity": "sensing",
+    "effort_bias": "actuation",
+    "effort_scale": "actuation",
+    "actuator_lag": "actuation",
+    "rate_limit": "actuation",
+    "torque_constant": "actuation",
+    "torque_saturation": "actuation",
+    "dead_zone": "actuation",
+    "controller_gain": "actuation",
+    "cogging": "actuation",
+    "backlash": "compliance_and_backlash",
+    "joint_elasticity": "compliance_and_backlash",
+    "joint_spring": "compliance_and_backlash",
+    "contact_offset": "contact_and_material",
+    "contact_stiffness": "contact_and_material",
+    "contact_damping": "contact_and_material",
+    "contact_friction": "contact_and_material",
+    "external_force": "environment_and_object",
+    "armature": "rigid_body_dynamics",
+    "payload": "rigid_body_dynamics",
+    "inertial_parameters": "rigid_body_dynamics",
+    "base_tilt": "rigid_body_dynamics",
+}
+
+
+def category_of_record(name: str) -> str:
+    """The category of one record of a calibration."""
+    return _OF_RECORD[name]
+
+
+def category_of_parameter(name: str) -> str:
+    """The category of a parameter of an identification: ``JOINT.EFFECT``, or an expression."""
+    words = name.split(".")
+    for word in words[1:]:
+        if word in _OF_EFFECT:
+            return _OF_EFFECT[word]
+    if any("friction" in word or word == "gear_efficiency" for word in words[1:]):
+        return "friction_and_transmission"
+    return "rigid_body_dynamics"

@@ -1,0 +1,320 @@
+"""Lines of an error budget: one for each record, with what it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.budget.calibrated import Calibrated
+from pytest_twin.budget.categories import category_of_parameter
+from pytest_twin.budget.identified import Identified, displaced, gravity_effort, moved
+from pytest_twin.budget.propagate import (
+    DRAWS,
+    Spread,
+    differing,
+    first_order,
+    normal_draws,
+    root_of,
+    sampled,
+)
+from pytest_twin.budget.task import SIMULATED_S, Task, record_path
+from pytest_twin.calibration.chain import ChainParameters, forward
+from pytest_twin.errors import SimulationError
+from pytest_twin.realization import Realization
+from pytest_twin.twin import CalibrationEntry, FitEntry, Twin
+
+_CORRELATED = 0.1
+"""Correlation from which on a pair of parts is named."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One cause that varies on its own, and what it moves.
+
+    Attributes:
+        id: of its record.
+        category: that of its part that moves the frame most; of an identification, of most of its
+            parameters.
+        record: where it stands: kind, id, file, digest, date.
+        parts: what varies together, each with category, estimates and what it moves alone.
+        correlated: pairs of parts of different categories, with their largest correlation.
+        linear, drawn: what all parts move together; None where it is not known.
+        joints: joint -> root mean square of its position, rad or m.
+        effort: joint -> root mean square of its effort, N*m or N.
+        slides: joints that slide, in m and N.
+        method: how it was carried to the task.
+        warnings: what to doubt.
+        left_out: what moves nothing here, and why.
+    """
+
+    id: str
+    category: str
+    record: Mapping[str, Any]
+    parts: tuple[Mapping[str, Any], ...]
+    correlated: tuple[Mapping[str, Any], ...]
+    method: str
+    linear: Spread | None = None
+    drawn: Spread | None = None
+    joints: Mapping[str, float] = field(default_factory=dict)
+    effort: Mapping[str, float] = field(default_factory=dict)
+    slides: frozenset[str] = frozenset()
+    warnings: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able fields, in SI units."""
+        return {
+            "id": self.id,
+            "category": self.category,
+            "record": dict(self.record),
+            "parts": [dict(part) for part in self.parts],
+            "correlated": [dict(pair) for pair in self.correlated],
+            "method": self.method,
+            "linear": None if self.linear is None else self.linear.to_json(),
+            "sampled": None if self.drawn is None else self.drawn.to_json(),
+            "joints": {
+                joint: {"rms": value, "unit": "m" if joint in self.slides else "rad"}
+                for joint, value in self.joints.items()
+            },
+            "effort": {
+                joint: {"rms": value, "unit": "N" if joint in self.slides else "N*m"}
+                for joint, value in self.effort.items()
+            },
+            "warnings": list(self.warnings),
+            "left_out": list(self.left_out),
+        }
+
+
+def calibration_line(found: Calibrated, task: Task, twin: Twin) -> Line | None:
+    """What a calibration leaves uncertain; None where it moves nothing here.
+
+    Raises:
+        FormatError: a covariance that is none.
+    """
+    record = found.entry.record
+    if not found.names:
+        return None
+    root = root_of(found.covariance, record.path)
+    moving = found.frame(task, np.zeros(len(found.names)))
+    linear = first_order(moving, root)
+    drawn = sampled(lambda step: found.frame(task, step), normal_draws(root))
+    deviations = np.sqrt(np.diag(found.covariance))
+    parts = []
+    for part in found.parts:
+        own = list(part.columns)
+        alone = first_order(
+            replace(moving, turn=moving.turn[:, :, own], shift=moving.shift[:, :, own]),
+            root_of(found.covariance[np.ix_(own, own)], record.path),
+        )
+        estimates = [
+            {"name": name, "value": value, "std": float(deviations[column]), "unit": unit}
+            for (name, (value, unit)), column in zip(part.estimate.items(), own, strict=True)
+        ]
+        parts.append(_part(part.name, part.category, estimates, alone))
+    groups = {part.name: (part.category, part.columns) for part in found.parts}
+    return Line(
+        record.id,
+        _leading(parts),
+        _record("calibration", found.entry, record.path, record.sha256, twin),
+        tuple(parts),
+        tuple(_correlated(found.covariance, groups)),
+        f"J C J^T over {len(task.readings)} poses, and {DRAWS} draws through the whole forward "
+        "kinematics",
+        linear,
+        drawn,
+        warnings=tuple(differing(linear, drawn)),
+        left_out=found.left_out,
+    )
+
+
+def identification_line(found: Identified, task: Task, realization: Realization) -> Line | None:
+    """What an identification leaves uncertain; None where it states no parameter."""
+    record, twin = found.entry.record, realization.twin
+    assert twin is not None
+    if not record.covariance_names:
+        return None
+    warnings: list[str] = []
+    linear = drawn = None
+    joints: Mapping[str, float] = {}
+    effort: Mapping[str, float] = {}
+    method = "stated, not carried to the task"
+    if found.names and task.trial is not None:
+        try:
+            motion = moved(found, task, realization)
+            linear, drawn, joints = motion.frame, motion.drawn, motion.joints
+            seconds = float(task.trial.time[-1])
+            method = (
+                f"replays of the first {seconds:.3g} s of {task.trial.name} with the parameters "
+                "changed: along each column of the covariance's root, and by draws"
+            )
+        except SimulationError as error:
+            warnings.append(f"not simulated: {error}")
+    if found.names and linear is None:
+        effort = gravity_effort(found, task)
+        method = (
+            f"static gravity effort over {len(task.readings)} poses: no motion with commands is "
+            f"declared (budget: recordings:, of which {SIMULATED_S:g} s are simulated)"
+        )
+    kinematic = displaced(found, task)
+    if kinematic is not None:
+        linear, drawn = (
+            one if other is None else _together([one, other])
+            for one, other in zip(kinematic, (linear, drawn), strict=True)
+        )
+        method += "; delays and encoder zeros by J C J^T, as if they varied on their own"
+    if linear is not None and drawn is not None:
+        warnings += differing(linear, drawn)
+    names = list(record.covariance_names)
+    matrix = np.reshape(record.covariance, (len(names), len(names)))
+    groups: dict[str, tuple[str, tuple[int, ...]]] = {}
+    for at, name in enumerate(names):
+        category = category_of_parameter(name)
+        own = groups.get(category, (category, ()))[1]
+        groups[category] = (category, (*own, at))
+    parts = [
+        _part(
+            category.replace("_", " "),
+            category,
+            [
+                {
+                    "name": names[at],
+                    "value": record.values.get(names[at]),
+                    "std": float(np.sqrt(max(matrix[at, at], 0.0))),
+                    "unit": record.units.get(names[at], ""),
+                }
+                for at in own
+            ],
+            None,
+        )
+        for category, own in groups.values()
+    ]
+    return Line(
+        record.id,
+        max(groups, key=lambda name: len(groups[name][1])),
+        _record("identification", found.entry, record.path, record.sha256, twin),
+        tuple(parts),
+        tuple(_correlated(matrix, groups)),
+        method,
+        linear,
+        drawn,
+        joints,
+        effort,
+        frozenset(j for j, kind in realization.structure.joint_type.items() if kind == "slide"),
+        tuple(warnings),
+        found.left_out,
+    )
+
+
+def unmodelled_lines(task: Task, lines: Sequence[Line], twin: Twin) -> list[dict[str, Any]]:
+    """Held-out errors of the records, as a position of the frame, beyond what their lines explain.
+
+    Each is an upper bound: it holds the noise of what measured it too.
+    """
+    found = []
+    explained = {line.id: line.linear.position for line in lines if line.linear is not None}
+    for calibration in twin.calibrations:
+        record = calibration.record
+        if record.id not in {line.id for line in lines}:
+            continue
+        # Of all three coordinates together, where the record has it.
+        error = record.held_out.get("distance_rms")
+        if error is None and "translation_rms" in record.held_out:
+            error = float(np.sqrt(3.0)) * record.held_out["translation_rms"]
+        if error is not None:
+            found.append(_beyond(record.id, error, explained.get(record.id), "calibration"))
+    for fit in twin.fits:
+        own = fit.record.position_rms
+        if fit.record.id in {line.id for line in lines} and own:
+            error = frame_error(task, own)
+            if error is not None:
+                found.append(_beyond(fit.record.id, error, explained.get(fit.record.id),
+                                     "identification"))  # fmt: skip
+    return found
+
+
+def frame_error(task: Task, joints: Mapping[str, float]) -> float | None:
+    """Root mean square displacement (m) of the frame by errors of joints that vary on their own."""
+    columns = [joints.get(joint, 0.0) for joint in task.chain.joints]
+    if not any(columns):
+        return None
+    count = len(columns)
+    every = ChainParameters(count, np.zeros(count), tuple(range(count)))
+    return first_order(forward(task.chain, task.readings, every), np.diag(columns)).position
+
+
+def _beyond(ident: str, error: float, explained: float | None, kind: str) -> dict[str, Any]:
+    beyond = float(np.sqrt(max(error**2 - (explained or 0.0) ** 2, 0.0)))
+    over = "held-out observations" if kind == "calibration" else "whole held-out recordings"
+    return {
+        "id": ident,
+        "kind": kind,
+        "over": over,
+        "held_out": error,
+        "explained": explained,
+        "beyond": beyond,
+    }
+
+
+def total_of(spreads: Sequence[Spread]) -> Spread | None:
+    """Causes that vary on their own, together: the root of the sum of squares."""
+    return _together(spreads) if spreads else None
+
+
+def _together(spreads: Sequence[Spread]) -> Spread:
+    def root(values: Callable[[Spread], float]) -> float:
+        return float(np.sqrt(sum(values(one) ** 2 for one in spreads)))
+
+    return Spread(
+        root(lambda one: one.position),
+        root(lambda one: one.rotation),
+        root(lambda one: one.worst_position),
+        root(lambda one: one.worst_rotation),
+    )
+
+
+def _part(
+    name: str, category: str, estimates: Sequence[Mapping[str, Any]], alone: Spread | None
+) -> dict[str, Any]:
+    return {
+        "name": name,
+        "category": category,
+        "estimates": list(estimates),
+        "alone": None if alone is None else alone.to_json(),
+    }
+
+
+def _leading(parts: Sequence[Mapping[str, Any]]) -> str:
+    return str(max(parts, key=lambda part: part["alone"]["position"])["category"])
+
+
+def _correlated(
+    covariance: FloatArray, groups: Mapping[str, tuple[str, tuple[int, ...]]]
+) -> list[dict[str, Any]]:
+    """Pairs of parts with the largest correlation between any two of their unknowns."""
+    deviations = np.sqrt(np.diag(covariance).clip(1e-300))
+    correlation = np.abs(covariance / np.outer(deviations, deviations))
+    names = list(groups)
+    found = []
+    for i, one in enumerate(names):
+        for other in names[:i]:
+            largest = float(correlation[np.ix_(groups[one][1], groups[other][1])].max())
+            if largest >= _CORRELATED:
+                found.append({"pair": [other, one], "correlation": min(largest, 1.0)})
+    return sorted(found, key=lambda pair: -pair["correlation"])
+
+
+def _record(
+    kind: str, entry: CalibrationEntry | FitEntry, path: Path, sha256: str, twin: Twin
+) -> dict[str, Any]:
+    return {
+        "kind": kind,
+        "id": entry.record.id,
+        "file": record_path(path, twin),
+        "sha256": sha256,
+        "date": entry.date,
+    }

@@ -1,0 +1,102 @@
+"""``pytest-twin budget``: how far each measured uncertainty moves the task's frame."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands import folders, json_output
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import PathError
+from pytest_twin.formats import atomic
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report import budget
+from pytest_twin.report.text import printable
+from pytest_twin.twin import FILE_NAME
+
+HELP = "write the error budget of a twin: how far each measured uncertainty moves the task's frame"
+EXAMPLES = (
+    "pytest-twin budget twin.yaml --out budget/",
+    "pytest-twin budget cell/ --out cell/budget/ --json - | jq .total",
+)
+EXIT_STATUS = {0: "the budget is written; what nothing measured is named in it"}
+JSON_NAME, PAGE_NAME = "budget.json", "budget.html"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "twin", metavar="TWIN", type=Path, help=f"a {FILE_NAME}, or the folder that holds it"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"{JSON_NAME} and {PAGE_NAME} are written here",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once the budget is written.
+
+    Raises:
+        TwinError: a twin, a record or a recording that cannot be used.
+    """
+    twin: Path = args.twin / FILE_NAME if args.twin.is_dir() else args.twin
+    if not twin.is_file():
+        raise PathError("no such file", path=twin, expected=f"a {FILE_NAME}, or its folder")
+    with Sandbox() as sandbox, Progress("propagating") as progress:
+        document = sandbox.call(
+            "pytest_twin.budget.run:budget_of_file",
+            {"path": str(twin.absolute())},
+            progress=progress,
+        )
+    out = folders.make(args.out)
+    atomic.write_text(out / JSON_NAME, json.dumps(document, indent=2) + "\n")
+    atomic.write_text(out / PAGE_NAME, budget.render(document))
+    json_output.give(args, document)
+    show("\n".join(printable(line) for line in _words(document)))
+    show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")
+    return 0
+
+
+def _words(document: dict[str, Any]) -> list[str]:
+    """What people read: the total, then each category."""
+    output, total = document["output"], document["total"]
+    lines = [f"error budget of {document['twin']!r}: pose of {output['frame']!r}"]
+    lines.append(f"  {output['frame_source']}; {output['poses_source']}")
+    if total["sampled"] is None:
+        lines.append("  total: no record of this twin moves the frame")
+    else:
+        lines.append(f"  total: {_size(total['sampled'])}{_share(total['share'])}")
+    for one in document["categories"]:
+        lines.append(f"  {one['category'].replace('_', ' ')}: {_state(one)}")
+    for line in document["lines"]:
+        lines += [f"  warning: {line['id']}: {text}" for text in line["warnings"]]
+    return [*lines, *(f"  note: {note}" for note in document["notes"])]
+
+
+def _state(one: dict[str, Any]) -> str:
+    if one["state"] == "not_measured":
+        return f"not measured; {one['measured_by']}"
+    if one["state"] == "counted_elsewhere":
+        return f"counted with {', '.join(one['counted_in'])}, which estimated it together"
+    if one["beyond"] is not None:
+        return f"up to {1e3 * one['beyond']:.3g} mm of held-out error is not explained"
+    if one["moves"] is None:
+        return f"measured by {', '.join(one['lines'])}; not carried to the frame"
+    return f"{_size(one['moves'])}{_share(one['share'])}, from {', '.join(one['lines'])}"
+
+
+def _size(spread: dict[str, float]) -> str:
+    return f"{1e3 * spread['position']:.3g} mm, {1e3 * spread['rotation']:.3g} mrad"
+
+
+def _share(share: dict[str, float | None]) -> str:
+    stated = [f"{100 * value:.3g} % of the {name}" for name, value in share.items()
+              if value is not None]  # fmt: skip
+    return f" ({', '.join(stated)} that the task allows)" if stated else ""

@@ -1,0 +1,64 @@
+"""The error budget of a twin as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import jinja2
+
+from pytest_twin.report.budget_plots import categories_figure, waterfall_figure
+from pytest_twin.report.page import style_of, svg_uri, template
+
+_STATES = {
+    "measured": "measured",
+    "counted_elsewhere": "counted with",
+    "not_measured": "not measured",
+}
+
+
+def render(document: Mapping[str, Any]) -> str:
+    """The budget as one HTML document without external files.
+
+    Args:
+        document: ``budget.json``.
+    """
+    style = style_of("report.css", "diagnosis.css")
+    share = document["total"]["share"]
+    stated = [value for value in share.values() if value is not None]
+    mood = "" if not stated else "good" if max(stated) <= 1.0 else "bad"
+    figures = {}
+    for quantity in ("position", "rotation"):
+        waterfall = waterfall_figure(document, quantity)
+        figures[quantity] = {
+            "categories": svg_uri(categories_figure(document, quantity)),
+            "waterfall": None if waterfall is None else svg_uri(waterfall),
+        }
+    return _template().render(
+        document=document,
+        style=style.text,
+        style_hash=style.sha256,
+        mood=mood,
+        headline=_headline(document),
+        states=_STATES,
+        figures=figures,
+    )
+
+
+def _headline(document: Mapping[str, Any]) -> str:
+    found = document["total"]["sampled"]
+    if found is None:
+        return "No record of this twin moves the frame"
+    words = f"{1e3 * found['position']:.3g} mm and {1e3 * found['rotation']:.3g} mrad"
+    shares = [
+        f"{100 * value:.3g} % of the {name}"
+        for name, value in document["total"]["share"].items()
+        if value is not None
+    ]
+    return f"{words}: {', '.join(shares)} that the task allows" if shares else words
+
+
+@cache
+def _template() -> jinja2.Template:
+    return template("budget.html.j2")
