@@ -19,7 +19,7 @@ class InProcess:
     def __exit__(self, *error: object) -> None:
         pass
 
-    def call(self, function: str, arguments: Mapping[str, Any]) -> Any:
-        """Call ``module:function`` with keyword arguments."""
+    def call(self, function: str, arguments: Mapping[str, Any], progress: object = None) -> Any:
+        """Call ``module:function`` with keyword arguments; progress is not told."""
         module, _, name = function.partition(":")
         return getattr(importlib.import_module(module), name)(**arguments)

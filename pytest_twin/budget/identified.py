@@ -255,7 +255,12 @@ class _Motion:
         if done.error is not None:
             raise done.error
         if not np.isfinite(done.position).all():
-            raise SimulationError("the replay has no position at some stamps", path=self.row.source)
+            raise SimulationError(
+                "the replay has no position at some stamps",
+                path=self.row.source,
+                where=self.row.trial.name,
+                expected="a recording whose states and commands overlap",
+            )
         return done
 
     def _effort(self) -> FloatArray:
@@ -315,7 +320,7 @@ class _Motion:
         """The frame at positions (n, j) of the trial's joints, with derivatives by readings."""
         chain = self.task.chain
         readings = np.zeros((len(position), len(chain.joints)))
-        columns = []
+        columns: list[int] = []
         for at, joint in enumerate(chain.joints):
             here = joint in self.joints
             columns.append(sum(c >= 0 for c in columns) if here else -1)

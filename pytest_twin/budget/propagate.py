@@ -120,8 +120,8 @@ def sampled(at: Callable[[FloatArray], Moving], draws: FloatArray) -> Spread:
 
 def angles(rotation: FloatArray, other: FloatArray) -> FloatArray:
     """(n,) angles between (n, 3, 3) orientations, rad."""
-    found: FloatArray = Rotation.from_matrix(np.swapaxes(other, 1, 2) @ rotation).magnitude()
-    return found
+    between = Rotation.from_matrix(np.swapaxes(other, 1, 2) @ rotation)
+    return np.asarray(between.magnitude(), dtype=np.float64)
 
 
 def differing(linear: Spread, drawn: Spread) -> list[str]:

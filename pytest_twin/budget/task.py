@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.errors import TwinError
 from pytest_twin.provenance.poses import drawn_poses, poses_of
 from pytest_twin.realization import Realization
 from pytest_twin.realization.patch import suggest
@@ -113,10 +112,11 @@ def _trials(twin: Twin, realization: Realization, notes: list[str]) -> list[Tria
     found: list[Trial] = []
     for path in twin.budget.recordings:
         for recording in recordings_at(path, twin.topics, twin.recordings):
-            try:
+            commands = recording.series.get("command")
+            if commands is None or not len(commands.stamp):
+                notes.append(f"{path.name} holds no commands: its poses count, and no motion does")
+            else:
                 found += make_trials(recording, realization.structure, twin.recordings)
-            except TwinError as error:
-                notes.append(f"not simulated: {error}")
     return found
 
 

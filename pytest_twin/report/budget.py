@@ -27,7 +27,9 @@ def render(document: Mapping[str, Any]) -> str:
     style = style_of("report.css", "diagnosis.css")
     share = document["total"]["share"]
     stated = [value for value in share.values() if value is not None]
-    mood = "" if not stated else "good" if max(stated) <= 1.0 else "bad"
+    unmeasured = [one for one in document["categories"] if one["state"] == "not_measured"]
+    # Within the tolerance is good news once everything is measured.
+    mood = "bad" if max(stated, default=0.0) > 1.0 else "" if unmeasured or not stated else "good"
     figures = {}
     for quantity in ("position", "rotation"):
         waterfall = waterfall_figure(document, quantity)
@@ -41,6 +43,7 @@ def render(document: Mapping[str, Any]) -> str:
         style_hash=style.sha256,
         mood=mood,
         headline=_headline(document),
+        unmeasured=len(unmeasured),
         states=_STATES,
         figures=figures,
     )

@@ -1,0 +1,170 @@
+"""Lines and categories: nothing is counted twice, nothing unmeasured has a number."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parent))
+
+from budget_files import (
+    FORE,
+    POSES,
+    UPPER,
+    declared,
+    fit_record,
+    make_twin,
+    with_pose,
+    zeros_record,
+)
+
+from pytest_twin.budget.categories import CATEGORIES
+from pytest_twin.budget.run import budget_of_file
+
+SMALL = [[1e-6, 0.0], [0.0, 1e-6]]
+
+
+def test_a_twin_without_records_has_no_number(tmp_path: Path) -> None:
+    found = budget_of_file(str(make_twin(tmp_path)))
+    assert [one["category"] for one in found["categories"]] == [one.id for one in CATEGORIES]
+    for one in found["categories"]:
+        assert one["state"] == "not_measured"
+        assert one["estimates"] == []
+        assert one["moves"] is one["beyond"] is one["owner"] is None
+        assert one["measured_by"].startswith("pytest-twin ")
+    assert found["total"]["linear"] is found["total"]["sampled"] is None
+    # Nothing is declared: both stand-ins are named.
+    assert "end of the longest chain" in found["output"]["frame_source"]
+    assert "drawn within the joints' ranges" in found["output"]["poses_source"]
+
+
+def test_two_records_of_different_joints_add_up_as_squares(tmp_path: Path) -> None:
+    records = [
+        zeros_record([[4e-6]], ["shoulder"], "first"),
+        zeros_record([[1e-6]], ["elbow"], "second"),
+    ]
+    found = budget_of_file(str(make_twin(tmp_path, records, budget=declared())))
+    sizes = {line["id"]: line["linear"]["position"] for line in found["lines"]}
+    assert sizes["second"] == pytest.approx(1e-3 * FORE, rel=1e-9)
+    total = found["total"]["linear"]["position"]
+    assert total == pytest.approx(np.hypot(sizes["first"], sizes["second"]), rel=1e-9)
+
+
+def test_of_two_records_of_one_frame_the_newest_counts(tmp_path: Path) -> None:
+    covariances = [9e-6 * np.eye(6), 1e-6 * np.eye(6)]
+    records = [
+        with_pose(
+            zeros_record(np.zeros((0, 0)), [], f"eye{at}"),
+            "hand_eye", ("flange", "camera"), (0.0, 0.0, 0.0), covariance,
+        )
+        for at, covariance in enumerate(covariances)
+    ]  # fmt: skip
+    found = budget_of_file(str(make_twin(tmp_path, records, budget=declared())))
+    assert [line["id"] for line in found["lines"]] == ["eye1"]
+    assert found["total"]["linear"]["position"] == pytest.approx(np.sqrt(3e-6), rel=1e-9)
+    assert any("eye0" in note and "a newer calibration" in note for note in found["notes"])
+
+
+def test_what_one_record_estimated_together_is_one_line(tmp_path: Path) -> None:
+    """A zero and an offset of the same joint's link: the category of the smaller one says where
+    it is counted."""
+    record = zeros_record([[1e-6]], ["elbow"])
+    record["records"]["geometry"] = {
+        "values": {
+            "offset along x of elbow": {
+                "value": 0.001, "joint": "elbow", "kind": "translation", "direction": [1, 0, 0],
+            }
+        }
+    }  # fmt: skip
+    together = record["covariance"]
+    together["of"].append("geometry.offset along x of elbow")
+    together["matrix"] = [[1e-6, 5e-8], [5e-8, 1e-8]]
+    found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
+    (line,) = found["lines"]
+    assert {part["category"] for part in line["parts"]} == {
+        "asset_and_geometry",
+        "frame_calibration",
+    }
+    assert line["correlated"][0]["correlation"] == pytest.approx(0.5)
+    categories = {one["category"]: one for one in found["categories"]}
+    assert categories["asset_and_geometry"]["state"] == "counted_elsewhere"
+    assert categories["asset_and_geometry"]["counted_in"] == ["zeros"]
+    assert categories["asset_and_geometry"]["moves"] is None
+    # x along the upper arm; the zero moves across the forearm: cross term -2 FORE c sin(elbow).
+    squares = [
+        1e-6 * FORE**2 + 1e-8 - 2 * FORE * 5e-8 * np.sin(pose["elbow"] + 0.01) for pose in POSES
+    ]
+    assert line["linear"]["position"] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-9)
+
+
+def test_shares_owners_and_goldens_are_those_of_the_twin(tmp_path: Path) -> None:
+    more = (
+        "  tolerance: {position: 0.002}\n"
+        "  owners: {frame_calibration: metrology, timing: controls}\n"
+    )
+    twin = make_twin(tmp_path, [zeros_record(SMALL)], budget=declared(more=more))
+    golden = tmp_path / "golden" / "home.yaml"
+    golden.parent.mkdir()
+    golden.write_text(
+        "schema: 1\nkind: fk\ntitle: home\ntarget: {frames: [tool]}\n"
+        "stimulus: {poses: [reference]}\n"
+        "tolerance: {position: 1 mm, orientation: 5 mrad}\n"
+    )
+    found = budget_of_file(str(twin))
+    share = found["total"]["share"]
+    assert share["position"] == pytest.approx(found["total"]["sampled"]["position"] / 0.002)
+    assert share["rotation"] is None
+    categories = {one["category"]: one for one in found["categories"]}
+    assert categories["frame_calibration"]["owner"] == "metrology"
+    assert categories["sensing"]["owner"] is None
+    assert categories["sensing"]["owner_said"] == "no owner is declared"
+    assert found["notes"] == []
+    assert categories["asset_and_geometry"]["evidence"]["goldens"] == ["golden/home"]
+    (record,) = categories["frame_calibration"]["evidence"]["records"]
+    assert (record["id"], record["file"], len(record["sha256"])) == (
+        "zeros", "calibrations0.json", 64,
+    )  # fmt: skip
+
+
+def test_held_out_error_beyond_the_covariance_is_unmodelled(tmp_path: Path) -> None:
+    record = zeros_record(SMALL, held_out={"distance_rms": 0.003})
+    found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
+    explained = found["lines"][0]["linear"]["position"]
+    (one,) = found["unmodelled"]
+    assert one["beyond"] == pytest.approx(np.sqrt(0.003**2 - explained**2), rel=1e-9)
+    category = found["categories"][-1]
+    assert (category["category"], category["state"]) == ("unmodelled", "measured")
+    assert category["moves"] is None
+    assert found["total"]["linear"]["position"] == pytest.approx(explained)
+
+
+def test_held_out_errors_of_joints_are_carried_to_the_frame(tmp_path: Path) -> None:
+    names, units = ["shoulder.viscous_friction"], ["N*m*s/rad"]
+    record = fit_record(names, [0.01], units, {"shoulder": 0.004, "elbow": 0.003})
+    twin = make_twin(tmp_path, fits=[record], budget=declared([{"shoulder": 0.2}]))
+    (one,) = budget_of_file(str(twin))["unmodelled"]
+    # A straight arm: the shoulder has the whole arm as lever, the elbow the forearm.
+    expected = np.hypot(0.004 * (UPPER + FORE), 0.003 * FORE)
+    assert one["held_out"] == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_the_model_lacks_is_named(tmp_path: Path) -> None:
+    record = with_pose(
+        zeros_record(SMALL), "hand_eye", ("wrist", "camera"), (0, 0, 0), 1e-6 * np.eye(6)
+    )
+    found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
+    assert "hand_eye: the model has no frame 'wrist'" in found["lines"][0]["left_out"]
+    record["records"]["hand_eye"]["parent"] = "upper"
+    found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
+    assert any("not fixed to the link of 'tool'" in t for t in found["lines"][0]["left_out"])
+    names = ["elbow.backlash", "robot.gear_efficiency"]
+    twin = make_twin(tmp_path, fits=[fit_record(names, [1e-3, 1e-3], ["rad", "1"])])
+    found = budget_of_file(str(twin))
+    (line,) = found["lines"]
+    assert line["linear"] is None
+    assert all(any(name in text for text in line["left_out"]) for name in names)
+    states = {one["category"]: one for one in found["categories"]}
+    assert states["compliance_and_backlash"]["estimates"][0]["std"] == pytest.approx(1e-3)

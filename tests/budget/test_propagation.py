@@ -1,0 +1,242 @@
+"""Covariances carried to a frame, against closed forms of a planar arm and against MuJoCo."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parent))
+
+from budget_files import (
+    ARM,
+    FORE,
+    POSES,
+    UPPER,
+    declared,
+    fit_record,
+    jacobian,
+    make_twin,
+    record_motion,
+    with_pose,
+    zeros_record,
+)
+
+from pytest_twin.budget.run import budget_of_file
+from pytest_twin.calibration.closed_form import rigid
+from pytest_twin.calibration.records import inverse_with_covariance
+
+COVARIANCE = np.array([[4e-6, -1.5e-6], [-1.5e-6, 1e-6]])
+
+
+def expected_rms(covariance: np.ndarray) -> float:
+    squares = [np.trace(jacobian(p) @ covariance @ jacobian(p).T) for p in POSES]
+    return float(np.sqrt(np.mean(squares)))
+
+
+def test_joint_zeros_are_those_of_the_closed_form(tmp_path: Path) -> None:
+    found = budget_of_file(str(make_twin(tmp_path, [zeros_record(COVARIANCE)], budget=declared())))
+    (line,) = found["lines"]
+    # The zeros of the record, 0.01 rad each, turn the whole arm about the base alone.
+    moved = [{"shoulder": p["shoulder"] + 0.01, "elbow": p["elbow"] + 0.01} for p in POSES]
+    squares = [np.trace(jacobian(p) @ COVARIANCE @ jacobian(p).T) for p in moved]
+    assert line["linear"]["position"] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-9)
+    assert line["linear"]["worst_position"] == pytest.approx(np.sqrt(max(squares)), rel=1e-9)
+    # In the plane the angle is the sum of both zeros.
+    assert line["linear"]["rotation"] == pytest.approx(np.sqrt(COVARIANCE.sum()), rel=1e-9)
+    assert line["sampled"]["position"] == pytest.approx(line["linear"]["position"], rel=0.03)
+    assert line["sampled"]["rotation"] == pytest.approx(line["linear"]["rotation"], rel=0.03)
+    assert line["warnings"] == []
+
+
+def test_the_correlation_of_two_zeros_counts(tmp_path: Path) -> None:
+    alone = np.diag(np.diag(COVARIANCE))
+    with_it, without = (
+        budget_of_file(str(make_twin(tmp_path / name, [zeros_record(c)], budget=declared())))
+        for name, c in (("a", COVARIANCE), ("b", alone))
+    )
+    assert expected_rms(COVARIANCE) < 0.9 * expected_rms(alone)
+    ratio = with_it["total"]["linear"]["position"] / without["total"]["linear"]["position"]
+    assert ratio == pytest.approx(expected_rms(COVARIANCE) / expected_rms(alone), rel=0.01)
+
+
+def test_a_wide_covariance_is_told_from_the_linear_rule(tmp_path: Path) -> None:
+    """E |R(a) p - p|^2 = 2 |p|^2 (1 - exp(-s^2 / 2)) for a normal angle a of deviation s."""
+    deviation = 1.5
+    record = zeros_record([[deviation**2]], ["elbow"])
+    found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
+    (line,) = found["lines"]
+    exact = FORE * np.sqrt(2.0 * (1.0 - np.exp(-(deviation**2) / 2.0)))
+    assert line["linear"]["position"] == pytest.approx(FORE * deviation, rel=1e-9)
+    assert line["sampled"]["position"] == pytest.approx(exact, rel=0.02)
+    assert any("too wide for the linear rule" in text for text in line["warnings"])
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.12)])
+def test_a_camera_on_the_flange_moves_what_it_sees_by_its_lever(
+    tmp_path: Path, place: tuple[float, float, float]
+) -> None:
+    """A rotation of the camera by r moves an object at the tool by r times its distance."""
+    covariance = np.diag([1e-8, 2e-8, 3e-8, 1e-6, 1e-6, 1e-6])
+    record = with_pose(
+        zeros_record(np.zeros((0, 0)), []), "hand_eye", ("flange", "camera"), place, covariance
+    )
+    found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
+    # r x lever, r alike about all axes: E |r x d|^2 = 2 s^2 |d|^2.
+    expected = np.sqrt(6e-8 + 2e-6 * float(np.dot(place, place)))
+    assert found["total"]["linear"]["position"] == pytest.approx(expected, rel=1e-9)
+    assert found["total"]["sampled"]["position"] == pytest.approx(expected, rel=0.03)
+    assert found["total"]["linear"]["rotation"] == pytest.approx(np.sqrt(3e-6), rel=1e-9)
+
+
+def test_a_base_is_moved_about_the_world(tmp_path: Path) -> None:
+    """The record is the base in the world, the fit had the world in the base: same displacement
+    as drawing the record's own covariance."""
+    fitted = np.diag([1e-8, 2e-8, 3e-8, 4e-6, 1e-6, 2e-6])
+    world_in_base = rigid(np.eye(3), np.array([-0.5, 0.2, 0.1]))
+    back, stated = inverse_with_covariance(world_in_base, fitted)
+    record = with_pose(
+        zeros_record(np.zeros((0, 0)), []), "base_world", ("world", "base"),
+        back[:3, 3], fitted, stated,
+    )  # fmt: skip
+    found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
+    squares = []
+    for pose in POSES:
+        one, both = pose["shoulder"], pose["shoulder"] + pose["elbow"]
+        arm = np.array(
+            [
+                UPPER * np.cos(one) + FORE * np.cos(both),
+                UPPER * np.sin(one) + FORE * np.sin(both),
+                0,
+            ]
+        )
+        x, y, z = arm
+        cross = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        slope = np.hstack([np.eye(3), cross])
+        squares.append(np.trace(slope @ stated @ slope.T))
+    assert found["total"]["linear"]["position"] == pytest.approx(
+        np.sqrt(np.mean(squares)), rel=1e-9
+    )
+    unused = make_twin(tmp_path / "unused", [record], budget=declared(), use="[joint_zeros]")
+    assert budget_of_file(str(unused))["total"]["linear"] is None
+
+
+def test_zeros_of_a_spatial_arm_agree_with_the_jacobian_of_mujoco(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    joints = ["yaw", "lift", "bend", "roll"]
+    arm = spatial_arm(joints, rng)
+    model = mujoco.MjModel.from_xml_string(arm)
+    data = mujoco.MjData(model)
+    factor = 1e-3 * rng.normal(size=(4, 4))
+    covariance = factor @ factor.T
+    poses = [dict(zip(joints, rng.uniform(-1.5, 1.5, 4).tolist(), strict=True)) for _ in range(5)]
+    record = zeros_record(covariance, joints)
+    squares, turns = [], []
+    for pose in poses:
+        for joint, value in pose.items():
+            # What the record adds to each reading.
+            data.joint(joint).qpos[0] = value + 0.01
+        mujoco.mj_forward(model, data)
+        shift, turn = np.zeros((2, 3, model.nv))
+        mujoco.mj_jacSite(model, data, shift, turn, data.site("tool").id)
+        squares.append(np.trace(shift @ covariance @ shift.T))
+        turns.append(np.trace(turn @ covariance @ turn.T))
+    twin = make_twin(tmp_path, [record], arm=arm, budget=declared(poses))
+    found = budget_of_file(str(twin))["total"]["linear"]
+    assert found["position"] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-9)
+    assert found["rotation"] == pytest.approx(np.sqrt(np.mean(turns)), rel=1e-9)
+
+
+def spatial_arm(joints: list[str], rng: np.random.Generator) -> str:
+    """An arm with random link poses and axes, a slide among its joints."""
+    head = tail = ""
+    for at, joint in enumerate(joints):
+        place, turn, axis = rng.normal(size=(3, 3))
+        kind = "slide" if at == 2 else "hinge"
+        head += (
+            f'<body name="b{at}" pos="{" ".join(map(str, 0.3 * place))}" '
+            f'euler="{" ".join(map(str, 40 * turn))}">'
+            f'<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+            f'<joint name="{joint}" type="{kind}" axis="{" ".join(map(str, axis))}"/>'
+        )
+        tail += "</body>"
+    site = '<site name="tool" pos="0.1 0.2 -0.1"/>'
+    return f"<mujoco><worldbody>{head}{site}{tail}</worldbody></mujoco>"
+
+
+def test_a_time_offset_moves_the_tool_by_its_speed(tmp_path: Path) -> None:
+    """The shoulder turns at 0.8 rad/s with the elbow straight: the tool moves at 0.56 m/s."""
+    time = 0.01 * np.arange(200)
+    position = np.column_stack([0.8 * time - 0.8, np.zeros(200)])
+    deviation = 0.004
+    record = zeros_record(np.zeros((0, 0)), [])
+    record["records"]["time_offset"] = {
+        "value": 0.02,
+        "ci95": [0.02 - 1.959964 * deviation, 0.02 + 1.959964 * deviation],
+    }
+    budget = "budget:\n  frame: tool\n  recordings: [motion.mcap]\n"
+    twin = make_twin(tmp_path, [record], budget=budget)
+    record_motion(tmp_path / "motion.mcap", position, np.zeros((200, 2)))
+    found = budget_of_file(str(twin))
+    expected = deviation * 0.8 * (UPPER + FORE)
+    assert found["total"]["linear"]["position"] == pytest.approx(expected, rel=1e-3)
+    assert found["total"]["sampled"]["position"] == pytest.approx(expected, rel=0.03)
+    assert found["lines"][0]["category"] == "timing"
+    still = make_twin(tmp_path / "still", [record], budget=declared())
+    notes = budget_of_file(str(still))["notes"]
+    assert any("no speed is known" in note for note in notes)
+
+
+def test_damping_moves_a_joint_as_the_differential_equation_says(tmp_path: Path) -> None:
+    """A constant effort on one hinge: I a = u - b v; derivative of its solution by b."""
+    inertia = 2 * 0.2**2 + 0.02 + 1 * 0.5**2 + 0.01
+    arm = make_locked_arm()
+    effort, damping, deviation = 0.4, 0.5, 0.03
+    time = 0.01 * np.arange(201)
+
+    def angle(b: float) -> np.ndarray:
+        return effort / b * (time - inertia / b * (1.0 - np.exp(-b * time / inertia)))
+
+    slope = (angle(damping + 1e-4) - angle(damping - 1e-4)) / 2e-4
+    expected = deviation * np.sqrt(np.mean(slope**2))
+    budget = "budget:\n  frame: tool\n  recordings: [motion.mcap]\n"
+    names = ["shoulder.viscous_friction"]
+    record = fit_record(names, [deviation], ["N*m*s/rad"])
+    del record["held_out"]["elbow"]
+    twin = make_twin(tmp_path, fits=[record], budget=budget, arm=arm)
+    record_motion(
+        tmp_path / "motion.mcap",
+        angle(damping)[:, None],
+        np.full((201, 1), effort),
+        ("shoulder",),
+    )
+    (line,) = budget_of_file(str(twin))["lines"]
+    assert line["joints"]["shoulder"]["rms"] == pytest.approx(expected, rel=0.01)
+    assert line["linear"]["position"] == pytest.approx((UPPER + FORE) * expected, rel=0.01)
+    assert line["sampled"]["position"] == pytest.approx((UPPER + FORE) * expected, rel=0.05)
+    assert line["warnings"] == []
+
+
+def test_without_motion_a_first_moment_is_told_by_its_static_effort(tmp_path: Path) -> None:
+    """A link in a vertical plane: the effort of its weight errs by g cos(q) times the moment."""
+    arm = make_locked_arm().replace('axis="0 0 1"', 'axis="0 1 0"', 1)
+    record = fit_record(["shoulder.mx"], [0.02], ["kg*m"])
+    del record["held_out"]["elbow"]
+    poses = [{"shoulder": angle} for angle in (0.0, 0.4, 1.2)]
+    twin = make_twin(tmp_path, fits=[record], budget=declared(poses), arm=arm)
+    found = budget_of_file(str(twin))
+    expected = 0.02 * 9.81 * np.sqrt(np.mean(np.cos([0.0, 0.4, 1.2]) ** 2))
+    (line,) = found["lines"]
+    assert line["effort"]["shoulder"] == {"rms": pytest.approx(expected, rel=1e-6), "unit": "N*m"}
+    assert line["linear"] is None
+    assert found["total"]["sampled"] is None
+
+
+def make_locked_arm() -> str:
+    """The arm with a straight elbow that does not turn."""
+    joint = '<joint name="elbow" axis="0 0 1" range="-2 2" limited="true"/>'
+    assert joint in ARM
+    return ARM.replace(joint, "").replace('<motor name="m2" joint="elbow"/>', "")
