@@ -11,10 +11,10 @@ from pytest_twin.errors import FormatError
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.record_fields import (
     Matrix,
+    covariance,
     number,
     numbers,
     read_record,
-    square,
     standard_deviation,
     text,
 )
@@ -144,12 +144,12 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
                 if "transform" in one and "parent" in one
             },
             covariances={
-                text(name): square(one["covariance"], len(one["covariance_of"]))
+                text(name): covariance(one["covariance"], len(one["covariance_of"]))
                 for name, one in records.items()
                 if "transform" in one and "covariance" in one
             },
             covariance_names=names,
-            covariance=square(together["matrix"], len(names)),
+            covariance=covariance(together["matrix"], len(names)),
             deviations={
                 text(label): Deviation(
                     text(one["joint"]),

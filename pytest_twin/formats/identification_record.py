@@ -12,9 +12,9 @@ from pytest_twin.formats import limits
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.record_fields import (
     Matrix,
+    covariance,
     number,
     read_record,
-    square,
     standard_deviation,
     text,
 )
@@ -77,9 +77,9 @@ def read_identification_record(path: Path) -> IdentificationRecord:
     try:
         if content["schema"] != 1:
             raise KeyError("schema")
-        covariance = content["covariance"]
-        names = tuple(text(name) for name in covariance["names"])
-        matrix = square(covariance["matrix"], len(names))
+        together = content["covariance"]
+        names = tuple(text(name) for name in together["names"])
+        matrix = covariance(together["matrix"], len(names))
         used = {k: v for k, v in content["parameters"].items() if v.get("used", True)}
         filtered = content.get("filter")
         return IdentificationRecord(

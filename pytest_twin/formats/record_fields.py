@@ -64,15 +64,18 @@ def numbers(values: Any, count: int) -> tuple[float, ...]:
     return tuple(number(value) for value in values)
 
 
-def square(rows: Any, size: int) -> Matrix:
+def covariance(rows: Any, size: int) -> Matrix:
     """A square matrix of finite numbers.
 
     Raises:
         ValueError: it is none of this size.
     """
     if not isinstance(rows, list) or len(rows) != size:
-        raise ValueError(f"not {size} rows")
-    return tuple(numbers(row, size) for row in rows)
+        raise ValueError(f"covariance: not {size} rows")
+    try:
+        return tuple(numbers(row, size) for row in rows)
+    except ValueError as error:
+        raise ValueError(f"covariance: {error}") from None
 
 
 def standard_deviation(ci95: Any) -> float:

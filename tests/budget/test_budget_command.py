@@ -104,8 +104,8 @@ def test_what_twin_yaml_must_not_say_is_answered_in_one_line(
         ([[1e-6, 2e-6], [2e-6, 1e-6]], "its covariance has a negative eigenvalue"),
         ([[1e-6, 5e-7], [0.0, 1e-6]], "its covariance is not symmetric"),
         ([[-1e-6, 0.0], [0.0, 1e-6]], "its covariance has a negative eigenvalue"),
-        ([[1e-6, 0.0]], "a field is missing or unusable: not 2 rows"),
-        ([[1e-6], [1e-6]], "a field is missing or unusable: not 2 numbers"),
+        ([[1e-6, 0.0]], "a field is missing or unusable: covariance: not 2 rows"),
+        ([[1e-6], [1e-6]], "a field is missing or unusable: covariance: not 2 numbers"),
         ([[1e-6, "x"], [0.0, 1e-6]], "is no finite number"),
     ],
 )
