@@ -1,55 +1,29 @@
-"""What an identification leaves uncertain, and how far that moves the task's frame.
-
-A parameter of the inverse dynamics acts as a force: a robot whose parameters differ by ``d`` from
-the model moves as the model does under the added force ``-Y d``, ``Y`` the regressor along the
-motion. To first order that force is computed along the nominal motion, one replay for each column
-of the covariance's root. The draws change damping, dry friction and armature in the simulator
-itself, and add the force of the rest. Without commands to simulate there is no motion, and the
-error of the static gravity effort is stated.
-"""
+"""What an identification leaves uncertain: forces, encoder zeros, delays."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.propagate import (
     Spread,
-    angles,
     first_order,
     normal_draws,
     root_of,
     sampled,
-    spread_of,
 )
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.tangent import Moving
-from pytest_twin.errors import SimulationError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
-from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.replay import Replayed, Row, row_of
-from pytest_twin.replay_forced import replay_forced
 from pytest_twin.signals import NO_SIGNALS
-from pytest_twin.trial import Trial
 from pytest_twin.twin import FitEntry
 
-DRAWS = 64
-"""A power of two; each is a replay. Sobol points then hold a root mean square within 3 %."""
-_STEP = 0.1
-"""Standard deviations of a finite difference: small beside the curvature of dry friction."""
 _DELAYS = ("command_delay", "sensor_delay")
-_IN_SIMULATOR = {
-    "armature": "dof_armature",
-    "viscous_friction": "dof_damping",
-    "coulomb_friction": "dof_frictionloss",
-}
 _ROUNDING = 1e-9
 """Share of the largest effort below which an effort is zero."""
 _GRAVITY = frozenset({"m", "mx", "my", "mz"})
@@ -78,21 +52,6 @@ class Identified:
     zeros: dict[int, float]
     delays: dict[int, float]
     left_out: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Moved:
-    """What parameters do to a motion.
-
-    Attributes:
-        frame: to first order.
-        drawn: by draws.
-        joints: joint -> root mean square of its position, rad or m.
-    """
-
-    frame: Spread
-    drawn: Spread
-    joints: dict[str, float]
 
 
 def identified(entry: FitEntry, task: Task, realization: Realization) -> Identified:
@@ -206,133 +165,3 @@ def gravity_effort(found: Identified, task: Task) -> dict[str, float]:
     # Gravity along a vertical axis leaves rounding alone.
     rms[rms < _ROUNDING * rms.max(initial=0.0)] = 0.0
     return dict(zip(joints, rms.tolist(), strict=True))
-
-
-def moved(found: Identified, task: Task, realization: Realization) -> Moved:
-    """How far the parameters move joints and frame along the task's motion.
-
-    Raises:
-        SimulationError: a replay diverged.
-    """
-    assert task.trial is not None
-    return _Motion(found, task, realization, task.trial).moved()
-
-
-class _Motion:
-    """The nominal motion of a trial, and what changed parameters make of it."""
-
-    def __init__(
-        self, found: Identified, task: Task, realization: Realization, trial: Trial
-    ) -> None:
-        self.found, self.task, self.realization = found, task, realization
-        self.row: Row = row_of(realization, trial)
-        self.joints = trial.joints
-        self.nominal = self._replay(self.row, lambda time: np.zeros(len(self.joints)))
-        encoders = Encoders.of(calibration_of(realization), self.joints)
-        self.position = encoders.model_position(self.nominal.position)
-        self.velocity = encoders.signed(self.nominal.velocity)
-        self.sign = encoders.sign
-        self.effort = self._effort()
-
-    def moved(self) -> Moved:
-        root = root_of(self.found.covariance, self.found.entry.record.path)
-        slopes = np.stack([self._response(column) for column in root.T], axis=2)
-        rms = np.sqrt(np.sum(slopes**2, axis=2).mean(axis=0))
-        moving = self._frame(self.nominal.position)
-        model = self.sign[:, None] * slopes
-        spread = _of_slopes(moving, model[:, self._on_chain()])
-        draws = normal_draws(root, DRAWS)
-        shift, turn = np.zeros((2, len(self.nominal.time)))
-        for draw in draws:
-            at = self._frame(self._drawn(draw).position)
-            shift += np.sum((at.position - moving.position) ** 2, axis=1)
-            turn += angles(at.rotation, moving.rotation) ** 2
-        drawn = spread_of(shift / len(draws), turn / len(draws))
-        return Moved(spread, drawn, dict(zip(self.joints, rms.tolist(), strict=True)))
-
-    def _replay(self, row: Row, force: Callable[[float], FloatArray]) -> Replayed:
-        done = replay_forced(row, lambda time, position, velocity: force(time))
-        if done.error is not None:
-            raise done.error
-        if not np.isfinite(done.position).all():
-            raise SimulationError(
-                "the replay has no position at some stamps",
-                path=self.row.source,
-                where=self.row.trial.name,
-                expected="a recording whose states and commands overlap",
-            )
-        return done
-
-    def _effort(self) -> FloatArray:
-        """(n, j, p) derivative of the joints' effort along the nominal motion."""
-        own = self.found.regressor.joints
-        n = len(self.nominal.time)
-        values = np.zeros((3, n, len(own)))
-        acceleration = np.gradient(self.velocity, self.nominal.time, axis=0)
-        for at, joint in enumerate(own):
-            if joint in self.joints:
-                k = self.joints.index(joint)
-                for row, series in enumerate((self.position, self.velocity, acceleration)):
-                    values[row, :, at] = series[:, k]
-        matrix = self.found.regressor.matrix(*values)[:, :, list(self.found.columns)]
-        effort = np.zeros((n, len(self.joints), len(self.found.columns)))
-        for at, joint in enumerate(own):
-            if joint in self.joints:
-                effort[:, self.joints.index(joint)] = matrix[:, at]
-        return effort
-
-    def _force(self, change: FloatArray) -> Callable[[float], FloatArray]:
-        series = -(self.effort @ change)
-        time = self.nominal.time
-
-        def force(now: float) -> FloatArray:
-            at = min(int(np.searchsorted(time, now, side="right")) - 1, len(time) - 1)
-            return np.asarray(series[max(at, 0)])
-
-        return force
-
-    def _response(self, column: FloatArray) -> FloatArray:
-        """(n, j) change of the positions by one standard deviation along a column of the root."""
-        done = self._replay(self.row, self._force(_STEP * column))
-        return np.asarray((done.position - self.nominal.position) / _STEP)
-
-    def _drawn(self, draw: FloatArray) -> Replayed:
-        """The motion with one draw: what the simulator has is changed there."""
-        model = copy.copy(self.row.model)
-        rest = draw.copy()
-        for at, column in enumerate(self.found.columns):
-            own = self.found.regressor.columns[column]
-            field = _IN_SIMULATOR.get(own.kind)
-            if field is None or own.joint not in self.realization.joints:
-                continue
-            dof = self.realization.joint_dof_index(own.joint)
-            values = getattr(model, field)
-            # A friction that a draw makes negative is none: it is left to the force.
-            changed = values[dof] + draw[at]
-            if changed >= 0.0:
-                values[dof], rest[at] = changed, 0.0
-        return self._replay(replace(self.row, model=model), self._force(rest))
-
-    def _on_chain(self) -> list[int]:
-        return [self.joints.index(j) for j in self.task.chain.joints if j in self.joints]
-
-    def _frame(self, position: FloatArray) -> Moving:
-        """The frame at positions (n, j) of the trial's joints, with derivatives by readings."""
-        chain = self.task.chain
-        readings = np.zeros((len(position), len(chain.joints)))
-        columns: list[int] = []
-        for at, joint in enumerate(chain.joints):
-            here = joint in self.joints
-            columns.append(sum(c >= 0 for c in columns) if here else -1)
-            if here:
-                readings[:, at] = position[:, self.joints.index(joint)]
-        width = sum(c >= 0 for c in columns)
-        none = ChainParameters(width, np.zeros(len(chain.joints)), tuple(columns))
-        return forward(chain, readings, none)
-
-
-def _of_slopes(moving: Moving, slopes: FloatArray) -> Spread:
-    """Of (n, c, k) changes of the chain's joints by each column of the root."""
-    shift = np.sum((moving.shift @ slopes) ** 2, axis=(1, 2))
-    turn = np.sum((moving.turn @ slopes) ** 2, axis=(1, 2))
-    return spread_of(shift, turn)

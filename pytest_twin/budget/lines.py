@@ -12,7 +12,8 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.calibrated import Calibrated
 from pytest_twin.budget.categories import category_of_parameter
-from pytest_twin.budget.identified import Identified, displaced, gravity_effort, moved
+from pytest_twin.budget.forced_motion import moved
+from pytest_twin.budget.identified import Identified, displaced, gravity_effort
 from pytest_twin.budget.propagate import (
     DRAWS,
     Spread,
@@ -23,7 +24,6 @@ from pytest_twin.budget.propagate import (
     sampled,
 )
 from pytest_twin.budget.task import SIMULATED_S, Task, record_path
-from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.twin import CalibrationEntry, FitEntry, Twin
@@ -208,56 +208,6 @@ def identification_line(found: Identified, task: Task, realization: Realization)
         tuple(warnings),
         found.left_out,
     )
-
-
-def unmodelled_lines(task: Task, lines: Sequence[Line], twin: Twin) -> list[dict[str, Any]]:
-    """Held-out errors of the records, as a position of the frame, beyond what their lines explain.
-
-    Each is an upper bound: it holds the noise of what measured it too.
-    """
-    found = []
-    explained = {line.id: line.linear.position for line in lines if line.linear is not None}
-    for calibration in twin.calibrations:
-        record = calibration.record
-        if record.id not in {line.id for line in lines}:
-            continue
-        # Of all three coordinates together, where the record has it.
-        error = record.held_out.get("distance_rms")
-        if error is None and "translation_rms" in record.held_out:
-            error = float(np.sqrt(3.0)) * record.held_out["translation_rms"]
-        if error is not None:
-            found.append(_beyond(record.id, error, explained.get(record.id), "calibration"))
-    for fit in twin.fits:
-        own = fit.record.position_rms
-        if fit.record.id in {line.id for line in lines} and own:
-            error = frame_error(task, own)
-            if error is not None:
-                found.append(_beyond(fit.record.id, error, explained.get(fit.record.id),
-                                     "identification"))  # fmt: skip
-    return found
-
-
-def frame_error(task: Task, joints: Mapping[str, float]) -> float | None:
-    """Root mean square displacement (m) of the frame by errors of joints that vary on their own."""
-    columns = [joints.get(joint, 0.0) for joint in task.chain.joints]
-    if not any(columns):
-        return None
-    count = len(columns)
-    every = ChainParameters(count, np.zeros(count), tuple(range(count)))
-    return first_order(forward(task.chain, task.readings, every), np.diag(columns)).position
-
-
-def _beyond(ident: str, error: float, explained: float | None, kind: str) -> dict[str, Any]:
-    beyond = float(np.sqrt(max(error**2 - (explained or 0.0) ** 2, 0.0)))
-    over = "held-out observations" if kind == "calibration" else "whole held-out recordings"
-    return {
-        "id": ident,
-        "kind": kind,
-        "over": over,
-        "held_out": error,
-        "explained": explained,
-        "beyond": beyond,
-    }
 
 
 def total_of(spreads: Sequence[Spread]) -> Spread | None:

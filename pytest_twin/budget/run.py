@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin import __version__
-from pytest_twin.budget.calibrated import calibrated, claims
+from pytest_twin.budget.calibration_unknowns import calibrated, claims
 from pytest_twin.budget.categories import CATEGORIES, Category
 from pytest_twin.budget.identified import identified
 from pytest_twin.budget.lines import (
@@ -15,10 +15,10 @@ from pytest_twin.budget.lines import (
     calibration_line,
     identification_line,
     total_of,
-    unmodelled_lines,
 )
 from pytest_twin.budget.propagate import Spread
 from pytest_twin.budget.task import Task, task_of
+from pytest_twin.budget.unmodelled import unmodelled_lines
 from pytest_twin.errors import TwinError
 from pytest_twin.gate.specs import load_golden, spec_paths
 from pytest_twin.realization import Realization, load
@@ -50,6 +50,10 @@ def budget(
     """The error budget of a twin that is loaded."""
     task = task_of(twin, realization)
     notes = list(task.notes)
+    if next(iter(twin.realizations.values())).effects is not None:
+        notes.append(
+            "the effects beside the model are not simulated here: replays step the plain model"
+        )
     lines = _lines(twin, realization, task, notes, progress)
     unmodelled = unmodelled_lines(task, lines, twin)
     linear = total_of([line.linear for line in lines if line.linear is not None])

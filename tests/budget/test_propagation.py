@@ -124,6 +124,26 @@ def test_a_base_is_moved_about_the_world(tmp_path: Path) -> None:
     assert budget_of_file(str(unused))["total"]["linear"] is None
 
 
+def test_a_fixture_that_errs_with_the_robot_is_no_error(tmp_path: Path) -> None:
+    """A zero that turns the forearm and a fixture that turns with it: the tool stays in it.
+    The same fixture on its own errs by its lever."""
+    pose, deviation, place = {"shoulder": 0.3, "elbow": -0.7}, 1e-3, np.array([0.5, 0.3, 0.0])
+    elbow = UPPER * np.array([np.cos(0.31), np.sin(0.31), 0.0])
+    turned = np.cross([0.0, 0.0, 1.0], place - elbow)
+    root = deviation * np.array([1.0, *turned, 0.0, 0.0, 1.0])
+    record = zeros_record([[deviation**2]], ["elbow"])
+    record["records"]["joint_zeros"]["values"]["shoulder"] = {
+        "value": 0.01, "unit": "rad", "ci95": [0.0, 0.02],
+    }  # fmt: skip
+    record = with_pose(record, "fixture", ("base", "fixture"), place, np.outer(root[1:], root[1:]))
+    alone = make_twin(tmp_path / "alone", [record], budget=declared([pose]))
+    record["covariance"]["matrix"] = np.outer(root, root).tolist()
+    together = make_twin(tmp_path / "together", [record], budget=declared([pose]))
+    sizes = [budget_of_file(str(twin))["total"]["linear"]["position"] for twin in (alone, together)]
+    assert sizes[0] == pytest.approx(np.sqrt(2.0) * deviation * FORE, rel=1e-9)
+    assert sizes[1] < 1e-12
+
+
 def test_zeros_of_a_spatial_arm_agree_with_the_jacobian_of_mujoco(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     joints = ["yaw", "lift", "bend", "roll"]

@@ -149,6 +149,7 @@ def _solve(
         )
     document["unobservable"] = _undetermined(fit)
     document["records"] = _records(plan, fit, drifting, found)
+    document["covariance"] = _together(fit)
     document["fitted"] = _summary(fit.translation, fit.rotation)
     if len(held_out):
         document["held_out"] = _summary(*errors_at(hand, theirs, seen[held_out], fit, middle))
@@ -249,6 +250,24 @@ def _records(plan: Plan, fit: ClockFit, drifting: ClockFit, found: Correlated) -
     return records
 
 
+def _together(fit: ClockFit) -> dict[str, Any]:
+    """Covariance of offset, hand-eye and robot-world together, rotations about the child's axes."""
+    kept = [0, *range(2, 14)]
+    turn = np.eye(len(kept))
+    turn[1:7, 1:7] = _about_child(fit.solved.hand_eye)
+    turn[7:, 7:] = _about_child(fit.solved.robot_world)
+    names = [f"pose:camera.{role}.{label}" for role in ("mounted", "world") for label in _LABELS]
+    matrix = turn @ fit.covariance[np.ix_(kept, kept)] @ turn.T
+    return {"of": ["time_offset", *names], "matrix": matrix.tolist()}
+
+
+def _about_child(pose: FloatArray) -> FloatArray:
+    """(6, 6) a change in the parent's axes as one with its rotation in the child's."""
+    turn = np.eye(6)
+    turn[3:, 3:] = pose[:3, :3].T
+    return turn
+
+
 def _pose(
     name: str,
     fit: ClockFit,
@@ -259,8 +278,7 @@ def _pose(
     asked: bool,
 ) -> dict[str, Any]:
     parent, child = frames
-    turn = np.eye(6)
-    turn[3:, 3:] = pose[:3, :3].T
+    turn = _about_child(pose)
     covariance = turn @ fit.covariance[place : place + 6, place : place + 6] @ turn.T
     if name in INVERTED_RECORDS:
         pose, covariance = inverse_with_covariance(pose, covariance)

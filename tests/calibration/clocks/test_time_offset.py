@@ -99,6 +99,13 @@ def test_offset_and_hand_eye_are_found_within_their_intervals(tmp_path, inverted
     off = np.array(record["transform"]["xyz"]) - HAND_EYE[:3, 3]
     assert (np.abs(off) < 4.0 * np.sqrt(np.diag(record["covariance"]))[:3]).all()
     assert any("it was inverted" in note for note in found["notes"]) == inverted
+    together = np.array(found["covariance"]["matrix"])
+    assert found["covariance"]["of"][0] == "time_offset"
+    assert width == pytest.approx(2.0 * np.sqrt(together[0, 0]), rel=0.15)
+    np.testing.assert_allclose(together[1:7, 1:7], record["covariance"], rtol=1e-12)
+    other = found["records"]["robot_world"]["covariance"]
+    np.testing.assert_allclose(together[7:, 7:], other, rtol=1e-12)
+    assert np.linalg.eigvalsh(together).min() > 0.0
 
 
 def test_recorded_streams_fit_better_than_with_the_offset_of_the_correlation(tmp_path):
