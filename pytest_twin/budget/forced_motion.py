@@ -4,7 +4,7 @@ A parameter of the inverse dynamics acts as a force: a robot whose parameters di
 the model moves as the model does under the added force ``-Y d``, ``Y`` the regressor along the
 motion. To first order that force is computed along the nominal motion, one replay for each column
 of the covariance's root. The draws change damping, dry friction and armature in the simulator
-itself, and add the force of the rest.
+itself, and add the force of the rest. Delays and encoder zeros shift the joints along the way.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.budget.identified import Identified
+from pytest_twin.budget.identified import Identified, rate_of
 from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
@@ -79,6 +79,7 @@ class _Motion:
         self.velocity = encoders.signed(self.nominal.velocity)
         self.sign = encoders.sign
         self.effort = self._effort()
+        self.forces = len(found.columns)
 
     def moved(self) -> Moved:
         root = root_of(self.found.covariance, self.found.entry.record.path)
@@ -90,7 +91,7 @@ class _Motion:
         draws = normal_draws(root, DRAWS)
         shift, turn = np.zeros((2, len(self.nominal.time)))
         for draw in draws:
-            at = self._frame(self._drawn(draw).position)
+            at = self._frame(self._drawn(draw))
             shift += np.sum((at.position - moving.position) ** 2, axis=1)
             turn += angles(at.rotation, moving.rotation) ** 2
         drawn = spread_of(shift / len(draws), turn / len(draws))
@@ -114,7 +115,9 @@ class _Motion:
         own = self.found.regressor.joints
         n = len(self.nominal.time)
         values = np.zeros((3, n, len(own)))
-        acceleration = np.gradient(self.velocity, self.nominal.time, axis=0)
+        # Two states may have one stamp.
+        time, first, own_time = np.unique(self.nominal.time, return_index=True, return_inverse=True)
+        acceleration = np.gradient(self.velocity[first], time, axis=0)[own_time]
         for at, joint in enumerate(own):
             if joint in self.joints:
                 k = self.joints.index(joint)
@@ -132,20 +135,34 @@ class _Motion:
         time = self.nominal.time
 
         def force(now: float) -> FloatArray:
-            at = min(int(np.searchsorted(time, now, side="right")) - 1, len(time) - 1)
-            return np.asarray(series[max(at, 0)])
+            # Between two stamps: held values would act half a period late.
+            after = int(np.searchsorted(time, now, side="right"))
+            if after == 0 or after == len(time):
+                return np.asarray(series[min(after, len(time) - 1)])
+            share = (now - time[after - 1]) / (time[after] - time[after - 1])
+            return np.asarray((1.0 - share) * series[after - 1] + share * series[after])
 
         return force
 
     def _response(self, column: FloatArray) -> FloatArray:
         """(n, j) change of the positions by one standard deviation along a column of the root."""
-        done = self._replay(self.row, self._force(_STEP * column))
-        return np.asarray((done.position - self.nominal.position) / _STEP)
+        done = self._replay(self.row, self._force(_STEP * column[: self.forces]))
+        forced = (done.position - self.nominal.position) / _STEP
+        return np.asarray(forced + self._shifted(self.nominal, column))
 
-    def _drawn(self, draw: FloatArray) -> Replayed:
-        """The motion with one draw: what the simulator has is changed there."""
+    def _shifted(self, motion: Replayed, change: FloatArray) -> FloatArray:
+        """(n, j) what delays and encoder zeros add to a motion's positions."""
+        found = np.zeros_like(motion.position)
+        for shift, size in zip(self.found.shifts, change[self.forces :], strict=True):
+            if shift[0] in self.joints:
+                at = self.joints.index(shift[0])
+                found[:, at] += size * rate_of(shift, motion.velocity[:, at])
+        return found
+
+    def _drawn(self, draw: FloatArray) -> FloatArray:
+        """(n, j) positions with one draw: what the simulator has is changed there."""
         model = copy.copy(self.row.model)
-        rest = draw.copy()
+        rest = draw[: self.forces].copy()
         for at, column in enumerate(self.found.columns):
             own = self.found.regressor.columns[column]
             field = _IN_SIMULATOR.get(own.kind)
@@ -157,7 +174,8 @@ class _Motion:
             changed = values[dof] + draw[at]
             if changed >= 0.0:
                 values[dof], rest[at] = changed, 0.0
-        return self._replay(replace(self.row, model=model), self._force(rest))
+        done = self._replay(replace(self.row, model=model), self._force(rest))
+        return np.asarray(done.position + self._shifted(done, draw))
 
     def _on_chain(self) -> list[int]:
         return [self.joints.index(j) for j in self.task.chain.joints if j in self.joints]

@@ -24,6 +24,7 @@ from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import FitEntry
 
 _DELAYS = ("command_delay", "sensor_delay")
+_ZERO = "encoder_bias"
 _ROUNDING = 1e-9
 """Share of the largest effort below which an effort is zero."""
 _GRAVITY = frozenset({"m", "mx", "my", "mz"})
@@ -35,12 +36,11 @@ class Identified:
 
     Attributes:
         entry: the record in the twin.
-        names: (p,) parameters that act as a force.
-        covariance: (p, p) in their units.
-        columns: (p,) their columns of the regressor.
+        names: (f + s,) parameters: those that act as a force, then those that shift a joint.
+        covariance: (f + s, f + s) in their units.
+        columns: (f,) their columns of the regressor.
         regressor: of the joints that were identified.
-        zeros: joint of the chain -> standard deviation of its encoder's zero, rad or m.
-        delays: joint of the chain -> standard deviation of its delay, s.
+        shifts: (s,) joint, and whether a delay shifts it or the zero of its encoder.
         left_out: what moves nothing here, and why.
     """
 
@@ -49,9 +49,14 @@ class Identified:
     covariance: FloatArray
     columns: tuple[int, ...]
     regressor: Regressor
-    zeros: dict[int, float]
-    delays: dict[int, float]
+    shifts: tuple[tuple[str, bool], ...]
     left_out: tuple[str, ...]
+
+    @property
+    def forces(self) -> FloatArray:
+        """(f, f) covariance of what acts as a force."""
+        count = len(self.columns)
+        return self.covariance[:count, :count]
 
 
 def identified(entry: FitEntry, task: Task, realization: Realization) -> Identified:
@@ -68,13 +73,10 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
     regressor = Regressor(realization, joints or task.chain.joints, shared)
     by_name = {column.name: at for at, column in enumerate(regressor.columns)}
     by_symbol = {column.symbol: at for at, column in enumerate(regressor.columns)}
-    kept, columns, left_out = [], [], []
-    zeros: dict[int, float] = {}
-    delays: dict[int, float] = {}
+    kept, columns, shifting, shifts, left_out = [], [], [], [], []
     for at, name in enumerate(record.covariance_names):
         joint, _, effect = name.partition(".")
         column = by_name.get(name, by_symbol.get(name.split(" ")[0]))
-        deviation = float(np.sqrt(max(record.covariance[at][at], 0.0)))
         if name not in record.values:
             left_out.append(f"{name}: the twin does not use it (its stage is not accepted)")
         elif column is not None:
@@ -84,10 +86,11 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
                 columns.append(column)
             else:
                 left_out.append(f"{name}: in {record.units[name]}, of which no torque is known")
-        elif effect in _DELAYS and joint in task.chain.joints and task.velocity is not None:
-            delays[task.chain.joints.index(joint)] = deviation
-        elif effect == "encoder_bias" and joint in task.chain.joints:
-            zeros[task.chain.joints.index(joint)] = deviation
+        elif effect in _DELAYS and joint in task.chain.joints and task.velocity is None:
+            left_out.append(f"{name}: no speed is known; budget: recordings: gives it")
+        elif effect in (*_DELAYS, _ZERO) and joint in task.chain.joints:
+            shifting.append(at)
+            shifts.append((joint, effect != _ZERO))
         else:
             left_out.append(f"{name}: no rule carries it to the task; its uncertainty is stated")
     left_out += [
@@ -96,14 +99,14 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
         if name not in record.covariance_names
     ]
     matrix = np.reshape(record.covariance, (len(record.covariance_names),) * 2)
+    kept += shifting
     return Identified(
         entry,
         tuple(record.covariance_names[at] for at in kept),
         matrix[np.ix_(kept, kept)],
         tuple(columns),
         regressor,
-        zeros,
-        delays,
+        tuple(shifts),
         tuple(left_out),
     )
 
@@ -113,23 +116,33 @@ def _joints_of(record: IdentificationRecord) -> list[str]:
     return list(record.held_out) or list(record.position_rms)
 
 
+def rate_of(shift: tuple[str, bool], velocity: FloatArray) -> FloatArray:
+    """(n,) change of a joint's position by a unit of what shifts it.
+
+    A robot that is later by ``d`` is where it was: ``q - v d``. A reading that is too high by ``b``
+    leaves the joint at ``q - b``.
+
+    Args:
+        shift: the joint, and whether a delay shifts it.
+        velocity: (n,) of the joint.
+    """
+    return -velocity if shift[1] else -np.ones_like(velocity)
+
+
 def displaced(found: Identified, task: Task) -> tuple[Spread, Spread] | None:
     """What encoder zeros and delays do to the frame, to first order and by draws.
 
-    A delay moves each joint by its velocity times the delay. None where there are neither.
+    None where there are neither.
     """
-    zeros, delays = found.zeros, found.delays
-    if not zeros and not delays:
+    if not found.shifts:
         return None
     count = len(task.chain.joints)
-    none = np.zeros((len(task.readings), 0))
-    columns = [np.ones(len(task.readings)) for _ in zeros]
-    if delays:
-        assert task.velocity is not None
-        columns += [task.velocity[:, joint] for joint in delays]
-    rates = np.column_stack([none, *columns])
-    places = [*zeros, *delays]
-    root = np.diag([*zeros.values(), *delays.values()])
+    places = [task.chain.joints.index(joint) for joint, _ in found.shifts]
+    velocity = np.zeros_like(task.readings) if task.velocity is None else task.velocity
+    pairs = zip(found.shifts, places, strict=True)
+    rates = np.column_stack([rate_of(shift, velocity[:, at]) for shift, at in pairs])
+    forces = len(found.columns)
+    root = root_of(found.covariance[forces:, forces:], found.entry.record.path)
     every = ChainParameters(count, np.zeros(count), tuple(range(count)))
 
     def at(step: FloatArray) -> Moving:
@@ -137,13 +150,9 @@ def displaced(found: Identified, task: Task) -> tuple[Spread, Spread] | None:
         for k, joint in enumerate(places):
             readings[:, joint] += rates[:, k] * step[k]
         moving = forward(task.chain, readings, every)
-        scale = task.chain.signs[places] * rates
-        return Moving(
-            moving.rotation,
-            moving.position,
-            moving.turn[:, :, places] * scale[:, None],
-            moving.shift[:, :, places] * scale[:, None],
-        )
+        scale = (task.chain.signs[places] * rates)[:, None]
+        turn, shift = moving.turn[:, :, places] * scale, moving.shift[:, :, places] * scale
+        return Moving(moving.rotation, moving.position, turn, shift)
 
     return first_order(at(np.zeros(len(places))), root), sampled(at, normal_draws(root))
 
@@ -160,7 +169,7 @@ def gravity_effort(found: Identified, task: Task) -> dict[str, float]:
     heavy = [k for k, c in enumerate(found.columns) if found.regressor.columns[c].kind in _GRAVITY]
     matrix = found.regressor.matrix(positions, still, still)
     slopes = matrix[:, :, [found.columns[k] for k in heavy]]
-    root = root_of(found.covariance, found.entry.record.path)[heavy]
+    root = root_of(found.forces, found.entry.record.path)[heavy]
     rms = np.sqrt(np.sum((slopes @ root) ** 2, axis=2).mean(axis=0))
     # Gravity along a vertical axis leaves rounding alone.
     rms[rms < _ROUNDING * rms.max(initial=0.0)] = 0.0

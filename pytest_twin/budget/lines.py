@@ -143,7 +143,7 @@ def identification_line(found: Identified, task: Task, realization: Realization)
     joints: Mapping[str, float] = {}
     effort: Mapping[str, float] = {}
     method = "stated, not carried to the task"
-    if found.names and task.trial is not None:
+    if found.columns and task.trial is not None:
         try:
             motion = moved(found, task, realization)
             linear, drawn, joints = motion.frame, motion.drawn, motion.joints
@@ -154,19 +154,18 @@ def identification_line(found: Identified, task: Task, realization: Realization)
             )
         except SimulationError as error:
             warnings.append(f"not simulated: {error}")
-    if found.names and linear is None:
+    if found.columns and linear is None:
         effort = gravity_effort(found, task)
         method = (
             f"static gravity effort over {len(task.readings)} poses: no motion with commands is "
             f"declared (budget: recordings:, of which {SIMULATED_S:g} s are simulated)"
         )
-    kinematic = displaced(found, task)
-    if kinematic is not None:
-        linear, drawn = (
-            one if other is None else _together([one, other])
-            for one, other in zip(kinematic, (linear, drawn), strict=True)
-        )
-        method += "; delays and encoder zeros by J C J^T, as if they varied on their own"
+    shifted = displaced(found, task) if linear is None else None
+    if shifted is not None:
+        linear, drawn = shifted
+        poses = f"{len(task.readings)} poses, and {DRAWS} draws"
+        way = f"delays and encoder zeros by J C J^T over {poses}"
+        method = f"{method}; {way}" if found.columns else way
     if linear is not None and drawn is not None:
         warnings += differing(linear, drawn)
     names = list(record.covariance_names)

@@ -169,11 +169,12 @@ def record_motion(
     position: np.ndarray,
     effort: np.ndarray,
     joints: tuple[str, ...] = ("shoulder", "elbow"),
+    velocity: np.ndarray | None = None,
 ) -> None:
     """A recording with commanded efforts, a sample each 10 ms."""
     stamps = 10_000_000 * np.arange(len(position), dtype=np.int64) + 10**18
     series = [
-        JointSeries("/joint_states", joints, stamps, stamps, position, None, None),
+        JointSeries("/joint_states", joints, stamps, stamps, position, velocity, None),
         JointSeries("/joint_commands", joints, stamps, stamps, None, None, effort),
     ]
     write_recording(path, series, {"command_between": "held"})

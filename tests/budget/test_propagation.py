@@ -215,7 +215,7 @@ def test_damping_moves_a_joint_as_the_differential_equation_says(tmp_path: Path)
     inertia = 2 * 0.2**2 + 0.02 + 1 * 0.5**2 + 0.01
     arm = make_locked_arm()
     effort, damping, deviation = 0.4, 0.5, 0.03
-    time = 0.01 * np.arange(201)
+    time = 0.01 * np.arange(101)
 
     def angle(b: float) -> np.ndarray:
         return effort / b * (time - inertia / b * (1.0 - np.exp(-b * time / inertia)))
@@ -230,7 +230,7 @@ def test_damping_moves_a_joint_as_the_differential_equation_says(tmp_path: Path)
     record_motion(
         tmp_path / "motion.mcap",
         angle(damping)[:, None],
-        np.full((201, 1), effort),
+        np.full((101, 1), effort),
         ("shoulder",),
     )
     (line,) = budget_of_file(str(twin))["lines"]
@@ -238,6 +238,47 @@ def test_damping_moves_a_joint_as_the_differential_equation_says(tmp_path: Path)
     assert line["linear"]["position"] == pytest.approx((UPPER + FORE) * expected, rel=0.01)
     assert line["sampled"]["position"] == pytest.approx((UPPER + FORE) * expected, rel=0.05)
     assert line["warnings"] == []
+
+
+@pytest.mark.parametrize("forces", [False, True])
+def test_a_delay_and_an_encoder_zero_that_vary_together_cancel(
+    tmp_path: Path, forces: bool
+) -> None:
+    """At constant speed a delay of d is a zero of v d: with opposite signs nothing moves."""
+    speed, deviation = 0.5, 0.004
+    time = 0.01 * np.arange(51)
+    names = ["shoulder.command_delay", "shoulder.encoder_bias"]
+    units = ["s", "rad"]
+    deviations = [deviation, speed * deviation]
+    if forces:
+        # A parameter that is known for certain has the motion simulated.
+        names, units, deviations = (
+            [*names, "shoulder.armature"],
+            [*units, "kg*m^2"],
+            [*deviations, 0.0],
+        )
+    record = fit_record(names, deviations, units)
+    del record["held_out"]["elbow"]
+    record["fit"] = {}
+    budget = "budget:\n  frame: tool\n  recordings: [motion.mcap]\n"
+    sizes = []
+    for correlation in (0.0, -1.0, 1.0):
+        matrix = np.diag(np.square(deviations))
+        matrix[0, 1] = matrix[1, 0] = correlation * deviations[0] * deviations[1]
+        record["covariance"]["matrix"] = matrix.tolist()
+        folder = tmp_path / str(correlation)
+        twin = make_twin(folder, fits=[record], budget=budget, arm=make_locked_arm())
+        record_motion(
+            folder / "motion.mcap", (speed * time)[:, None], np.zeros((51, 1)), ("shoulder",),
+            velocity=np.full((51, 1), speed),
+        )  # fmt: skip
+        (line,) = budget_of_file(str(twin))["lines"]
+        assert line["sampled"]["position"] == pytest.approx(
+            line["linear"]["position"], rel=0.05, abs=1e-6
+        )
+        sizes.append(line["linear"]["position"])
+    own = deviation * speed * (UPPER + FORE)
+    assert sizes == pytest.approx([np.sqrt(2.0) * own, 0.0, 2.0 * own], rel=0.01, abs=1e-5)
 
 
 def test_without_motion_a_first_moment_is_told_by_its_static_effort(tmp_path: Path) -> None:
