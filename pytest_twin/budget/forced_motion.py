@@ -2,8 +2,8 @@
 
 A parameter of the inverse dynamics acts as a force: a robot whose parameters differ by ``d`` from
 the model moves as the model does under the added force ``-Y d``, ``Y`` the regressor along the
-motion. To first order that force is computed along the nominal motion, one replay for each column
-of the covariance's root. The draws change damping, dry friction and armature in the simulator
+motion. To first order that force is computed along the nominal motion, one replay for each
+parameter. The draws change damping, dry friction and armature in the simulator
 itself, and add the force of the rest. Delays and encoder zeros shift the joints along the way.
 """
 
@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.identified import Identified, rate_of
 from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
 from pytest_twin.budget.task import Task
@@ -47,11 +48,13 @@ class Moved:
         frame: to first order.
         drawn: by draws.
         joints: joint -> root mean square of its position, rad or m.
+        alone: category -> what its parameters do alone, to first order.
     """
 
     frame: Spread
     drawn: Spread
     joints: dict[str, float]
+    alone: dict[str, Spread]
 
 
 def moved(found: Identified, task: Task, realization: Realization) -> Moved:
@@ -82,12 +85,20 @@ class _Motion:
         self.forces = len(found.columns)
 
     def moved(self) -> Moved:
-        root = root_of(self.found.covariance, self.found.entry.record.path)
-        slopes = np.stack([self._response(column) for column in root.T], axis=2)
+        path = self.found.entry.record.path
+        root = root_of(self.found.covariance, path)
+        responses = self._responses()
+        slopes = responses @ root
         rms = np.sqrt(np.sum(slopes**2, axis=2).mean(axis=0))
         moving = self._frame(self.nominal.position)
-        model = self.sign[:, None] * slopes
-        spread = _of_slopes(moving, model[:, self._on_chain()])
+        chain = self._on_chain()
+        on_chain = (self.sign[:, None] * responses)[:, chain]
+        categories = np.array([category_of_parameter(name) for name in self.found.names])
+        alone = {}
+        for category in dict.fromkeys(categories.tolist()):
+            own = np.flatnonzero(categories == category)
+            part = root_of(self.found.covariance[np.ix_(own, own)], path)
+            alone[category] = _of_slopes(moving, on_chain[:, :, own] @ part)
         draws = normal_draws(root, DRAWS)
         shift, turn = np.zeros((2, len(self.nominal.time)))
         for draw in draws:
@@ -95,7 +106,8 @@ class _Motion:
             shift += np.sum((at.position - moving.position) ** 2, axis=1)
             turn += angles(at.rotation, moving.rotation) ** 2
         drawn = spread_of(shift / len(draws), turn / len(draws))
-        return Moved(spread, drawn, dict(zip(self.joints, rms.tolist(), strict=True)))
+        joints = dict(zip(self.joints, rms.tolist(), strict=True))
+        return Moved(_of_slopes(moving, on_chain @ root), drawn, joints, alone)
 
     def _replay(self, row: Row, force: Callable[[float], FloatArray]) -> Replayed:
         done = replay_forced(row, lambda time, position, velocity: force(time))
@@ -144,11 +156,20 @@ class _Motion:
 
         return force
 
-    def _response(self, column: FloatArray) -> FloatArray:
-        """(n, j) change of the positions by one standard deviation along a column of the root."""
-        done = self._replay(self.row, self._force(_STEP * column[: self.forces]))
-        forced = (done.position - self.nominal.position) / _STEP
-        return np.asarray(forced + self._shifted(self.nominal, column))
+    def _responses(self) -> FloatArray:
+        """(n, j, p) change of the positions by each parameter, to first order."""
+        found = np.zeros((*self.nominal.position.shape, len(self.found.names)))
+        deviations = np.sqrt(np.diag(self.found.covariance).clip(0.0))
+        for at, deviation in enumerate(deviations):
+            change = np.zeros(len(deviations))
+            change[at] = _STEP * deviation
+            if at >= self.forces:
+                change[at] = 1.0
+                found[:, :, at] = self._shifted(self.nominal, change)
+            elif deviation > 0.0:
+                done = self._replay(self.row, self._force(change[: self.forces]))
+                found[:, :, at] = (done.position - self.nominal.position) / change[at]
+        return found
 
     def _shifted(self, motion: Replayed, change: FloatArray) -> FloatArray:
         """(n, j) what delays and encoder zeros add to a motion's positions."""

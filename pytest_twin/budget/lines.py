@@ -38,8 +38,7 @@ class Line:
 
     Attributes:
         id: of its record.
-        category: that of its part that moves the frame most; of an identification, of most of its
-            parameters.
+        category: that of its part that moves the frame most.
         record: where it stands: kind, id, file, digest, date.
         parts: what varies together, each with category, estimates and what it moves alone.
         correlated: pairs of parts of different categories, with their largest correlation.
@@ -140,17 +139,19 @@ def identification_line(found: Identified, task: Task, realization: Realization)
         return None
     warnings: list[str] = []
     linear = drawn = None
+    alone: Mapping[str, Spread] = {}
     joints: Mapping[str, float] = {}
     effort: Mapping[str, float] = {}
     method = "stated, not carried to the task"
     if found.columns and task.trial is not None:
         try:
             motion = moved(found, task, realization)
-            linear, drawn, joints = motion.frame, motion.drawn, motion.joints
+            linear, drawn = motion.frame, motion.drawn
+            joints, alone = motion.joints, motion.alone
             seconds = float(task.trial.time[-1])
             method = (
                 f"replays of the first {seconds:.3g} s of {task.trial.name} with the parameters "
-                "changed: along each column of the covariance's root, and by draws"
+                "changed: one by one, and by draws"
             )
         except SimulationError as error:
             warnings.append(f"not simulated: {error}")
@@ -188,13 +189,13 @@ def identification_line(found: Identified, task: Task, realization: Realization)
                 }
                 for at in own
             ],
-            None,
+            alone.get(category),
         )
         for category, own in groups.values()
     ]
     return Line(
         record.id,
-        max(groups, key=lambda name: len(groups[name][1])),
+        _leading(parts),
         _record("identification", found.entry, record.path, record.sha256, twin),
         tuple(parts),
         tuple(_correlated(matrix, groups)),
@@ -238,7 +239,13 @@ def _part(
 
 
 def _leading(parts: Sequence[Mapping[str, Any]]) -> str:
-    return str(max(parts, key=lambda part: part["alone"]["position"])["category"])
+    """The category of the part that moves the frame most; of the largest where none is known to."""
+    return str(max(parts, key=_size)["category"])
+
+
+def _size(part: Mapping[str, Any]) -> tuple[float, int]:
+    alone = part["alone"]
+    return (0.0 if alone is None else alone["position"]), len(part["estimates"])
 
 
 def _correlated(

@@ -29,9 +29,14 @@ def render(document: Mapping[str, Any]) -> str:
     stated = [value for value in share.values() if value is not None]
     unmeasured = [one for one in document["categories"] if one["state"] == "not_measured"]
     # Within the tolerance is good news once everything is measured.
-    mood = "bad" if max(stated, default=0.0) > 1.0 else "" if unmeasured or not stated else "good"
+    mood = "bad" if max(stated, default=0.0) > 1.0 else "good"
+    mood = "part" if mood == "good" and (unmeasured or not stated) else mood
     figures = {}
     for quantity in ("position", "rotation"):
+        if quantity == "rotation" and not any(
+            one["moves"] and one["moves"][quantity] for one in document["categories"]
+        ):
+            continue
         waterfall = waterfall_figure(document, quantity)
         figures[quantity] = {
             "categories": svg_uri(categories_figure(document, quantity)),

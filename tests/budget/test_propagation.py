@@ -277,7 +277,10 @@ def test_a_delay_and_an_encoder_zero_that_vary_together_cancel(
             line["linear"]["position"], rel=0.05, abs=1e-6
         )
         sizes.append(line["linear"]["position"])
-    own = deviation * speed * (UPPER + FORE)
+        own = deviation * speed * (UPPER + FORE)
+        for part in line["parts"]:
+            if forces and part["category"] in ("timing", "sensing"):
+                assert part["alone"]["position"] == pytest.approx(own, rel=0.01)
     assert sizes == pytest.approx([np.sqrt(2.0) * own, 0.0, 2.0 * own], rel=0.01, abs=1e-5)
 
 
