@@ -72,7 +72,9 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
     ]
     regressor = Regressor(realization, joints or task.chain.joints, shared)
     by_name = {column.name: at for at, column in enumerate(regressor.columns)}
-    by_symbol = {column.symbol: at for at, column in enumerate(regressor.columns)}
+    # Symbols count the joints of the record; with one left out they would count others.
+    counted = not record.without_effort and len(joints) == len(_joints_of(record))
+    by_symbol = {column.symbol: at for at, column in enumerate(regressor.columns) if counted}
     kept, columns, shifting, shifts, left_out = [], [], [], [], []
     for at, name in enumerate(record.covariance_names):
         joint, _, effect = name.partition(".")

@@ -45,6 +45,7 @@ class IdentificationRecord:
         units: parameter -> unit.
         deviations: parameter -> standard deviation in its unit.
         position_rms: joint -> error of its simulated position on held-out recordings, rad or m.
+        without_effort: joints whose motion was measured, and whose effort was not.
     """
 
     id: str
@@ -63,6 +64,7 @@ class IdentificationRecord:
     units: Mapping[str, str] = field(default_factory=dict)
     deviations: Mapping[str, float] = field(default_factory=dict)
     position_rms: Mapping[str, float] = field(default_factory=dict)
+    without_effort: tuple[str, ...] = ()
 
 
 def read_identification_record(path: Path) -> IdentificationRecord:
@@ -114,6 +116,7 @@ def read_identification_record(path: Path) -> IdentificationRecord:
                 for name, one in used.items()
                 if "ci95" in one
             },
+            without_effort=tuple(text(joint) for joint in content.get("without_effort", ())),
             position_rms={
                 text(joint): number(one["position_rms"])
                 for joint, one in content["held_out"].items()

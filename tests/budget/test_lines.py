@@ -11,6 +11,7 @@ import pytest
 sys.path.append(str(Path(__file__).parent))
 
 from budget_files import (
+    ARM,
     FORE,
     POSES,
     UPPER,
@@ -168,3 +169,19 @@ def test_what_the_model_lacks_is_named(tmp_path: Path) -> None:
     assert all(any(name in text for text in line["left_out"]) for name in names)
     states = {one["category"]: one for one in found["categories"]}
     assert states["compliance_and_backlash"]["estimates"][0]["std"] == pytest.approx(1e-3)
+
+
+def test_an_expression_is_found_by_its_joint_or_left_out(tmp_path: Path) -> None:
+    """Symbols count joints from 1: with one that has no effort they would count others."""
+    arm = ARM.replace('axis="0 0 1"', 'axis="0 1 0"')
+    record = fit_record(["mx2 + 0.1*m2"], [0.02], ["kg*m"])
+    twin = make_twin(tmp_path, fits=[record], budget=declared([{"elbow": 0.0}]), arm=arm)
+    (line,) = budget_of_file(str(twin))["lines"]
+    # The weight of the forearm acts on both joints.
+    for joint in ("shoulder", "elbow"):
+        assert line["effort"][joint]["rms"] == pytest.approx(0.02 * 9.81, rel=1e-9)
+    record["without_effort"] = ["wrist"]
+    twin = make_twin(tmp_path, fits=[record], budget=declared([{"elbow": 0.0}]), arm=arm)
+    (line,) = budget_of_file(str(twin))["lines"]
+    assert line["effort"] == {}
+    assert line["left_out"][0].startswith("mx2 + 0.1*m2: no rule carries it")
