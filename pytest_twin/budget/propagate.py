@@ -133,7 +133,7 @@ def differing(linear: Spread, drawn: Spread) -> list[str]:
         if larger > 0.0 and abs(one - other) > LARGEST_DIFFERENCE * larger:
             found.append(
                 f"the {name} is {1e3 * one:.3g} {unit} to first order and {1e3 * other:.3g} {unit} "
-                "by draws: the covariance is too wide for the linear rule; take the draws"
+                "by draws: over this covariance the linear rule does not hold; take the draws"
             )
     return found
 
