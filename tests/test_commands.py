@@ -146,7 +146,7 @@ JSON_COMMANDS = {
 }
 """What each command is called with, and a field of its result."""
 TESTED_ELSEWHERE = (
-    "diagnose", "calibrate", "excite", "identify", "verify", "stamp", "fresh", "shadow",
+    "diagnose", "calibrate", "excite", "identify", "budget", "verify", "stamp", "fresh", "shadow",
     "rollback", "completion",
 )  # fmt: skip
 """Commands with tests of their JSON beside the others of the command."""

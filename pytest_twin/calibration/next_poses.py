@@ -38,7 +38,9 @@ def pose_diversity(problem: Problem, estimate: Estimate) -> dict[str, Any]:
     flange = flange[np.isfinite(flange).all(axis=(1, 2))]
     rotations = Rotation.from_matrix(flange[:, :3, :3])
     turns = (rotations.mean().inv() * rotations).as_rotvec()
-    size = np.sqrt(np.linalg.eigvalsh(turns.T @ turns / max(len(turns), 1))[::-1])
+    # Poses that turn about one axis have an eigenvalue of zero, which rounding puts below it.
+    squares = np.linalg.eigvalsh(turns.T @ turns / max(len(turns), 1))[::-1]
+    size = np.sqrt(np.maximum(squares, 0.0))
     box = np.ptp(flange[:, :3, 3], axis=0)
     return {"turns": size.tolist(), "turns_unit": "rad", "box": box.tolist(), "box_unit": "m"}
 

@@ -35,7 +35,7 @@ def test_published_values_lie_in_the_joint_intervals(
         one = ours[expression]
         assert one["essential"], expression
         assert abs(one["value"] - value) < 1.96 * np.hypot(one["std"], std), expression
-        assert one["relative_std"] < 0.13, expression
+        assert one["relative_std"] < 0.15, expression
     for error in document["held_out"].values():
         assert error["effort_relative"] < error["effort_relative_nominal"]
     for name in ("tx40", "tx40_files"):
