@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
+import onnx
 import pytest
 from securesystemslib.signer import CryptoSigner
 
@@ -17,6 +19,8 @@ from pytest_twin.checks import check_of, kinds
 for _kind in kinds():
     check_of(_kind)
 assert CryptoSigner.generate_ed25519().private_bytes
+assert onnx.ModelProto
+assert h5py.File
 
 MODEL = """\
 <mujoco model="arm">
