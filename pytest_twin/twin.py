@@ -346,6 +346,11 @@ class Twin:
         return self.path.parent
 
     @property
+    def first_realization(self) -> RealizationRef:
+        """The realization that a command uses where none is named; every twin has one."""
+        return next(iter(self.realizations.values()))
+
+    @property
     def path_roots(self) -> Roots:
         """Where files of this twin may lie."""
         return Roots(self.root, tuple(self.roots.values()))

@@ -54,8 +54,8 @@ class Side:
             TwinError: it does not load.
         """
         twin = load_twin(Path(file))
-        name, reference = next(iter(twin.realizations.items()))
-        return cls(twin, load(reference.file, twin=twin, name=name))
+        first = twin.first_realization
+        return cls(twin, load(first.file, twin=twin, name=first.name))
 
 
 def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str, Any]:

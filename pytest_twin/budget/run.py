@@ -37,10 +37,10 @@ def budget_of_file(path: str, progress: Callable[[float], None] | None = None) -
         TwinError: a twin, a record or a recording that cannot be used.
     """
     twin = load_twin(Path(path))
-    name, reference = next(iter(twin.realizations.items()))
+    first = twin.first_realization
     # Shapes are of use only where motion is simulated; their files may be elsewhere.
     shapes = bool(twin.budget.recordings)
-    realization = load(reference.file, twin=twin, name=name, shapes=shapes)
+    realization = load(first.file, twin=twin, name=first.name, shapes=shapes)
     return budget(twin, realization, progress or (lambda done: None))
 
 
@@ -50,7 +50,7 @@ def budget(
     """The error budget of a twin that is loaded."""
     task = task_of(twin, realization)
     notes = list(task.notes)
-    if next(iter(twin.realizations.values())).effects is not None:
+    if twin.first_realization.effects is not None:
         notes.append(
             "the effects beside the model are not simulated here: replays step the plain model"
         )

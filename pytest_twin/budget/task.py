@@ -71,7 +71,7 @@ def task_of(twin: Twin, realization: Realization) -> Task:
     else:
         empty = np.zeros((0, len(chain.joints)))
         found = _without_motion(twin, realization, Task(frame, source, chain, empty, None, ""))
-    trial = _shortened(trials[0]) if trials else None
+    trial = trials[0].until(SIMULATED_S) if trials else None
     return replace(found, trial=trial, notes=tuple(notes))
 
 
@@ -161,18 +161,6 @@ def _instants(trials: Sequence[Trial], chain: SerialChain) -> tuple[FloatArray, 
         positions.append(position)
         velocities.append(velocity)
     return np.concatenate(positions), np.concatenate(velocities)
-
-
-def _shortened(trial: Trial) -> Trial:
-    """The first ``SIMULATED_S`` of a trial."""
-    kept = trial.time <= SIMULATED_S
-    return replace(
-        trial,
-        time=trial.time[kept],
-        position=trial.position[kept],
-        velocity=None if trial.velocity is None else trial.velocity[kept],
-        effort=None if trial.effort is None else trial.effort[kept],
-    )
 
 
 def record_path(path: Path, twin: Twin) -> str:

@@ -17,11 +17,11 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
-from pytest_twin.checks.fields import known_name, spec_error
+from pytest_twin.checks.fields import TEXT, known_name, spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.checks.poses import encoder_parts
+from pytest_twin.checks.records import check_unchanged, twin_of
 from pytest_twin.dependency import Structure
-from pytest_twin.formats.digest import file_sha256
 from pytest_twin.golden import Golden
 from pytest_twin.twin import CalibrationEntry, Twin
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
     from pytest_twin.realization.serial_chain import SerialChain
 
-_TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
 _ERRORS = {"position": "translation", "orientation": "rotation"}
 
 
@@ -50,18 +49,18 @@ class CalibrationCheck(Check):
         "target": {
             "type": "object",
             "properties": {
-                "record": {**_TEXT, "description": "Id of a calibration under calibrations:."},
+                "record": {**TEXT, "description": "Id of a calibration under calibrations:."},
                 "plan": {
-                    **_TEXT,
+                    **TEXT,
                     "description": "calibration.yaml that the record was made from, relative to "
                     "the twin's folder or to one of its roots.",
                 },
                 "observations": {
-                    **_TEXT,
+                    **TEXT,
                     "description": "Observations that the record was made from, found as the plan.",
                 },
                 "flange": {
-                    **_TEXT,
+                    **TEXT,
                     "description": "The plan's flange, where the plan has a robot.",
                 },
             },
@@ -91,7 +90,7 @@ class CalibrationCheck(Check):
         from pytest_twin.calibration.residual_errors import errors_of
         from pytest_twin.calibration.run import without_gross
 
-        twin = _twin(golden, realization)
+        twin = twin_of(golden, realization, "a calibration", "calibrations")
         record = _entry(golden, twin).record
         plan = load_plan(_file(golden, "plan", record.inputs, twin))
         data = _file(golden, "observations", record.inputs, twin)
@@ -173,17 +172,6 @@ def _worst(errors: Errors) -> dict[str, dict[str, Any]]:
     }
 
 
-def _twin(golden: Golden, realization: Realization) -> Twin:
-    if realization.twin is None:
-        raise spec_error(
-            golden,
-            "target.record",
-            "a calibration golden needs a twin.yaml",
-            expected="a twin.yaml in a folder above the golden, with calibrations:",
-        )
-    return realization.twin
-
-
 def _entry(golden: Golden, twin: Twin) -> CalibrationEntry:
     entries = {entry.record.id: entry for entry in twin.calibrations}
     name = golden.target["record"]
@@ -194,15 +182,9 @@ def _file(golden: Golden, field: str, inputs: Mapping[str, str], twin: Twin) -> 
     """A file of the calibration, once it is the one that the record was made from."""
     where, reference = f"target.{field}", golden.target[field]
     path = find_file(golden, where, reference, twin)
-    if file_sha256(path) not in inputs.values():
-        raise spec_error(
-            golden,
-            where,
-            f"not a file that {golden.target['record']} was made from",
-            value=reference,
-            expected=f"one of {', '.join(inputs) or 'no files'}, unchanged; calibrate again after "
-            "a change",
-        )
+    made_from = ", ".join(inputs) or "no files"
+    expected = f"one of {made_from}, unchanged; calibrate again after a change"
+    check_unchanged(golden, where, reference, path, inputs, expected)
     return path
 
 

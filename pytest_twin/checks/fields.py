@@ -31,6 +31,10 @@ def spec_error(golden: Golden, field: str, problem: str, **details: Any) -> Spec
     )
 
 
+TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
+"""Schema of a name or a path in a spec."""
+
+
 def known_name(golden: Golden, field: str, name: str, known: Iterable[str], noun: str) -> str:
     """``name`` itself, when the model has it.
 

@@ -14,16 +14,14 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
-from pytest_twin.checks.fields import known_name, spec_error
+from pytest_twin.checks.fields import TEXT, known_name, spec_error
 from pytest_twin.checks.files import find_file
+from pytest_twin.checks.records import check_unchanged, twin_of
 from pytest_twin.dependency import Structure
-from pytest_twin.formats.digest import file_sha256
 from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
-
-_TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
 
 
 class IdentificationCheck(Check):
@@ -40,12 +38,12 @@ class IdentificationCheck(Check):
         "target": {
             "type": "object",
             "properties": {
-                "record": {**_TEXT, "description": "Id of an identification under fit:."},
+                "record": {**TEXT, "description": "Id of an identification under fit:."},
                 "recordings": {
                     "type": "array",
                     "minItems": 1,
                     "uniqueItems": True,
-                    "items": _TEXT,
+                    "items": TEXT,
                     "description": "Held-out recordings of the record, relative to the twin's "
                     "folder or to one of its roots.",
                 },
@@ -67,14 +65,7 @@ class IdentificationCheck(Check):
         """Inverse dynamics along the measured motion."""
         from pytest_twin.identification.recheck import recheck
 
-        twin = realization.twin
-        if twin is None:
-            raise spec_error(
-                golden,
-                "target.record",
-                "an identification golden needs a twin.yaml",
-                expected="a twin.yaml in a folder above the golden, with fit:",
-            )
+        twin = twin_of(golden, realization, "an identification", "fit")
         entries = {entry.record.id: entry for entry in twin.fits}
         name = golden.target["record"]
         record = entries[known_name(golden, "target.record", name, entries, "fit")].record
@@ -82,14 +73,9 @@ class IdentificationCheck(Check):
         for at, reference in enumerate(golden.target["recordings"]):
             where = f"target.recordings.{at}"
             path = find_file(golden, where, reference, twin)
-            if path.is_file() and file_sha256(path) not in record.inputs.values():
-                raise spec_error(
-                    golden,
-                    where,
-                    f"not a file that {name} was made from",
-                    value=reference,
-                    expected=f"one of {', '.join(record.recordings)}, unchanged",
-                )
+            if path.is_file():
+                expected = f"one of {', '.join(record.recordings)}, unchanged"
+                check_unchanged(golden, where, reference, path, record.inputs, expected)
             if path.name not in record.recordings:
                 raise spec_error(
                     golden,

@@ -16,7 +16,7 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
-from pytest_twin.checks.fields import known_name, spec_error
+from pytest_twin.checks.fields import TEXT, known_name, spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.checks.poses import configuration, encoder_parts, joints_above, joints_to_give
 from pytest_twin.dependency import Structure
@@ -25,8 +25,6 @@ from pytest_twin.metrics.pose import orientation_error, position_error
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
-
-_TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
 
 
 class TcpAccuracy(Check):
@@ -46,9 +44,9 @@ class TcpAccuracy(Check):
         "target": {
             "type": "object",
             "properties": {
-                "frame": {**_TEXT, "description": "Body or site that was measured."},
+                "frame": {**TEXT, "description": "Body or site that was measured."},
                 "measurements": {
-                    **_TEXT,
+                    **TEXT,
                     "description": "CSV file, relative to the twin's folder or to one of its "
                     "roots, with a row for each measurement: joint.NAME of every joint that moves "
                     "the frame (encoder readings, rad or m), and flange.x y z qw qx qy qz (the "

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from pytest_twin.commands import fleet, json_output, model_files
+from pytest_twin.commands import fleet, folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -23,7 +23,7 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
-from pytest_twin.errors import PathError, TwinError
+from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization.files.search import SearchFolders
@@ -182,7 +182,7 @@ def diagnose_into(
     Raises:
         TwinError: input that cannot be used.
     """
-    _check_out(out)
+    folders.check_replaceable(out, DIAGNOSIS_FILE, "diagnosis")
     found = find_model(model)
     with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
         staging = Path(scratch) / "diagnosis"
@@ -311,19 +311,6 @@ def _stopped_by_interrupt(sandbox: Sandbox, progress: Progress) -> Iterator[None
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _check_out(out: Path) -> None:
-    if not out.parent.is_dir():
-        raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise PathError("is in the way of a folder", path=out, expected="a folder or nothing")
-    if out.is_dir() and any(out.iterdir()) and not (out / DIAGNOSIS_FILE).is_file():
-        raise PathError(
-            "a folder with other things in it is not replaced",
-            path=out,
-            expected="a new folder, or that of an earlier diagnosis",
-        )
 
 
 __all__ = ["HELP", "add_arguments", "diagnose_files", "run"]

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -17,7 +17,6 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
-from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import identification
@@ -84,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         TwinError: input that cannot be used.
     """
     out: Path = args.out.absolute()
-    _check_out(out)
+    folders.check_replaceable(out, FILE_NAME, "identification")
     model = find_model(args.model)
     with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
         staging = Path(scratch) / "identification"
@@ -137,16 +136,3 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
     lines += [f"note: {note}" for note in document["notes"]]
     lines.append(f"report: {out / PAGE_NAME}")
     return lines
-
-
-def _check_out(out: Path) -> None:
-    if not out.parent.is_dir():
-        raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise PathError("is in the way of a folder", path=out, expected="a folder or nothing")
-    if out.is_dir() and any(out.iterdir()) and not (out / FILE_NAME).is_file():
-        raise PathError(
-            "a folder with other things in it is not replaced",
-            path=out,
-            expected="a new folder, or that of an earlier identification",
-        )

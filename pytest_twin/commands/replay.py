@@ -216,15 +216,8 @@ def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
     name = "mujoco"
     if file.suffix.lower() in (".yaml", ".yml"):
         twin = load_twin(file)
-        if not twin.realizations:
-            raise SpecError(
-                "this twin has no model",
-                path=file,
-                where="model",
-                expected="a path to a robot description, such as 'model: robot.urdf'",
-            )
-        name, reference = next(iter(twin.realizations.items()))
-        file = reference.file
+        first = twin.first_realization
+        name, file = first.name, first.file
     realization = load(file, twin=twin, name=name, search=search)
     topics = dict(TOPICS if twin is None else twin.topics)
     options = NO_OPTIONS if twin is None else twin.recordings

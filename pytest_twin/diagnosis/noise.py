@@ -174,7 +174,7 @@ def effort_noise(
     efforts = [s.effort for s in segments if s.effort is not None]
     off = [e - p.effort for e, p in zip(efforts, nominal, strict=True)]
     each = np.minimum(_by_trial(segments, efforts, owner), _by_trial(segments, off, owner))
-    usual: FloatArray = np.maximum(np.median(each, axis=0), finest_effort(segments))
+    usual: FloatArray = np.median(each, axis=0)
     return usual
 
 

@@ -118,14 +118,7 @@ def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
     position = trial.position[:, hinges]
     gone = np.abs(position - position[0]) > _PART[trial.hardest_mode] * np.ptp(position, axis=0)
     until = float(trial.time[gone.any(axis=1).argmax()]) + _ON
-    n = int(np.searchsorted(trial.time, until, side="right"))
-    return replace(
-        trial,
-        time=trial.time[:n],
-        position=trial.position[:n],
-        velocity=None if trial.velocity is None else trial.velocity[:n],
-        effort=None if trial.effort is None else trial.effort[:n],
-    )
+    return trial.until(until)
 
 
 def _scaled(trial: Trial, hinges: Iterable[int], scale: float) -> Trial:

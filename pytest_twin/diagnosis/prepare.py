@@ -223,10 +223,9 @@ def prepare(
             jumps = [_steepest(p.effort) for p in nominal]
         else:
             if problem.defect:
-                quiet = np.maximum(quiet_noise(problem, nominal, owner), finest_effort(segments))
-                effort_floor = np.minimum(effort_floor, quiet)
+                effort_floor = np.minimum(effort_floor, quiet_noise(problem, nominal, owner))
             jumps = _jumps(problem, nominal)
-        _trust_efforts(problem, effort_floor, jumps)
+        _trust_efforts(problem, np.maximum(effort_floor, finest_effort(segments)), jumps)
     parts = {
         NOISE: noise,
         # Of a joint that swings fast now and then its mean square is more than the usual noise.
@@ -342,17 +341,19 @@ def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
     A servo's effort jumps with each command, and no stamp tells whether the sensor read one step
     before or after that. The model's step makes an error as well, where it is taken out.
     """
-    simulator = problem.simulator
-    rows = np.arange(len(simulator.segments))
+    simulator, out = problem.simulator, list[FloatArray]()
+    around = [_commanded_anew(s, simulator.timestep, 1) for s in simulator.segments]
+    rows = np.array([i for i, near in enumerate(around) if near.any()], dtype=np.int64)
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
-    out = list[FloatArray]()
-    for i, (here, earlier, later) in enumerate(simulator.efforts_beside(rows, values)):
-        within, around = (
-            _commanded_anew(simulator.segments[i], simulator.timestep, steps) for steps in (0, 1)
-        )
-        change = np.maximum(np.abs(earlier - here), np.abs(later - here))
-        jump: FloatArray = np.where(around, change, 0.0)
-        jump = np.maximum(jump, within * _steepest(nominal[i].effort))
+    found = simulator.efforts_beside(rows, values) if len(rows) else []
+    beside = dict(zip(rows.tolist(), found, strict=True))
+    for i, segment in enumerate(simulator.segments):
+        within = _commanded_anew(segment, simulator.timestep, 0)
+        jump: FloatArray = within * _steepest(nominal[i].effort)
+        if i in beside:
+            here, earlier, later = beside[i]
+            change = np.maximum(np.abs(earlier - here), np.abs(later - here))
+            jump = np.maximum(jump, around[i] * change)
         error = problem.defect.get(i)
         out.append(jump if error is None else np.maximum(jump, np.abs(error.effort)))
     return out

@@ -156,8 +156,8 @@ def _loaded(path: Path, search: SearchFolders | None) -> tuple[Realization, Twin
     if path.suffix.lower() not in (".yaml", ".yml"):
         return load(path, search=search), None
     twin = load_twin(path)
-    name, reference = next(iter(twin.realizations.items()))
-    return load(reference.file, twin=twin, name=name, search=search), twin
+    first = twin.first_realization
+    return load(first.file, twin=twin, name=first.name, search=search), twin
 
 
 def _refuse_unsafe_start(

@@ -12,6 +12,7 @@ from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.record_fields import (
     Matrix,
     covariance,
+    digests,
     number,
     numbers,
     read_record,
@@ -135,9 +136,7 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
                 for name, one in content.get("images", {}).items()
                 if "camera_from_target" in one
             },
-            inputs={
-                text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()
-            },
+            inputs=digests(content),
             frames={
                 text(name): (text(one["parent"]), text(one["child"]))
                 for name, one in records.items()

@@ -13,6 +13,7 @@ from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.record_fields import (
     Matrix,
     covariance,
+    digests,
     number,
     read_record,
     standard_deviation,
@@ -107,9 +108,7 @@ def read_identification_record(path: Path) -> IdentificationRecord:
                 number(filtered["parallel"]),
                 number(filtered["rate"]),
             ),
-            inputs={
-                text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()
-            },
+            inputs=digests(content),
             units={text(name): text(one["unit"]) for name, one in used.items() if "unit" in one},
             deviations={
                 text(name): standard_deviation(one["ci95"])

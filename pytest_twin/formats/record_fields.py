@@ -12,7 +12,7 @@ from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 
 Matrix = tuple[tuple[float, ...], ...]
-_Z95 = 1.959964
+Z95 = 1.959964
 """Half of a 95 % interval of a normal value, in standard deviations."""
 
 
@@ -78,6 +78,15 @@ def covariance(rows: Any, size: int) -> Matrix:
         raise ValueError(f"covariance: {error}") from None
 
 
+def digests(content: Any) -> dict[str, str]:
+    """File that a record was made from -> SHA-256, hex.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: they are not stated so.
+    """
+    return {text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()}
+
+
 def standard_deviation(ci95: Any) -> float:
     """Standard deviation of a normal value from its 95 % interval.
 
@@ -87,7 +96,7 @@ def standard_deviation(ci95: Any) -> float:
     low, high = numbers(ci95, 2)
     if high < low:
         raise ValueError(f"{ci95!r} is no interval")
-    return (high - low) / (2.0 * _Z95)
+    return (high - low) / (2.0 * Z95)
 
 
 def _refuse(word: str) -> NoReturn:

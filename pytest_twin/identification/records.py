@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pytest_twin import __version__
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.groups import FRICTION
 from pytest_twin.identification.effort.identify import EffortResult, parameter_name
 from pytest_twin.identification.stages import Stage, in_order
@@ -16,7 +17,6 @@ Verdict = Literal["accepted", "improved", "rejected"]
 
 _CORRELATED = 0.9
 """Pairs of parameters beyond this correlation are named."""
-_Z95 = 1.959964
 
 
 def verdict_of(stages: Sequence[Stage], better: bool, held_out: bool, consistent: bool) -> Verdict:
@@ -61,7 +61,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "used": result.stage_of[i] not in rejected,
         }
     # Wider where leaving out recordings moves the values more than their noise does.
-    widths = half / _Z95
+    widths = half / Z95
     noise = np.sqrt(np.diag(fitted.solution.covariance).clip(1e-300))
     covariance = fitted.solution.covariance * np.outer(widths / noise, widths / noise)
     tested = bool(result.held_out)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.diagnosis.patched.model import MODEL_FILE
-from pytest_twin.errors import PathError, SpecError
+from pytest_twin.errors import PathError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.identification.closed_loop import simulated
 from pytest_twin.identification.effort.identify import has_effort, identify_effort
@@ -169,15 +169,8 @@ def _load(path: Path, search: SearchFolders) -> tuple[Realization, list[str]]:
     name = "mujoco"
     if path.suffix.lower() in (".yaml", ".yml"):
         twin = load_twin(path)
-        if not twin.realizations:
-            raise SpecError(
-                "this twin has no model",
-                path=path,
-                where="model",
-                expected="a path to a robot description, such as 'model: robot.urdf'",
-            )
-        name, reference = next(iter(twin.realizations.items()))
-        path = reference.file
+        first = twin.first_realization
+        name, path = first.name, first.file
     try:
         return load(path, twin=twin, name=name, search=search, accept_invalid_inertia=True), []
     except PathError as error:

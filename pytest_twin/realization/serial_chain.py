@@ -67,7 +67,7 @@ def load_serial_chain(path: Path, frame: str) -> SerialChain:
     twin = None
     if path.suffix.lower() in (".yaml", ".yml"):
         twin = load_twin(path)
-        path = next(iter(twin.realizations.values())).file
+        path = twin.first_realization.file
         if twin.calibration is not None:
             calibration = dict(twin.calibration.joints)
     if xml.parse(path).tag == "robot":

@@ -93,8 +93,8 @@ def _nameless(realization: Realization) -> list[str]:
 def first_specs(twin: str, progress: Any) -> dict[str, Any]:
     """First specs of every installed kind, kinds without one, and why where one could not say."""
     loaded = load_twin(Path(twin))
-    name, reference = next(iter(loaded.realizations.items()))
-    realization = load(reference.file, twin=loaded, name=name)
+    first = loaded.first_realization
+    realization = load(first.file, twin=loaded, name=first.name)
     specs: list[dict[str, Any]] = []
     silent: dict[str, str] = {}
     none: dict[str, str] = {}

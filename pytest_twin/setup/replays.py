@@ -34,8 +34,8 @@ def first_replays(
         SpecError: a tolerance for a joint that the model lacks, or in the unit of the other type.
     """
     loaded = load_twin(Path(twin))
-    name, reference = next(iter(loaded.realizations.items()))
-    realization = load(reference.file, twin=loaded, name=name)
+    first = loaded.first_realization
+    realization = load(first.file, twin=loaded, name=first.name)
     _check_joints(realization, tolerance["joints"])
     stems = Counter(PurePosixPath(recording).stem for recording in recordings)
     specs: list[dict[str, Any]] = []

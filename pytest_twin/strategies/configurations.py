@@ -87,11 +87,5 @@ def load_any(path: Path) -> Realization:
     if path.suffix not in (".yaml", ".yml"):
         return load(path)
     twin = load_twin(path)
-    if not twin.realizations:
-        raise twin.error(
-            "realizations",
-            "no realization to draw from",
-            expected="a model, such as 'model: robot.urdf'",
-        )
-    first = next(iter(twin.realizations.values()))
+    first = twin.first_realization
     return load(first.file, twin=twin, name=first.name)

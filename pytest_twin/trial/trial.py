@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -136,6 +136,17 @@ class Trial:
     def dense(self) -> bool:
         """Whether every state has the position of every joint."""
         return bool(np.isfinite(self.position).all())
+
+    def until(self, end: float) -> Trial:
+        """The same with the states up to ``end``, s; all commands stay."""
+        rows = slice(int(np.searchsorted(self.time, end, side="right")))
+        return replace(
+            self,
+            time=self.time[rows],
+            position=self.position[rows],
+            velocity=None if self.velocity is None else self.velocity[rows],
+            effort=None if self.effort is None else self.effort[rows],
+        )
 
     def mode_of(self, joint: str) -> CommandMode | None:
         """The field that counts for a joint; None where it is not commanded."""

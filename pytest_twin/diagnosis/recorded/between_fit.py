@@ -117,14 +117,7 @@ def _beginning(trial: Trial) -> Trial:
     """Some seconds of a recording from where its commands begin to change."""
     changes = np.flatnonzero(np.diff(trial.command, axis=0).any(axis=1))
     first = float(trial.command_time[changes[0]]) if len(changes) else 0.0
-    inside = trial.time <= max(first - _BEFORE, 0.0) + _SECONDS
-    return replace(
-        trial,
-        time=trial.time[inside],
-        position=trial.position[inside],
-        velocity=None if trial.velocity is None else trial.velocity[inside],
-        effort=None,
-    )
+    return replace(trial.until(max(first - _BEFORE, 0.0) + _SECONDS), effort=None)
 
 
 def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> JointFit:

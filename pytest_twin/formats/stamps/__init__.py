@@ -6,24 +6,23 @@ data set, an MCAP file, an HDF5 file, an ONNX model. The text is opaque here.
 
 from __future__ import annotations
 
+import importlib
 import stat
 from pathlib import Path
 
 from pytest_twin.errors import FormatError, LimitError, PathError
 from pytest_twin.formats import limits
 from pytest_twin.formats.stamps.base import Carrier
-from pytest_twin.formats.stamps.hdf5 import Hdf5Stamp
 from pytest_twin.formats.stamps.lerobot import LeRobotStamp
-from pytest_twin.formats.stamps.mcap import McapStamp
-from pytest_twin.formats.stamps.onnx import OnnxStamp
 
 __all__ = ["KINDS", "Carrier", "carriers_of", "is_carrier"]
 
-_BY_SUFFIX: dict[str, type[McapStamp] | type[Hdf5Stamp] | type[OnnxStamp]] = {
-    ".mcap": McapStamp,
-    ".h5": Hdf5Stamp,
-    ".hdf5": Hdf5Stamp,
-    ".onnx": OnnxStamp,
+# Suffix -> module and class. Loaded when a file needs it: verifying a release needs none of them.
+_BY_SUFFIX = {
+    ".mcap": ("mcap", "McapStamp"),
+    ".h5": ("hdf5", "Hdf5Stamp"),
+    ".hdf5": ("hdf5", "Hdf5Stamp"),
+    ".onnx": ("onnx", "OnnxStamp"),
 }
 KINDS = (
     "a LeRobot data set, an MCAP file (.mcap), an HDF5 file (.h5, .hdf5), an ONNX model (.onnx), "
@@ -45,23 +44,22 @@ def carriers_of(path: Path) -> list[Carrier]:
         problem = "no such file or folder" if isinstance(error, FileNotFoundError) else str(error)
         raise PathError(problem, path=path, expected=KINDS) from None
     if stat.S_ISREG(mode):
-        kind = _BY_SUFFIX.get(path.suffix.lower())
-        if kind is None:
+        single = _carrier(path)
+        if single is None:
             raise FormatError(
                 "no data set or policy that holds a stamp",
                 path=path,
                 expected=f"{KINDS}; pytest-twin convert writes other recordings as MCAP",
             )
-        return [kind(path)]
+        return [single]
     if not stat.S_ISDIR(mode):
         raise PathError("a link, or neither a file nor a folder", path=path, expected=KINDS)
     if LeRobotStamp.is_dataset(path):
         return [LeRobotStamp(path)]
     found: list[Carrier] = []
     for file in sorted(path.rglob("*")):
-        carrier = _BY_SUFFIX.get(file.suffix.lower())
-        if carrier is not None and file.is_file() and not file.is_symlink():
-            found.append(carrier(file))
+        if file.is_file() and not file.is_symlink() and (carrier := _carrier(file)) is not None:
+            found.append(carrier)
         if len(found) > limits.STAMPS.files_count:
             raise LimitError(
                 "too many files for a data set",
@@ -71,6 +69,15 @@ def carriers_of(path: Path) -> list[Carrier]:
     if not found:
         raise FormatError("nothing in this folder holds a stamp", path=path, expected=KINDS)
     return found
+
+
+def _carrier(path: Path) -> Carrier | None:
+    """The carrier that a file is by its suffix, or None."""
+    if path.suffix.lower() not in _BY_SUFFIX:
+        return None
+    module, name = _BY_SUFFIX[path.suffix.lower()]
+    carrier: Carrier = getattr(importlib.import_module(f"{__name__}.{module}"), name)(path)
+    return carrier
 
 
 def is_carrier(path: Path) -> bool:

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential import SIGNIFICANT
 from pytest_twin.identification.effort.least_squares import Linear, solve
 from pytest_twin.identification.measured import Measured
-
-_Z95 = 1.959964
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +29,7 @@ class Delay:
     @property
     def significant(self) -> bool:
         """Whether it differs from zero."""
-        return abs(self.value) * _Z95 >= SIGNIFICANT * self.half_width
+        return abs(self.value) * Z95 >= SIGNIFICANT * self.half_width
 
 
 def delay_of(problem: Linear, rate: float) -> Delay:

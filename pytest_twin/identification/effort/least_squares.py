@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.intervals import clusters, jackknife
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.sampled import Sampled
 
 _ITERATIONS = 12
@@ -18,7 +19,6 @@ _SETTLED = 1e-4
 _HUBER = 3.0
 """Standard deviations from which a residual counts by its amount and no more by its square: of
 normal noise less than one in 300, so that the estimate loses no precision."""
-_Z95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Solution:
     @property
     def std(self) -> FloatArray:
         """(b,) standard deviations."""
-        return np.asarray(self.half_width / _Z95)
+        return np.asarray(self.half_width / Z95)
 
 
 def linear(samples: Sequence[Sampled], columns: NDArray[np.intp], dry: NDArray[np.bool_]) -> Linear:
@@ -227,5 +227,5 @@ def _uncertainty(
         scores.append(rows.T @ (residual[mine] * weight[mine]).ravel())
         parts.append(rows.T @ rows)
     between = jackknife(np.array(scores), np.array(parts))
-    half = np.maximum(_Z95 * np.sqrt(np.diag(covariance).clip(0.0)), between)
+    half = np.maximum(Z95 * np.sqrt(np.diag(covariance).clip(0.0)), between)
     return covariance, half

@@ -9,6 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.sampled import Sampled, sample
@@ -16,7 +17,6 @@ from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
 
-_Z95 = 1.959964
 _LEAST_SHARE = 0.01
 """Of the effort: a payload that adds less beside what the robot's own parameters can do says
 nothing of the scale."""
@@ -37,7 +37,7 @@ class Scale:
     @property
     def significant(self) -> bool:
         """Whether it differs from 1."""
-        return abs(self.value - 1.0) * _Z95 >= SIGNIFICANT * self.half_width
+        return abs(self.value - 1.0) * Z95 >= SIGNIFICANT * self.half_width
 
 
 def payload_effort(
@@ -130,4 +130,4 @@ def _scale(
     residual = effort - basis @ (basis.T @ effort) - value * beside
     independent = max(float(effective_samples(residual[:, None], lengths)[0]), 2.0)
     noise = float(np.sqrt(np.mean(residual**2) * len(residual) / independent))
-    return Scale(value, _Z95 * noise / np.sqrt(power))
+    return Scale(value, Z95 * noise / np.sqrt(power))

@@ -13,10 +13,9 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.totals import impossible
 from pytest_twin.effects.base import Parameter
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.records import correlated, verdict_of
 from pytest_twin.identification.simulation.identify import SimulationResult, place_of
-
-_Z95 = 1.959964
 
 
 def simulation_document(result: SimulationResult) -> dict[str, Any]:
@@ -101,5 +100,5 @@ def _covariance(result: SimulationResult, kept: NDArray[np.intp], scale: FloatAr
     """(n, n) in SI units, as wide as the intervals."""
     correlation = result.spread.correlation[np.ix_(kept, kept)]
     half = result.spread.half_width[kept]
-    std = np.where(np.isfinite(half), half, 0.0) / _Z95 * scale
+    std = np.where(np.isfinite(half), half, 0.0) / Z95 * scale
     return np.nan_to_num(correlation * np.outer(std, std))
