@@ -21,7 +21,7 @@ Law = Callable[[FloatArray, FloatArray, FloatArray], "tuple[FloatArray, FloatArr
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What the sensors said of the joints of a residual.
+    """Measured states and commands of the joints that a residual acts on.
 
     Attributes:
         time: when it was measured, s.

@@ -4,10 +4,10 @@ All unknowns of one record are one cause: they were estimated together, and thei
 how they vary together. Unknowns that the twin does not take over are left out, which is their
 marginal distribution.
 
-A frame is moved as follows. Joint zeros and deviations of links move it through the chain. What the
-flange carries (tool, camera) moves it about that place: for a camera, where an object at the frame
-is seen. What stands in the base (world, fixture, camera) is what the frame's pose is told in: an
-error that moves both alike moves nothing.
+Joint zeros and deviations of links move the frame through the chain. A tool or camera on the flange
+moves it about its mount; for a camera, the moved pose is where it sees an object at the frame. The
+frame's pose is measured in a frame that is fixed to the base: the world, a fixture or a standing
+camera. An error that moves both together cancels.
 """
 
 from __future__ import annotations

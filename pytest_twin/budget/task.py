@@ -31,7 +31,7 @@ class Task:
 
     Attributes:
         frame: whose pose it is.
-        frame_source: where that is said, in words.
+        frame_source: where the frame was declared, in words.
         chain: the joints that carry it.
         readings: (n, j) what the encoders of the chain read, rad or m.
         velocity: (n, j) rad/s or m/s, as the encoders tell it, or None where no motion is known.

@@ -53,9 +53,9 @@ def weighed_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
     """The estimate with each source of error weighed by its variance, and their sizes, m and rad.
 
     Restricted maximum likelihood by the minorize-maximize algorithm (Zhou, Hu, Zhou, Lange: MM
-    algorithms for variance components models, 2019). Where poses of a target are not all that is
-    measured, are too few, or belong to an arm with errors that are not estimated, the estimate is
-    returned as it is, without sizes.
+    algorithms for variance components models, 2019). The estimate is returned unchanged, without
+    sizes, in three cases: something else than poses of a target was measured, there are too few
+    poses, or the arm has errors that are not estimated.
     """
     fit = found.fit
     terms = fit.problem.terms

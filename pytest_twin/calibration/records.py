@@ -114,7 +114,7 @@ def records(found: Estimate) -> dict[str, Any]:
 def _frames(found: Estimate, name: str, record: str) -> tuple[str, str]:
     problem = found.fit.problem
     base = "base" if problem.chain is None else problem.chain.base
-    # An MJCF's base has the name that what stands still has here.
+    # Records call the fixed frame of the cell "world"; an MJCF gives its robot's base that name.
     base = "base" if base == "world" else base
     role = name.rpartition(".")[2]
     if record == "base_world":

@@ -20,7 +20,7 @@ CONSTANT_SHARE = 0.5
 """Part of the squared error that one constant vector must explain to be called a bias."""
 
 REACH_CORRELATION = 0.5
-"""Least rank correlation between error and reach from which errors are said to grow with reach."""
+"""Rank correlation between error and reach from which a report says that errors grow with reach."""
 
 
 @dataclass(frozen=True)

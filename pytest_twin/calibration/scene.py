@@ -31,7 +31,7 @@ def scene(
     flange = predicted_poses(problem, state)
     there = np.flatnonzero(np.isfinite(flange).all(axis=(1, 2)))
     middle = flange[there, :3, 3].mean(axis=0)
-    # The pose nearest to the middle of the workspace stands for the others.
+    # One pose is drawn: the one nearest to the middle of the workspace.
     row = int(there[np.argmin(np.linalg.norm(flange[there, :3, 3] - middle, axis=1))])
     return {
         "observation": problem.observations.ids[row],

@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         raise SpecError(
             "nothing to promote: the candidate declares no residual and no update",
             path=file,
-            expected="another model goes through the gate as it is: pytest --twin-release",
+            expected="residual: or update:; pytest --twin-release releases a changed model",
         )
     folder = release_folder(args.release)
     release = authentic_now(folder)

@@ -26,7 +26,7 @@ _TOLERANCE = 1e-5
 _SAMPLES_PER_PERIOD = 8
 """Of the highest harmonic, where the information is summed up while it is optimized."""
 _SHARPNESS = 40.0
-"""Exponent of the norm that stands for the maximum of a signal: smooth, and 1 to 15 % above."""
+"""Exponent of the p-norm that approximates the maximum of a signal smoothly, 1 to 15 % too high."""
 _RIDGE = 1e-9
 _EFFORT_WEIGHT = 200.0
 _SPARE_WEIGHT = 20.0

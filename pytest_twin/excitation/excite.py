@@ -104,7 +104,7 @@ def excite_file(
 
 
 def written(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:
-    """Write the motions, and give what is said of them; as :func:`excite_file`."""
+    """Write the motions and return their document, as :func:`excite_file` does."""
     document = document_of(found, _write(found, out))
     document["model"] = {
         "file": str(found.realization.path),

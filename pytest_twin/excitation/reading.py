@@ -290,7 +290,7 @@ def _clearance(realization: Realization, own: Any, twin: Twin) -> Clearance | No
 def _shape_name(shapes: Shapes, name: str, where: str, twin: Twin) -> str:
     if name not in shapes.names:
         raise twin.error(
-            where, "the model has no body or geom of this name that can collide", value=name,
+            where, "the model has no body or geom of this name with a collision shape", value=name,
             expected=suggest(name, shapes.names),
         )  # fmt: skip
     return name

@@ -1,6 +1,6 @@
-"""What a golden says on the simulators that are not authoritative for it. Pure.
+"""Results of a golden on simulators that are not authoritative for it. Pure.
 
-Differences are told one by one; nothing is averaged over simulators.
+Each difference is reported alone; nothing is averaged over simulators.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ def _realizations(
 ) -> tuple[str, ...]:
     """Where a golden runs, the authoritative realization first: it is what gets recorded."""
     authority = twin.authority_of(golden_id(path, twin), data["kind"])
-    declared = tuple(data.get("realizations") or (authority or next(iter(twin.realizations)),))
+    declared = tuple(data.get("realizations") or (authority or twin.first_realization.name,))
     for index, name in enumerate(declared):
         if name not in twin.realizations:
             raise SpecError(

@@ -147,7 +147,7 @@ def _base_json(result: EffortResult, i: int, values: np.ndarray, std: np.ndarray
         "stage": result.stage_of[i],
     }
     if not len(at):
-        why = "not moved" if result.unobservable[i] else "not told from zero"
+        why = "not moved" if result.unobservable[i] else "not significantly different from zero"
         return {**found, "value": 0.0, "relative_std": None, "essential": False, "why": why}
     value, deviation = float(values[at[0]]), float(std[at[0]])
     return {

@@ -68,12 +68,12 @@ def lay_out(release: Release, folder: Path, root: Path, into: Path) -> Path:
 
 
 def _absolute(roots: Any, root: Path) -> Any:
-    """Roots as they are told from the laid out copy: those inside the twin stay relative."""
+    """Roots for the laid out copy: absolute, but for those inside the twin's folder."""
 
-    def told(reference: str) -> str:
+    def placed(reference: str) -> str:
         folder = (root / reference).resolve()
         return reference if folder.is_relative_to(root.resolve()) else str(folder)
 
     if isinstance(roots, dict):
-        return {name: told(folder) for name, folder in roots.items()}
-    return [told(folder) for folder in roots]
+        return {name: placed(folder) for name, folder in roots.items()}
+    return [placed(folder) for folder in roots]

@@ -26,7 +26,7 @@ class Carrier(Protocol):
         ...
 
     def write(self, text: str) -> None:
-        """Write the text over an earlier one; all other content stays as it is.
+        """Write the text in place of an earlier stamp, and change nothing else.
 
         Raises:
             TwinError: the file cannot be read or written.
@@ -34,7 +34,7 @@ class Carrier(Protocol):
         ...
 
     def digest(self) -> str:
-        """SHA-256 of the content that the stamp speaks of, itself left out, hex.
+        """SHA-256 of the stamped content without the stamp itself, hex.
 
         Raises:
             TwinError: the file cannot be read.

@@ -23,9 +23,9 @@ rigid bodies of CAD models are right to 30 %, rotors double what a joint acceler
 _LIKE = 0.25
 """Logarithmic distance within which a factor is that of the stated gear."""
 _DRIFT = 0.15
-"""Share by which dry and viscous friction change over a run before it is said."""
+"""Share by which dry and viscous friction change over a run before a report says so."""
 _FEWEST_ROWS, _BLOCKS = 100, 10
-"""Samples of a moving joint, and parts of them, from which a trend is told."""
+"""Samples of a moving joint that a trend needs, and parts that they are divided into."""
 _OUTSIDE = 3.0
 """Times a joint's own range that positions span where they are in degrees."""
 
