@@ -12,6 +12,8 @@ from pytest_twin.outcome import Measure, Outcome
 from pytest_twin.report.text import number, quantity
 
 _MOST_LINES = 40
+_AGREES = 1e-3
+"""Share of the tolerance below which a difference is said to be none: rounding reaches 1e-11."""
 
 
 def recorded_elsewhere(goldens: Iterable[Golden]) -> Iterator[str]:
@@ -64,6 +66,8 @@ def _between(own: Outcome, other: Outcome) -> str:
     if not pairs:
         return "no measure in common"
     mine, its = max(pairs, key=lambda pair: _share(*pair))
+    if _share(mine, its) < _AGREES:
+        return f"the same to within {number(100.0 * _AGREES)} % of the tolerance"
     difference = abs(its.measured - mine.measured)
     return (
         f"{mine.name} of {mine.subject} {quantity(its.measured, its.unit)} and "

@@ -1,0 +1,34 @@
+"""Words for what two simulators say of one golden."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from pytest_twin.gate.authority import difference_lines
+from pytest_twin.outcome import Measure, Outcome
+
+
+def said(measured: float) -> str:
+    golden = SimpleNamespace(id="fk/tool", realizations=("mujoco", "supplier"))
+    outcomes = {
+        f"fk/tool@{name}": Outcome(
+            golden="fk/tool", kind="fk", realization=name, criticality="critical", status="passed",
+            measures=(Measure("position", "tcp", value, 1.0, 0.0, 0.01, "m"),),
+        )
+        for name, value in (("mujoco", 1.0), ("supplier", measured))
+    }  # fmt: skip
+    (line,) = difference_lines([golden], outcomes, {"mujoco": "mujoco", "supplier": "mujoco"})
+    return line
+
+
+@pytest.mark.parametrize(
+    ("measured", "words"),
+    [
+        (1.0 + 1e-12, "which is authoritative: the same to within 0.1 % of the tolerance"),
+        (1.001, "position of tcp 1.001 m and 1 m, 0.001 m apart, 10 % of the tolerance"),
+    ],
+)
+def test_a_difference_is_told_only_where_there_is_one(measured: float, words: str) -> None:
+    assert words in said(measured)
