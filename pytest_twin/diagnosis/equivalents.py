@@ -30,6 +30,7 @@ from pytest_twin.diagnosis.first_order.responses import Linear
 from pytest_twin.diagnosis.first_order.screen import Answers, Lens, Structure, View
 from pytest_twin.diagnosis.fit import Fitted, propose, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.patched.native import mjcf_expresses
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.contest import QUICK, Contest
 from pytest_twin.diagnosis.search.exchange import left_without
@@ -416,6 +417,7 @@ def _compared(
     top = int(np.argmax(values))
     if possible and values[top] <= _AHEAD:
         top = 0
+    top = _as_likely_in_mjcf(everyone, values, top)
     first = {frozenset(everyone[i].hypothesis.terms): i for i in np.argsort(values, kind="stable")}
     chosen, others = everyone[top], [i for i in first.values() if i != top]
     if top:
@@ -432,6 +434,24 @@ def _compared(
     ]
     sets.sort(key=lambda s: -s.evidence)
     return Compared(chosen, tuple(sets), tempering, count.spent)
+
+
+def _as_likely_in_mjcf(rivals: Sequence[Rival], values: FloatArray, top: int) -> int:
+    """Of sets as likely as the likeliest and as large, the one of which MJCF holds most effects.
+
+    Recordings do not decide between them, and a user runs that one with MuJoCo alone.
+    """
+
+    def inexpressible(i: int) -> int:
+        return sum(not mjcf_expresses(t.effect) for t in rivals[i].hypothesis.terms)
+
+    size = len(rivals[top].hypothesis.terms)
+    alike = [
+        i
+        for i, r in enumerate(rivals)
+        if len(r.hypothesis.terms) == size and values[i] >= values[top] - _AHEAD
+    ]
+    return min(alike, key=lambda i: (inexpressible(i), i != top))
 
 
 def _apart(problem: Problem, one: Rival, other: Rival) -> float:

@@ -20,10 +20,13 @@ from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.contest import Contest
 from pytest_twin.diagnosis.search.drive import together, unweighed, with_drive
 from pytest_twin.diagnosis.search.restraint import Pruned, as_named, prune
-from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.search.rivals import Rival, Selected
 from pytest_twin.diagnosis.search.seek import first_steps, sought
 from pytest_twin.diagnosis.search.select import Selection
 from pytest_twin.diagnosis.shorter import stays_near
+from pytest_twin.diagnosis.structure_search.refit import as_fitted
+from pytest_twin.diagnosis.structure_search.score import Model
+from pytest_twin.diagnosis.structure_search.search import Result, StructureSearch
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import (
     LEFT_FLOORS,
@@ -196,11 +199,36 @@ def _to_the_floor(prepared: Prepared, selection: Selection, selected: Selected) 
 
 
 def from_start(selection: Selection, start: Hypothesis) -> Selected:
-    """What a search chooses that begins with a hypothesis, fitted; or with the model as it came."""
-    contest = selection.contest
-    with selection.diagnosis_run.budget.reserved():
-        rival = contest.as_it_is(start) if start.terms else None
-    return selection.run(None if rival is None else contest.settled(rival))
+    """What a search chooses that begins with a hypothesis, fitted; or with what the structure
+    search chooses, which needs a third of the simulations of a search from the nominal model.
+
+    A second look, which gives up where nothing leaves less, begins with the nominal model.
+    """
+    contest, budget = selection.contest, selection.diagnosis_run.budget
+    if start.terms:
+        with budget.reserved():
+            rival = contest.as_it_is(start)
+        return selection.run(contest.settled(rival))
+    if selection.share_left < 1.0:
+        return selection.run()
+    chosen = _structure(selection)
+    with budget.reserved():
+        rival = contest.as_it_is(chosen.model.hypothesis, slopes=True)
+    if chosen.has_left:
+        selection.left_off = True
+        return Selected(rival, contest.nominal, tried=contest.tried)
+    return selection.run(rival if rival.hypothesis.terms else None)
+
+
+def _structure(selection: Selection) -> Result:
+    """What the structure search chooses, which is left where the selection would be."""
+    problem = selection.problem
+
+    def leave(model: Model) -> bool:
+        none = np.zeros((*model.residual.shape, 0))
+        return selection.leave(Rival(as_fitted(problem, model, none), model.validation))
+
+    return StructureSearch(problem, selection.diagnosis_run, leave=leave).run()
 
 
 def confirmed(prepared: Prepared, trials: TrialSet, other: Searched, run: Run) -> Searched | None:

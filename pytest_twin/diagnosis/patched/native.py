@@ -345,3 +345,8 @@ _NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] 
         )
     },
 }
+
+
+def mjcf_expresses(effect: str) -> bool:
+    """Whether MuJoCo has the equation of an effect, so that an MJCF file alone holds it."""
+    return effect in _NATIVE
