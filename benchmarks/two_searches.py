@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.creep import posed
-from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.friction_constraint import build_problem_as_friction_acts
 from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.roles import roles_of
-from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.realization.files.search import SearchFolders
@@ -37,14 +37,16 @@ def problem_of(case: Path) -> Problem:
     loaded = load_model(model, SearchFolders.of((), None))
     recordings = sorted((case / "recordings").glob("*.mcap"))
     read = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
-    _, prepared, _ = posed(Given.of(loaded.realization, None, 1), roles_of(read).of_search, [])
+    _, prepared, _ = build_problem_as_friction_acts(
+        ModelSetup.of(loaded.realization, None, 1), roles_of(read).of_search, []
+    )
     return prepared.problem
 
 
 def chosen_by(search: str, problem: Problem) -> Hypothesis:
     """The effects that a search chooses, with their parameters."""
     if search == "present":
-        return Selection(problem).run().best.hypothesis
+        return StepwiseSelection(problem).run().best.hypothesis
     return StructureSearch(problem).run().model.hypothesis
 
 

@@ -22,10 +22,10 @@ sys.path.insert(0, str(Path(__file__).parent / "concealed"))
 
 from cases import OUTSIDE_NAMES, make, seeds
 
-from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where
-from pytest_twin.diagnosis.searched import pose
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.diagnosis.unnamed_law.fit import free_laws
 from pytest_twin.realization import load
@@ -38,13 +38,13 @@ def removed(folder: Path, joint: str) -> tuple[float, str]:
     realization = load(folder / "model.xml")
     recordings = sorted((folder / "recordings").glob("*.mcap"))
     trials = read_trials(recordings, [], TOPICS, realization.structure)
-    given = Given.of(realization, None)
+    given = ModelSetup.of(realization, None)
     with np.errstate(over="ignore", invalid="ignore"):
-        near, _ = pose(given, trials, [], window=0.5)
+        near, _ = build_problem(given, trials, [], window=0.5)
         laws = free_laws(near, EMPTY, {joint: Where("", {})}, near.problem.fit)
         if not laws.laws:
             return 0.0, "; ".join(laws.notes)
-        problem = pose(given, trials, [])[0].problem
+        problem = build_problem(given, trials, [])[0].problem
         residuals = problem.errors([EMPTY, laws.hypothesis], problem.held_out)
     before, after = (float(np.sum(r[:, problem.joints.index(joint)] ** 2)) for r in residuals)
     return 1.0 - after / before, "; ".join(law.words for law in laws.laws)

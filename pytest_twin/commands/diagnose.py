@@ -242,7 +242,7 @@ def diagnose_files(
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
     from pytest_twin.realization.quiet import quiet
-    from pytest_twin.report.glance import glance_words
+    from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
     loaded = load_model(Path(model), SearchFolders.of(roots, packages))
     trials = read_trials(
@@ -264,7 +264,7 @@ def diagnose_files(
         bound = min(FIRST_SECONDS, 0.2 * seconds) if seconds else FIRST_SECONDS
         with quiet():
             seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
-        words = f"none within {bound:g} s" if seen is None else glance_words(seen)
+        words = f"none within {bound:g} s" if seen is None else quick_diagnosis_in_words(seen)
         tell("line", f"first answer, from one recording: {words}")
     summary = write_diagnosis(
         Path(out),

@@ -15,7 +15,7 @@ _OF_ALL = 0.5
 """Ratio of integration error to nominal error from which a finding may come from the step."""
 
 
-def off_by_the_step(
+def integration_errors(
     problem: Problem, errors: Mapping[str, JointError], times: float
 ) -> dict[str, float]:
     """Joint -> RMS integration error in rad or m, where it is large compared with the residual.
@@ -34,7 +34,7 @@ def off_by_the_step(
     }
 
 
-def coarse_step(
+def notes_on_coarse_step(
     problem: Problem, hypothesis: Hypothesis, errors: Mapping[str, JointError]
 ) -> list[str]:
     """A note for each joint whose integration error is large compared with residual or findings.
@@ -51,7 +51,7 @@ def coarse_step(
         return []
     problem.refine_at(hypothesis)
     own = dict(zip(problem.joints, discretization(problem).tolist(), strict=True))
-    off = off_by_the_step(problem, errors, _OF_IT)
+    off = integration_errors(problem, errors, _OF_IT)
     found_at = {problem.joints[t.joint] for t in hypothesis.terms if t.joint >= 0}
     step = 1e3 * problem.simulator.timestep
     lines = []

@@ -23,16 +23,21 @@ from pytest_twin.diagnosis.findings import (
     untested,
     with_gains,
 )
-from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term
-from pytest_twin.diagnosis.other_unit import without_other_units
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.physical_totals import at_zero
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.contest import LONG, QUICK, Contest
-from pytest_twin.diagnosis.search.restraint import Pruned, without_each
-from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhere, pose
-from pytest_twin.diagnosis.totals import at_zero
+from pytest_twin.diagnosis.search.model_comparison import LONG, QUICK, ModelComparison
+from pytest_twin.diagnosis.search.pruning import PrunedModel, refit_without_each
+from pytest_twin.diagnosis.search_result import (
+    SearchResult,
+    build_problem,
+    joint_errors,
+    residuals_everywhere,
+)
 from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.verdict import verdict
 from pytest_twin.errors import RecordingError, SimulationError, TwinError
 from pytest_twin.recording_options import CommandBetween
@@ -40,7 +45,7 @@ from pytest_twin.trial import Trial
 
 
 @dataclass(frozen=True, slots=True)
-class Structure:
+class ChosenModel:
     """What is known before a test recording is opened.
 
     Attributes:
@@ -54,8 +59,8 @@ class Structure:
         between: what commands do between stamps, where only the effects that were found tell.
     """
 
-    given: Given
-    found: Searched
+    given: ModelSetup
+    found: SearchResult
     near: float | None
     notes: tuple[str, ...]
     rival_simulations: float = 0.0
@@ -63,7 +68,7 @@ class Structure:
 
 
 @dataclass(frozen=True, slots=True)
-class Assessed:
+class TestedModel:
     """A structure on the test recordings.
 
     Attributes:
@@ -76,13 +81,13 @@ class Assessed:
     """
 
     explained: Explained
-    tested: Searched
+    tested: SearchResult
     near: tuple[Prepared, TrialSet]
     notes: tuple[str, ...]
     problems: tuple[Problem, ...]
 
 
-def with_final_parameters(found: Searched, budget: Budget) -> Searched:
+def with_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
     """The chosen effects, fitted to fit and validation recordings together.
 
     Without validation recordings the parameters are final already, unless the search ran out of
@@ -99,7 +104,7 @@ def with_final_parameters(found: Searched, budget: Budget) -> Searched:
     explained = explain(prepared, found.selected, pruned, everything)
     if found.whole is not None:
         explained = by_whole_motions(explained, found.whole)
-    before, after = (left_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
+    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
     errors = joint_errors(prepared, before, after)
     return replace(
         found,
@@ -114,17 +119,17 @@ def with_final_parameters(found: Searched, budget: Budget) -> Searched:
     )
 
 
-def _possible(problem: Problem, pruned: Pruned) -> Pruned:
+def _possible(problem: Problem, pruned: PrunedModel) -> PrunedModel:
     """A fit whose totals of model and corrections are at least zero."""
     h = pruned.fitted.hypothesis
     theta = at_zero(problem, h)
     if np.array_equal(theta, h.theta):
         return pruned
-    fitted = Contest(problem).as_it_is(h.with_theta(theta), slopes=True).fitted
+    fitted = ModelComparison(problem).scored_without_fit(h.with_theta(theta), slopes=True).fitted
     return replace(pruned, fitted=fitted)
 
 
-def _refitted(found: Searched, budget: Budget) -> tuple[Prepared, Pruned]:
+def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedModel]:
     problem, start = found.prepared.problem, found.pruned.fitted.hypothesis
     hurried = budget.out_of_time
     if not len(problem.held_out) and not hurried:
@@ -133,26 +138,26 @@ def _refitted(found: Searched, budget: Budget) -> tuple[Prepared, Pruned]:
     prepared = replace(found.prepared, problem=every)
     if not start.terms:
         return prepared, found.pruned
-    contest = Contest(every)
-    best = contest.as_it_is(start, slopes=True)
+    comparison = ModelComparison(every)
+    best = comparison.scored_without_fit(start, slopes=True)
     try:
         with budget.fitting():
             iterations = QUICK if hurried else LONG
-            (moved,) = contest.rivals([start], contest.weights(best), iterations, slopes=True)
+            (moved,) = comparison.rivals([start], comparison.weights(best), iterations, slopes=True)
     except OutOfTime:
         moved = best
-    contest.judge([moved], best, likelihood=found.likelihood)
+    comparison.judge([moved], best, likelihood=found.likelihood)
     if np.isfinite(moved.evidence) and (
         moved.evidence >= 0.0 or found.likelihood is log_likelihood
     ):
         best = moved
-    rests, *_ = without_each(every, best.fitted, hurried)
+    rests, *_ = refit_without_each(every, best.fitted, hurried)
     return prepared, replace(
         found.pruned, fitted=best.fitted, rests=[f.hypothesis for f in rests], absent={}
     )
 
 
-def assess(structure: Structure, trials: TrialSet, test: Sequence[Trial]) -> Assessed:
+def assess(structure: ChosenModel, trials: TrialSet, test: Sequence[Trial]) -> TestedModel:
     """Predict the test recordings with a structure that never saw them.
 
     Args:
@@ -169,12 +174,12 @@ def assess(structure: Structure, trials: TrialSet, test: Sequence[Trial]) -> Ass
             notes.append(f"left out: {error}")
     notes.append("no recording was held out: errors and gains are those of the fitted recordings")
     near, added = _near(structure, found)
-    return Assessed(untested(found.explained), found, near, tuple(notes), added)
+    return TestedModel(untested(found.explained), found, near, tuple(notes), added)
 
 
 def _tested(
-    structure: Structure, trials: TrialSet, test: tuple[Trial, ...], notes: list[str]
-) -> Assessed:
+    structure: ChosenModel, trials: TrialSet, test: tuple[Trial, ...], notes: list[str]
+) -> TestedModel:
     found = structure.found
     fitted = found.prepared
     joints = [j for j in fitted.problem.joints if all(j in t.joints for t in test)]
@@ -187,7 +192,7 @@ def _tested(
     scales = Scales({name: of[list(column)] for name, of in fitted.problem.scales.of.items()})
     both = replace(found.trials, held_out=test, unseen=trials.unseen | trials.untested)
     given = replace(structure.given, coldness=fitted.coldness)
-    prepared, kept = pose(given, both, notes, window=fitted.window, scales=scales)
+    prepared, kept = build_problem(given, both, notes, window=fitted.window, scales=scales)
     if not kept.held_out:
         raise SimulationError(
             "the simulation of the model diverges on every held-out recording",
@@ -214,7 +219,7 @@ def _tested(
         },
     )
     explained = doubted_by_the_test(explained, notes)
-    before, after = (left_everywhere(problem, h) for h in (EMPTY, here.hypothesis))
+    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, here.hypothesis))
     errors = joint_errors(prepared, before, after)
     tested = replace(
         found,
@@ -227,11 +232,11 @@ def _tested(
         verdict=verdict(errors, explained.findings),
     )
     near, added = _near(structure, tested)
-    return Assessed(explained, tested, near, tuple(notes), (problem, *added))
+    return TestedModel(explained, tested, near, tuple(notes), (problem, *added))
 
 
 def _near(
-    structure: Structure, tested: Searched
+    structure: ChosenModel, tested: SearchResult
 ) -> tuple[tuple[Prepared, TrialSet], tuple[Problem, ...]]:
     """The problem that locates what is unexplained, in the parameters' scales, where one is."""
     own = tested.prepared, tested.trials
@@ -239,17 +244,17 @@ def _near(
         return own, ()
     given = replace(structure.given, coldness=tested.prepared.coldness)
     scales = tested.prepared.problem.scales
-    cut = pose(given, tested.trials, [], window=structure.near, scales=scales)
+    cut = build_problem(given, tested.trials, [], window=structure.near, scales=scales)
     return cut, (cut[0].problem,)
 
 
-def _usable(structure: Structure, test: Sequence[Trial], notes: list[str]) -> tuple[Trial, ...]:
+def _usable(structure: ChosenModel, test: Sequence[Trial], notes: list[str]) -> tuple[Trial, ...]:
     """Test recordings in the model's units."""
     if not test:
         return ()
     alone = TrialSet(tuple(test), (), ())
     try:
-        return without_other_units(structure.given.realization, alone, notes).fit
+        return drop_other_units(structure.given.realization, alone, notes).fit
     except TwinError as error:
         notes.append(f"left out: {error}")
         return ()

@@ -36,7 +36,7 @@ class Cost:
     steps: float
     repeated: float
     simulations: float
-    of_rivals: float = 0.0
+    of_alternatives: float = 0.0
 
     def to_json(self) -> dict[str, float]:
         """As ``diagnosis.json`` has it."""
@@ -48,11 +48,11 @@ class Cost:
             "simulations": round(self.simulations, 1),
             "million_steps": round(self.steps, 3),
             "million_steps_repeated": round(self.repeated, 3),
-            "simulations_of_rival_sets": round(self.of_rivals, 1),
+            "simulations_of_rival_sets": round(self.of_alternatives, 1),
         }
 
 
-def cost(budget: Budget, since: float, of_rivals: float = 0.0) -> Cost:
+def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
     """Cost of a diagnosis that began at ``since`` (``time.perf_counter``), of it the simulations
     of rival sets.
     """
@@ -72,4 +72,6 @@ def cost(budget: Budget, since: float, of_rivals: float = 0.0) -> Cost:
         seconds.append(time.perf_counter() - start)
     per_step = float(np.median(seconds)) * len(seconds) / max(simulator.stepped - before, 1)
     repeated = sum(p.repeated for p in problems)
-    return Cost(wall, per_step * stepped, stepped * 1e-6, repeated * 1e-6, budget.work, of_rivals)
+    return Cost(
+        wall, per_step * stepped, stepped * 1e-6, repeated * 1e-6, budget.work, of_alternatives
+    )

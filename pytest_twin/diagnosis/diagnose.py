@@ -10,48 +10,57 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.diagnosis.coarse_step import coarse_step
-from pytest_twin.diagnosis.conclusion import Structure, assess, with_final_parameters
+from pytest_twin.diagnosis.alternative_sets import with_alternative_sets, without_alternative_sets
+from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
+from pytest_twin.diagnosis.conclusion import ChosenModel, assess, with_final_parameters
 from pytest_twin.diagnosis.cost import Cost, cost
-from pytest_twin.diagnosis.creep import CREEPS, found_so, posed, searched_so
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.findings import Explained, finding_json
-from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.friction_constraint import (
+    CREEPS,
+    build_problem_as_friction_acts,
+    refit_as_friction_acts,
+    search_as_friction_acts,
+)
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
-from pytest_twin.diagnosis.other_unit import without_other_units
-from pytest_twin.diagnosis.own_step import with_its_own_step
+from pytest_twin.diagnosis.integrator_detection import (
+    as_simulated_before,
+    describe_integrator,
+    detect_integrator,
+    explains_more,
+)
+from pytest_twin.diagnosis.integrator_of_findings import with_detected_timestep
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt, with_fewer_effects
-from pytest_twin.diagnosis.rival_sets import with_rival_sets, without_rival_sets
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, not_tried
-from pytest_twin.diagnosis.search.rivals import Selected
-from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import (
-    Searched,
-    carried,
-    confirmed,
+from pytest_twin.diagnosis.search.scored_model import SelectedModel
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import (
+    SearchResult,
+    build_problem,
+    confirm,
     from_start,
-    left_everywhere,
-    pose,
+    refit_whole_motions,
+    refit_with_full_drive,
+    residuals_everywhere,
     search,
-    with_drive_of,
-)
-from pytest_twin.diagnosis.shorter import SHORTEST, stays_near, usual_length
-from pytest_twin.diagnosis.simulated import (
-    explains_more,
-    simulated_in_words,
-    simulated_so,
-    stepped_otherwise,
 )
 from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.unexplained import Left, unexplained
+from pytest_twin.diagnosis.unexplained import UnexplainedResidual, unexplained
+from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
 from pytest_twin.diagnosis.unnamed_law.tested import TestedLaws, laws_left, on_test
 from pytest_twin.diagnosis.verdict import JointError, Verdict
+from pytest_twin.diagnosis.window_length import (
+    SHORTEST,
+    model_follows_recordings,
+    typical_window_length,
+)
 from pytest_twin.diagnosis.windows import WINDOW, segments_of
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
@@ -105,11 +114,11 @@ class Diagnosis:
     verdict: Verdict
     explained: Explained
     errors: Mapping[str, JointError]
-    left: Mapping[str, Left]
+    left: Mapping[str, UnexplainedResidual]
     notes: tuple[str, ...]
     prepared: Prepared
-    selected: Selected
-    tested: Searched
+    selected: SelectedModel
+    tested: SearchResult
     free: TestedLaws
     roles: Roles
     trace: Trace
@@ -214,7 +223,7 @@ def diagnose(
     """
     since = time.perf_counter()
     run = Run() if run is None else run
-    given, known = Given.of(realization, inherited, threads), roles_of(trials).of_search
+    given, known = ModelSetup.of(realization, inherited, threads), roles_of(trials).of_search
     with run.budget.searching():
         settled = run.attempt(
             "what the commands and efforts of the recordings are",
@@ -241,12 +250,14 @@ def diagnose(
         laws = _laws_left(structure, run)
         progress(0.88)
         assessed = assess(structure, trials, roles.test)
-        tested, left = assessed.tested, dict[str, Left]()
+        tested, left = assessed.tested, dict[str, UnexplainedResidual]()
         if tested.verdict in ("improved", "unexplained"):
             left = unexplained(tested, *assessed.near)
         free = on_test(laws, structure.found.prepared.problem, tested, searched_all=not run.untried)
         progress(0.9)
-        step = coarse_step(tested.prepared.problem, tested.explained.hypothesis, tested.errors)
+        step = notes_on_coarse_step(
+            tested.prepared.problem, tested.explained.hypothesis, tested.errors
+        )
     notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *free.notes, *step]
     notes += not_tried(run)
     progress(0.94)
@@ -260,7 +271,7 @@ def diagnose(
     )  # fmt: skip
 
 
-def _laws_left(structure: Structure, run: Run) -> FreeLaws:
+def _laws_left(structure: ChosenModel, run: Run) -> FreeLaws:
     """Laws without a name for what is left, where the time lasts."""
     try:
         with run.budget.fitting():
@@ -279,7 +290,7 @@ def find_structure(
     run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
     possible: Sequence[CommandBetween] = (),
-) -> Structure:
+) -> ChosenModel:
     """Choose effects and fit them; no test recording is known here.
 
     Args:
@@ -290,15 +301,15 @@ def find_structure(
     """
     run = Run() if run is None else run
     notes: list[str] = []
-    given = Given.of(realization, inherited, threads)
+    given = ModelSetup.of(realization, inherited, threads)
     progress(0.02)
-    trials = without_other_units(realization, trials, notes)
-    given, prepared, trials = posed(given, trials, notes)
+    trials = drop_other_units(realization, trials, notes)
+    given, prepared, trials = build_problem_as_friction_acts(given, trials, notes)
     everything = (*trials.fit, *trials.held_out)
     notes += _left_out_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
     run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
-    given, prepared, trials = simulated_so(given, prepared, trials, run)
+    given, prepared, trials = as_simulated_before(given, prepared, trials, run)
     with run.budget.searching():
         sought = _sought(given, prepared, trials, run)
     given, notes = sought.given, [*notes, *sought.notes]
@@ -311,16 +322,16 @@ def find_structure(
         likeliest, between = (sought.found, None) if fewer is None else fewer
         found, simulations = run.attempt(
             "other sets of effects in the place of the final one",
-            lambda: with_rival_sets(likeliest, run),
-            (without_rival_sets(likeliest), 0.0),
+            lambda: with_alternative_sets(likeliest, run),
+            (without_alternative_sets(likeliest), 0.0),
         )
     found = with_final_parameters(found, run.budget)
     if given.creeps:
         notes.append(CREEPS)
     if given.substeps:
-        notes.append(simulated_in_words(found.prepared))
+        notes.append(describe_integrator(found.prepared))
     notes += found.explained.notes
-    return Structure(given, found, sought.near, tuple(notes), simulations, between)
+    return ChosenModel(given, found, sought.near, tuple(notes), simulations, between)
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,13 +340,13 @@ class _Sought:
     None for none, and what a reader has to know.
     """
 
-    given: Given
-    found: Searched
+    given: ModelSetup
+    found: SearchResult
     near: float | None
     notes: tuple[str, ...]
 
 
-def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _Sought:
+def _sought(given: ModelSetup, prepared: Prepared, trials: TrialSet, run: Run) -> _Sought:
     """Search whole motions, and windows of them where these tell more.
 
     Every step after the first search has its result to fall back on, where time runs out.
@@ -364,15 +375,17 @@ def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _So
     with run.budget.reserved():
         share = _share_of_whole(problem)
     with run.budget.part(share):
-        given, found = searched_so(given, prepared, trials, run, start)
-    if found.astray and contact.world.size:
+        given, found = search_as_friction_acts(given, prepared, trials, run, start)
+    if found.diverges_from_recordings and contact.world.size:
         found = run.attempt("contact effects once more", partial(_once_more, found, run), found)
-    elif found.far_from and not contact.world.size:
+    elif found.leaves_recordings and not contact.world.size:
         found = run.attempt(
             "a search from shorter windows", partial(_by_shorter, found, given, run), found
         )
     given, found = run.attempt(
-        "dry friction that creeps otherwise", partial(found_so, found, given, run), (given, found)
+        "dry friction that creeps otherwise",
+        partial(refit_as_friction_acts, found, given, run),
+        (given, found),
     )
     other = run.attempt(
         "recordings of a simulation", partial(_stepped_otherwise, found, given, run), None
@@ -380,12 +393,14 @@ def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _So
     if other is not None:
         return other
     simulated = run.attempt(
-        "the integration error of a simulation", partial(with_its_own_step, found, given, run), None
+        "the integration error of a simulation",
+        partial(with_detected_timestep, found, given, run),
+        None,
     )
     if simulated is not None:
         given, found = simulated
     near: float | None = None
-    if found.astray and (clear.terms or not contact.world.size):
+    if found.diverges_from_recordings and (clear.terms or not contact.world.size):
         near = WINDOW
         found, said = run.attempt(
             f"windows of {WINDOW:g} s",
@@ -396,30 +411,30 @@ def _sought(given: Given, prepared: Prepared, trials: TrialSet, run: Run) -> _So
     return _Sought(given, found, near, tuple(notes))
 
 
-def _stepped_otherwise(found: Searched, given: Given, run: Run) -> _Sought | None:
+def _stepped_otherwise(found: SearchResult, given: ModelSetup, run: Run) -> _Sought | None:
     """What is found with the integration error of a simulation's step left in, if that explains
     more; None if not, or if no such error is seen.
     """
-    stepped = stepped_otherwise(found, given)
+    stepped = detect_integrator(found, given)
     if stepped is None:
         return None
-    prepared, trials = pose(stepped, found.trials, [])
+    prepared, trials = build_problem(stepped, found.trials, [])
     other = _sought(stepped, prepared, trials, run)
     return other if explains_more(other.found, found) else None
 
 
 def _by_windows(
-    found: Searched, given: Given, trials: TrialSet, clear: Hypothesis, run: Run
-) -> tuple[Searched, list[str]]:
+    found: SearchResult, given: ModelSetup, trials: TrialSet, clear: Hypothesis, run: Run
+) -> tuple[SearchResult, list[str]]:
     """What explains most, of whole motions and windows of them, and what a reader has to know."""
-    cut, kept = pose(given, trials, [], window=WINDOW)
+    cut, kept = build_problem(given, trials, [], window=WINDOW)
     run.begin(f"windows of {WINDOW:g} s", cut.problem)
     if cut.problem.simulator.models.contact.world.size:
         # What acts in the air is known from there.
         cut.problem.family = _CONTACT
 
     def longer() -> Prepared:
-        halves, _ = pose(given, trials, [], window=_half_of(trials))
+        halves, _ = build_problem(given, trials, [], window=_half_of(trials))
         run.begin("windows of half a recording", halves.problem)
         return halves
 
@@ -428,11 +443,11 @@ def _by_windows(
 
 
 def _posed_away(
-    given: Given, trials: TrialSet, contact: ContactGeoms
+    given: ModelSetup, trials: TrialSet, contact: ContactGeoms
 ) -> tuple[Prepared, TrialSet] | None:
     """The problem in windows that are far from what the robot meets, None without any."""
     try:
-        return pose(given, trials, [], window=WINDOW, contact=contact)
+        return build_problem(given, trials, [], window=WINDOW, contact=contact)
     except RecordingError:
         return None
 
@@ -442,19 +457,19 @@ def _share_of_whole(problem: Problem) -> float:
     or half where the nominal model does not stay near the recordings. Short windows are searched
     then as well, and need the other half.
     """
-    near = stays_near(problem, left_everywhere(problem, EMPTY))
+    near = model_follows_recordings(problem, residuals_everywhere(problem, EMPTY))
     return 1.0 if near else _OF_WHOLE
 
 
 def _stage(problem: Problem) -> str:
     """What a search of a problem works on."""
     if all(s.amid for s in problem.simulator.segments):
-        return f"windows of {usual_length(problem):.2g} s"
+        return f"windows of {typical_window_length(problem):.2g} s"
     return "whole recordings"
 
 
 def _found_away(
-    given: Given, trials: TrialSet, contact: ContactGeoms, run: Run
+    given: ModelSetup, trials: TrialSet, contact: ContactGeoms, run: Run
 ) -> Hypothesis | None:
     """What explains the motion far from what the robot meets; None where it never is.
 
@@ -466,7 +481,7 @@ def _found_away(
         return None
     prepared, kept = away
     run.begin("windows far from contact", prepared.problem)
-    return search(prepared, kept, Selection(prepared.problem, run)).explained.hypothesis
+    return search(prepared, kept, StepwiseSelection(prepared.problem, run)).explained.hypothesis
 
 
 def _with_contact(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
@@ -474,13 +489,13 @@ def _with_contact(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
     run.begin("contact effects over whole recordings", problem)
     problem.family = _CONTACT
     try:
-        selected = from_start(Selection(problem, run), clear)
+        selected = from_start(StepwiseSelection(problem, run), clear)
     finally:
         problem.family = None
     return selected.best.hypothesis
 
 
-def _once_more(found: Searched, run: Run) -> Searched:
+def _once_more(found: SearchResult, run: Run) -> SearchResult:
     """What contact adds to all that was found, and what is found from there: a surface that was
     hidden behind what acts in contact as well (a late clock, a drive at its limit) stands out now.
     """
@@ -491,40 +506,40 @@ def _once_more(found: Searched, run: Run) -> Searched:
     return _from_there(found, more, run)
 
 
-def _from_there(found: Searched, start: Hypothesis, run: Run) -> Searched:
+def _from_there(found: SearchResult, start: Hypothesis, run: Run) -> SearchResult:
     """What is found from a hypothesis, where that leaves less than what was found."""
     run.begin(f"{_stage(found.prepared.problem)} once more", found.prepared.problem)
-    selection = Selection(found.prepared.problem, run)
+    selection = StepwiseSelection(found.prepared.problem, run)
     other = search(found.prepared, found.trials, selection, start)
-    found = found.judged_again()
-    return other if other.leaves_less(found) else found
+    found = found.with_floor_of()
+    return other if other.scores_better_than(found) else found
 
 
-def _by_shorter(found: Searched, given: Given, run: Run) -> Searched:
+def _by_shorter(found: SearchResult, given: ModelSetup, run: Run) -> SearchResult:
     """What is found from where windows lead in which the model as it came stays near what was
     recorded, or nearer.
     """
-    window = usual_length(found.prepared.problem)
+    window = typical_window_length(found.prepared.problem)
     while True:
         window *= 0.5
-        cut, kept = pose(given, found.trials, [], window=window)
-        near = stays_near(cut.problem, left_everywhere(cut.problem, EMPTY))
+        cut, kept = build_problem(given, found.trials, [], window=window)
+        near = model_follows_recordings(cut.problem, residuals_everywhere(cut.problem, EMPTY))
         if near or window <= 2.0 * SHORTEST:
             break
     run.begin(f"windows of {window:g} s", cut.problem)
-    start = search(cut, kept, Selection(cut.problem, run, _CLEAR)).explained.hypothesis
+    start = search(cut, kept, StepwiseSelection(cut.problem, run, _CLEAR)).explained.hypothesis
     return _from_there(found, start, run) if start.terms else found
 
 
 def _windowed(
-    found: Searched,
+    found: SearchResult,
     cut: Prepared,
     kept: TrialSet,
     clear: Hypothesis,
     run: Run,
     notes: list[str],
     longer: Callable[[], Prepared],
-) -> Searched:
+) -> SearchResult:
     """What explains most: whole motions, windows of them, or whole motions by what windows found.
 
     Args:
@@ -535,24 +550,24 @@ def _windowed(
         notes: gets how it was named.
         longer: poses the problem in windows that are longer.
     """
-    other = confirmed(cut, kept, found, run)
+    other = confirm(cut, kept, found, run)
     if other is None:
         # Where nothing is met, no search begins that along the motion leaves too much.
         share_left = 1.0 if clear.terms else _CLEAR
-        other = search(cut, kept, Selection(cut.problem, run, share_left), clear)
-    if other.supersedes(found):
+        other = search(cut, kept, StepwiseSelection(cut.problem, run, share_left), clear)
+    if other.explains_more_than(found):
         notes.append(_IN_WINDOWS)
         return replace(other, whole=found.prepared.problem)
     if other.beside(found):
-        if found.slips:
+        if found.sticks_and_slips:
             with run.budget.apart():
-                whole = with_drive_of(found, other, longer())
-            if whole.follows_better(found):
+                whole = refit_with_full_drive(found, other, longer())
+            if whole.tracks_better_than(found):
                 notes.append(_AS_A_DRIVE)
                 return whole
         with run.budget.apart():
-            whole = carried(found, other)
-        if whole.follows_better(found):
+            whole = refit_whole_motions(found, other)
+        if whole.tracks_better_than(found):
             notes.append(_NAMED_IN_WINDOWS)
             return whole
     return found

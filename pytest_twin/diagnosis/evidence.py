@@ -45,7 +45,7 @@ def effective_samples(residual: FloatArray, lengths: Sequence[int]) -> FloatArra
     return total
 
 
-def tempered(
+def tempered_samples(
     effective: FloatArray,
     mean_square: FloatArray,
     floor: FloatArray,
@@ -77,7 +77,7 @@ def tempered(
     return out
 
 
-def borne_out(
+def supported_by_windows(
     one: FloatArray, other: FloatArray, lengths: Sequence[int], floor: FloatArray
 ) -> float:
     """The most evidence that segments bear out, most of them alike, for one residual over another.

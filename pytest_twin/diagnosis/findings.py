@@ -11,13 +11,13 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import Spread, spread
+from pytest_twin.diagnosis.intervals import Spread, parameter_spread
 from pytest_twin.diagnosis.locate import Where, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.restraint import Pruned, in_floors, joint_name, label
-from pytest_twin.diagnosis.search.rivals import Alternative as Rivalling
-from pytest_twin.diagnosis.search.rivals import Selected
+from pytest_twin.diagnosis.search.pruning import PrunedModel, in_floors, joint_name, label
+from pytest_twin.diagnosis.search.scored_model import Alternative as Rivalling
+from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.diagnosis.verdict import UNSEEN
 from pytest_twin.effects.base import Parameter
@@ -124,15 +124,15 @@ class Explained:
 
     findings: tuple[Finding, ...]
     hypothesis: Hypothesis
-    spread: Spread | None = None
+    parameter_spread: Spread | None = None
     notes: list[str] = field(default_factory=list)
     rests: Mapping[Term, Hypothesis] = field(default_factory=dict)
 
 
 def explain(
     prepared: Prepared,
-    selected: Selected,
-    pruned: Pruned,
+    selected: SelectedModel,
+    pruned: PrunedModel,
     trials: Sequence[Trial],
 ) -> Explained:
     """Findings of the selected model, with intervals, gains and alternatives.
@@ -147,7 +147,7 @@ def explain(
     hypothesis = pruned.fitted.hypothesis
     if not hypothesis.terms:
         return Explained((), hypothesis, notes=pruned.notes)
-    width = spread(problem, pruned.fitted, selected.near)
+    width = parameter_spread(problem, pruned.fitted, selected.near)
     problem.refine_at(hypothesis)
     gone = [hypothesis.without(t) for t in hypothesis.terms]
     residuals = problem.residuals([hypothesis, *pruned.rests], problem.everywhere)

@@ -8,8 +8,8 @@ import numpy as np
 
 from pytest_twin.diagnosis.budget import RESERVED, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.glance import Glance, glance
 from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.quick_diagnosis import QuickDiagnosis, quick_diagnosis
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import Realization
 from pytest_twin.replay import replay
@@ -21,7 +21,7 @@ FIRST_SECONDS = 10.0
 
 def first_answer(
     realization: Realization, trials: Sequence[Trial], patched: Patched | None, seconds: float
-) -> Glance | None:
+) -> QuickDiagnosis | None:
     """A quick diagnosis of the recording with the largest error relative to its motion.
 
     Args:
@@ -36,7 +36,7 @@ def first_answer(
     budget = Budget(seconds / (1.0 - RESERVED), own_time=True)
     try:
         with budget.searching(), np.errstate(over="ignore", invalid="ignore"):
-            return glance(realization, _worst(realization, trials), patched)
+            return quick_diagnosis(realization, _worst(realization, trials), patched)
     except (OutOfTime, TwinError):
         return None
 

@@ -137,7 +137,7 @@ def _fill_jacobians(
     moved: list[Hypothesis] = []
     steps: list[float] = []
     for i in which:
-        rows, by = nudged(current[i])
+        rows, by = finite_differences(current[i])
         moved += rows
         steps += by
     found = problem.residuals(moved, segments)
@@ -150,7 +150,7 @@ def _fill_jacobians(
         into[i] = np.nan_to_num(slopes)
 
 
-def nudged(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
+def finite_differences(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
     """A hypothesis with each parameter that a fit moves moved by its finite difference, inside its
     bounds, and these differences.
     """
@@ -177,10 +177,10 @@ def proposals(
 ) -> list[Hypothesis]:
     """What one step of a fit tries: along the slope under each damping, and beside it."""
     along = [propose(h, residual, jacobian, weights, d) for d in dampings]
-    return along + reached(h)
+    return along + distant_steps(h)
 
 
-def reached(h: Hypothesis) -> list[Hypothesis]:
+def distant_steps(h: Hypothesis) -> list[Hypothesis]:
     """A hypothesis with one parameter at a time where its slope would not lead."""
     parameters = [p for t in h.terms for p in t.parameters]
     rows = []

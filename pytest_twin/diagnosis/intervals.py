@@ -60,7 +60,7 @@ class Spread:
         return float(np.sqrt(square * one / together))
 
 
-def spread(
+def parameter_spread(
     problem: Problem, fitted: Fitted, near: Sequence[Near] = (), *, in_parts: bool = True
 ) -> Spread:
     """Intervals from the curvature at the optimum, from recordings and from rival structures.

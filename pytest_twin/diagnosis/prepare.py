@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.free_initial_state import FreeInitialStates, free_initial_states
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
-from pytest_twin.diagnosis.moving import set_in_motion
+from pytest_twin.diagnosis.initial_velocity import with_initial_velocity
 from pytest_twin.diagnosis.noise import (
     effort_noise,
     finest_effort,
@@ -27,10 +28,9 @@ from pytest_twin.diagnosis.problem import (
     nominal_replay,
     step_errors,
 )
-from pytest_twin.diagnosis.start import Starts, free_starts
+from pytest_twin.diagnosis.stiction_weights import stiction_weights
 from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
 from pytest_twin.diagnosis.windows import WINDOW, segments_of
-from pytest_twin.diagnosis.yielding import yielding_trust
 from pytest_twin.effects.acting import EffectValues
 from pytest_twin.effects.contact_geoms import NEAR, ContactGeoms
 from pytest_twin.effects.rows import RowSimulator
@@ -169,7 +169,7 @@ def prepare(
             expected=f"motion at least {NEAR:g} m away from all surfaces",
         )
     shown = greatest_noise(segments, [s.position for s in segments], owner)
-    segments = set_in_motion(segments, moving, joints, shown, threads=threads, fixed=fixed)
+    segments = with_initial_velocity(segments, moving, joints, shown, threads=threads, fixed=fixed)
     noise = _known(shown)
     simulator = RowSimulator(segments, joints, threads=threads, refine=substeps or 1, fixed=fixed)
     finer = (substeps or 1) * REFINE
@@ -200,8 +200,8 @@ def prepare(
     problem.start_noise = noise
     if any(s.amid or s.mode != "position" for s in segments):
 
-        def free(hypothesis: Hypothesis) -> Starts:
-            return free_starts(segments, joints, noise, threads, hypothesis, scales, fixed)
+        def free(hypothesis: Hypothesis) -> FreeInitialStates:
+            return free_initial_states(segments, joints, noise, threads, hypothesis, scales, fixed)
 
         problem.free = free
     problem.as_it_came({} if substeps else defect)
@@ -216,7 +216,7 @@ def prepare(
         steps = changed if substeps else discretization(problem)
         problem.floor = _floor(noise, problem, steps)
         if segments[0].mode == "effort":
-            problem.trust = yielding_trust(problem)
+            problem.trust = stiction_weights(problem)
     if effort_floor is not None:
         if segments[0].mode == "effort":
             # An effort drive gives what it is sent: only when is open, by a sample.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.deadline import check
+from pytest_twin.diagnosis.free_initial_state import FreeInitialState, FreeInitialStates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
-from pytest_twin.diagnosis.start import FreeStart, Starts
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment
@@ -90,13 +90,15 @@ class Problem:
     effort_trust: dict[int, FloatArray] = field(default_factory=dict)
     refined: RowSimulator | None = None
     defect: dict[int, Predicted] = field(default_factory=dict)
-    starts: dict[int, FreeStart] = field(default_factory=dict)
-    free: Callable[[Hypothesis], Starts] | None = None
+    starts: dict[int, FreeInitialState] = field(default_factory=dict)
+    free: Callable[[Hypothesis], FreeInitialStates] | None = None
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
     in_starts: int = 0
     step_left: float = 0.125
     family: str | None = None
-    _refined_at: dict[_Key, tuple[dict[int, Predicted], Starts]] = field(default_factory=dict)
+    _refined_at: dict[_Key, tuple[dict[int, Predicted], FreeInitialStates]] = field(
+        default_factory=dict
+    )
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -240,14 +242,14 @@ class Problem:
         coarse = self.simulator.simulate(rows, values)
         return step_errors(coarse, self.refined.simulate(rows, values))
 
-    def _freed(self, hypothesis: Hypothesis) -> Starts:
+    def _freed(self, hypothesis: Hypothesis) -> FreeInitialStates:
         """Let segments start where a hypothesis lets them."""
-        starts = Starts(self.starts, {}) if self.free is None else self.free(hypothesis)
+        starts = FreeInitialStates(self.starts, {}) if self.free is None else self.free(hypothesis)
         self.in_starts += starts.stepped
         self._start_at(starts)
         return starts
 
-    def _start_at(self, starts: Starts) -> None:
+    def _start_at(self, starts: FreeInitialStates) -> None:
         self.starts = starts.free
         for simulator in self._simulators:
             for i, s in enumerate(simulator.segments):

@@ -12,14 +12,19 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effort_stamps import within_a_step
-from pytest_twin.diagnosis.evidence import NOISE_FLOORS, effective_samples, log_likelihood, tempered
-from pytest_twin.diagnosis.first_order.polish import slopes_along
-from pytest_twin.diagnosis.first_order.responses import Linear
-from pytest_twin.diagnosis.first_order.screen import price
+from pytest_twin.diagnosis.evidence import (
+    NOISE_FLOORS,
+    effective_samples,
+    log_likelihood,
+    tempered_samples,
+)
+from pytest_twin.diagnosis.first_order.beam_search import parameter_penalty
+from pytest_twin.diagnosis.first_order.linearized_fit import linearized_slopes
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
 # Floors below which what a parameter changes is none.
 _IDLE = 0.5
@@ -31,9 +36,13 @@ def misfit(residual: FloatArray, floor: FloatArray) -> float:
     return float(np.log(np.maximum(mean_square, (NOISE_FLOORS * floor) ** 2)).sum())
 
 
-def set_price(contest: Contest, h: Hypothesis, samples: FloatArray, idle: int = 0) -> float:
+def set_price(
+    comparison: ModelComparison, h: Hypothesis, samples: FloatArray, idle: int = 0
+) -> float:
     """What the parameters and the effects of a set cost, without those that change nothing."""
-    return float(price(samples) * (h.free - idle) + contest.name_price * len(h.terms))
+    return float(
+        parameter_penalty(samples) * (h.free - idle) + comparison.name_price * len(h.terms)
+    )
 
 
 def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]) -> list[int]:
@@ -49,7 +58,7 @@ def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]
                 theta = h.theta.copy()
                 theta[h.slice_of(t).start + k] = float(t.parameters[k].neutral or 0.0)
                 tried.append(h.with_theta(theta))
-    slopes = slopes_along(linear, tried)
+    slopes = linearized_slopes(linear, tried)
     out = []
     for h, slope, neutral in zip(sets, slopes, base, strict=False):
         count = 0
@@ -81,34 +90,34 @@ def recordings_of(problem: Problem, *, fitted: bool) -> int:
 
 
 def set_evidence(
-    contest: Contest, rivals: Sequence[Rival], idle: Sequence[int]
+    comparison: ModelComparison, rivals: Sequence[ScoredModel], idle: Sequence[int]
 ) -> tuple[FloatArray, float]:
     """Penalized log-likelihood of sets on fitted and validation recordings, with model error
     counted by :func:`~pytest_twin.diagnosis.evidence.tempered`; and the share of the effective
     samples that remains.
 
     Args:
-        contest: of the problem.
+        comparison: of the problem.
         rivals: the sets.
         idle: parameters of each that cost nothing.
     """
-    problem, sets = contest.problem, [r.hypothesis for r in rivals]
+    problem, sets = comparison.problem, [r.hypothesis for r in rivals]
     residuals = within_a_step(problem, sets, [r.fitted.residual for r in rivals], problem.fit)
     values, whole, kept = evidence_on(
-        contest, sets, residuals, problem.lengths(problem.fit), fitted=True, idle=idle
+        comparison, sets, residuals, problem.lengths(problem.fit), fitted=True, idle=idle
     )
-    if contest.has_held:
+    if comparison.has_held:
         held_residuals = [r.held_residual for r in rivals]
         residuals = within_a_step(problem, sets, held_residuals, problem.held_out)
         held = evidence_on(
-            contest, sets, residuals, problem.lengths(problem.held_out), fitted=False
+            comparison, sets, residuals, problem.lengths(problem.held_out), fitted=False
         )
         values, whole, kept = values + held[0], whole + held[1], kept + held[2]
     return values, kept / max(whole, 1e-300)
 
 
 def evidence_on(
-    contest: Contest,
+    comparison: ModelComparison,
     sets: Sequence[Hypothesis],
     residuals: Sequence[FloatArray],
     lengths: Sequence[int],
@@ -119,15 +128,15 @@ def evidence_on(
     """Log-likelihood of sets on some recordings, less their price where these are fitted; effective
     samples, and those that remain with model error counted.
     """
-    problem, floor = contest.problem, contest.problem.signal_floor
+    problem, floor = comparison.problem, comparison.problem.signal_floor
     closest = min(residuals, key=lambda r: misfit(r, floor))
     effective = effective_samples(np.nan_to_num(closest), lengths)
-    samples = tempered(
+    samples = tempered_samples(
         effective, np.mean(closest**2, axis=0), floor,
         recordings_of(problem, fitted=fitted), len(problem.joints),
     )  # fmt: skip
     values = np.array([log_likelihood(r, NOISE_FLOORS * floor, samples) for r in residuals])
     if fitted:
         idle = idle or [0] * len(sets)
-        values -= [set_price(contest, h, samples, n) for h, n in zip(sets, idle, strict=True)]
+        values -= [set_price(comparison, h, samples, n) for h, n in zip(sets, idle, strict=True)]
     return values, float(effective.sum()), float(samples.sum())

@@ -9,7 +9,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.locate import Where, frequencies, missing_force, motions, place_of
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
-from pytest_twin.diagnosis.searched import Searched, left_everywhere
+from pytest_twin.diagnosis.search_result import SearchResult, residuals_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
 
 # A joint is a cause from this share of the largest signal-to-noise ratio of missing forces; the
@@ -18,7 +18,7 @@ _CAUSE = 0.4
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class UnexplainedResidual:
     """The unexplained residual of one joint.
 
     Attributes:
@@ -30,7 +30,9 @@ class Left:
     where: Where
 
 
-def unexplained(diagnosed: Searched, near: Prepared, trials: TrialSet) -> dict[str, Left]:
+def unexplained(
+    diagnosed: SearchResult, near: Prepared, trials: TrialSet
+) -> dict[str, UnexplainedResidual]:
     """The joints at which a force is missing, the largest signal-to-noise ratio first.
 
     Args:
@@ -45,10 +47,10 @@ def unexplained(diagnosed: Searched, near: Prepared, trials: TrialSet) -> dict[s
     paths, after = whole, diagnosed.after
     if near is not diagnosed.prepared:
         paths = motions(near, (*trials.fit, *trials.held_out))
-        after = left_everywhere(problem, diagnosed.explained.hypothesis)
+        after = residuals_everywhere(problem, diagnosed.explained.hypothesis)
     force = missing_force(problem, after, near.floor_parts[NOISE])
     strength = force.strength
-    found: dict[str, Left] = {}
+    found: dict[str, UnexplainedResidual] = {}
 
     def add(j: int, blame: FloatArray) -> None:
         joint = problem.joints[j]
@@ -56,7 +58,7 @@ def unexplained(diagnosed: Searched, near: Prepared, trials: TrialSet) -> dict[s
         band = frequencies(whole, diagnosed.after[:, j], j)
         if band is not None:
             where = replace(where, summary=f"{where.summary}; {band}")
-        found[joint] = Left(errors[joint].fraction, where)
+        found[joint] = UnexplainedResidual(errors[joint].fraction, where)
 
     clear = max(_CAUSE * float(strength.max(initial=0.0)), 1e-9)
     for j in sorted(map(int, np.flatnonzero(strength >= clear)), key=lambda j: -strength[j]):

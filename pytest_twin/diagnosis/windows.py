@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.hidden_state import HiddenState
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
-from pytest_twin.diagnosis.unrecorded import Around
 from pytest_twin.effects.contact_geoms import ContactGeoms, in_the_air
 from pytest_twin.effects.roll_in import LEAD
 from pytest_twin.effects.segment import Segment
@@ -135,10 +135,10 @@ def _first_commanded(recorded: Segment) -> int:
 
 def _around(
     recorded: Segment, joints: Sequence[str], position: FloatArray, velocity: FloatArray
-) -> Around:
+) -> HiddenState:
     """The rest of the model, along a motion."""
     motion = recorded.time, position, velocity
-    return Around(
+    return HiddenState(
         recorded.model,
         joints,
         [recorded.mode_of(j) for j in range(len(joints))],

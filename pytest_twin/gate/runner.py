@@ -76,7 +76,9 @@ class Runner:
         passed = error is None and not failed
         seconds = time.perf_counter() - start
         looked_at = bool(failed) and check_of(golden.kind).recorded
-        look = self._glance(twin, golden, realization, failed, seconds) if looked_at else None
+        look = (
+            self._quick_diagnosis(twin, golden, realization, failed, seconds) if looked_at else None
+        )
         return Outcome(
             golden=golden.id,
             kind=golden.kind,
@@ -91,13 +93,15 @@ class Runner:
             seconds=seconds,
         )
 
-    def _glance(
+    def _quick_diagnosis(
         self, twin: Twin, golden: Golden, realization: str, failed: list[str], seconds: float
     ) -> str:
         """What a failure looks like, in one line; or why nobody can say."""
         bound = min(self.seconds, max(_GLANCE_SECONDS, _GLANCE_SHARE * seconds))
         try:
-            said = self._call("glance", twin, golden, realization, None, bound=bound, failed=failed)
+            said = self._call(
+                "quick_diagnosis", twin, golden, realization, None, bound=bound, failed=failed
+            )
         except TwinError as problem:
             return f"could not be made: {' '.join(str(problem).split())}"
         return str(said["line"])

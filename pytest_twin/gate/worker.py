@@ -47,7 +47,7 @@ def prove(twin: str, spec: str, realization: str, plots: str, progress: Progress
     return _compared(golden, check, observation, stored, plots=plots)
 
 
-def glance(twin: str, spec: str, realization: str, failed: list[str]) -> dict[str, str]:
+def quick_diagnosis(twin: str, spec: str, realization: str, failed: list[str]) -> dict[str, str]:
     """A first look at why a golden fails against its recording, in one line.
 
     Args:
@@ -61,14 +61,14 @@ def glance(twin: str, spec: str, realization: str, failed: list[str]) -> dict[st
     Raises:
         TwinError: the recording or the model cannot be used for it.
     """
-    from pytest_twin.diagnosis.glance import glance as look
     from pytest_twin.diagnosis.patched.model import patched_of
-    from pytest_twin.report.glance import glance_words
+    from pytest_twin.diagnosis.quick_diagnosis import quick_diagnosis as diagnose_quickly
+    from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
     with quiet():
-        seen = look(loaded, check.trial(golden, loaded), patched_of(loaded), failed)
-    return {"line": glance_words(seen)}
+        seen = diagnose_quickly(loaded, check.trial(golden, loaded), patched_of(loaded), failed)
+    return {"line": quick_diagnosis_in_words(seen)}
 
 
 def diagnose(

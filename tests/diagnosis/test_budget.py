@@ -9,15 +9,15 @@ import pytest
 from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.alternative_sets import without_alternative_sets
 from pytest_twin.diagnosis.budget import RESERVED, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime, check
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import prepare
-from pytest_twin.diagnosis.rival_sets import without_rival_sets
 from pytest_twin.diagnosis.run import Run, not_tried
-from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import search
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trace import MOST_STEPS, Step, Trace
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.realization import Realization
@@ -104,11 +104,11 @@ def test_work_is_shared_by_all_searches(braked: tuple[Realization, TrialSet]) ->
     run = Run(Budget(simulations=20.0))
     run.budget.add(problem)
     run.budget.add(problem)
-    first = Contest(problem, run)
+    first = ModelComparison(problem, run)
     assert not first.spent([])
     while run.budget.work <= 20.0:
         problem.residuals([first.nominal.hypothesis] * 10, problem.fit)
-    assert Contest(problem, run).spent([]), "a second search has no budget of its own"
+    assert ModelComparison(problem, run).spent([]), "a second search has no budget of its own"
     assert run.attempt("more", lambda: "more", "the best so far") == "the best so far"
     (note,) = not_tried(run)
     assert "its 20 simulations of all data were used. Not tried: more" in note
@@ -119,10 +119,10 @@ def test_no_effect_is_sure_whose_set_was_not_compared_with_others(
 ) -> None:
     realization, trials = braked
     prepared = prepare(realization, trials.fit, (), threads=1)
-    found = search(prepared, trials, Selection(prepared.problem, Run()))
+    found = search(prepared, trials, StepwiseSelection(prepared.problem, Run()))
     (term,) = found.selected.best.hypothesis.terms
     assert found.selected.confidence[term] > 0.99
-    unsure = without_rival_sets(found)
+    unsure = without_alternative_sets(found)
     assert unsure.selected.confidence == {term: 0.8}
     assert unsure.selected.best is found.selected.best
 

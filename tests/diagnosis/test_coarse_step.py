@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_first_order import ELBOW, problem_of
 
-from pytest_twin.diagnosis.coarse_step import coarse_step
+from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import REFINE, Problem
 from pytest_twin.diagnosis.verdict import JointError
@@ -52,7 +52,7 @@ def test_what_is_left_above_the_floor_may_be_the_steps(
         "joint 'elbow'", "time step (2 ms) is", "times the residual",
         "Reduce the model's timestep",
     ]  # fmt: skip
-    assert_doubts(coarse_step(problem, hypothesis, errors), doubted, said)
+    assert_doubts(notes_on_coarse_step(problem, hypothesis, errors), doubted, said)
 
 
 @pytest.mark.parametrize(("mismatch", "doubted"), [(1.5, True), (3.0, False)])
@@ -68,10 +68,10 @@ def test_what_was_explained_may_be_the_steps(
         "time step (2 ms) is",
         "of the model's error; the findings at this joint may come from it",
     ]
-    assert_doubts(coarse_step(problem, hypothesis, errors), doubted, said)
+    assert_doubts(notes_on_coarse_step(problem, hypothesis, errors), doubted, said)
 
 
 def test_without_a_finding_nothing_bends_to_it(soft: tuple[Problem, Hypothesis]) -> None:
     problem, _ = soft
     errors = dict.fromkeys(("shoulder", "elbow"), JointError(1.0, 1e-3, 1e-4, "rad"))
-    assert coarse_step(problem, EMPTY, errors) == []
+    assert notes_on_coarse_step(problem, EMPTY, errors) == []

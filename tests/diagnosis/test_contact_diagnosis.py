@@ -15,7 +15,7 @@ from touching_arm import FRICTION, SOLREF, case, mjcf
 from pytest_twin import cli
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import _once_more
-from pytest_twin.diagnosis.first_order.screen import candidates
+from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import motions, place_of
 from pytest_twin.diagnosis.patched.native_contact import write_contact
@@ -23,8 +23,8 @@ from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import search
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects.contact_geoms import NEAR, contact_geoms
 from pytest_twin.errors import RecordingError
@@ -101,11 +101,11 @@ def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
     prepared = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
     # As a search that had spent its replays before it came to surfaces.
     prepared.problem.family = "friction"
-    found = search(prepared, trials, Selection(prepared.problem))
+    found = search(prepared, trials, StepwiseSelection(prepared.problem))
     prepared.problem.family = None
     friction = {t.effect for t in found.explained.hypothesis.terms}
     assert friction == {"viscous_friction"}
-    assert found.astray
+    assert found.diverges_from_recordings
     more = _once_more(found, Run())
     assert {f.effect for f in more.explained.findings} == friction | {"contact_stiffness"}
     assert more.verdict == "explained"

@@ -108,7 +108,8 @@ def test_a_look_that_fails_stays_one_line(late: Path, tmp_path: Path) -> None:
         "from pytest_twin.gate.runner import Runner\n"
         "call = Runner._call\n"
         "def other(self, function, *rest, **more):\n"
-        "    return call(self, 'no_such' if function == 'glance' else function, *rest, **more)\n"
+        "    name = 'no_such' if function == 'quick_diagnosis' else function\n"
+        "    return call(self, name, *rest, **more)\n"
         "Runner._call = other\n"
     )
     result = run(root, "-p", "broken_look")

@@ -9,14 +9,18 @@ from test_first_order import SHOULDER, look, problem_of
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis import fit as fit_module
-from pytest_twin.diagnosis.first_order.polish import polish
-from pytest_twin.diagnosis.first_order.responses import Response
-from pytest_twin.diagnosis.first_order.screen import Answers, Lens, View
-from pytest_twin.diagnosis.fit import fit, reached
+from pytest_twin.diagnosis.first_order.beam_search import (
+    CandidateSensitivities,
+    NormalEquations,
+    ResidualView,
+)
+from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
+from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
+from pytest_twin.diagnosis.fit import distant_steps, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.look import look_ahead
+from pytest_twin.diagnosis.search.linearized_view import linearize_for_additions
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 
 PUSH = Term("external_force", SHOULDER)
 TRUE = {"effort": 1.0, "start": 2.0, "duration": 0.6}
@@ -55,22 +59,22 @@ def test_a_fit_finds_the_start_of_a_push(problem: Problem, monkeypatch: pytest.M
 
 
 def test_a_push_is_found_along_the_motion_as_well(problem: Problem) -> None:
-    seen = look_ahead(problem, Contest(problem).nominal)
+    seen = linearize_for_additions(problem, ModelComparison(problem).nominal)
     assert seen.linear is not None
     start = EMPTY.with_term(PUSH, off_by(problem, GRID))
-    (found,) = polish(seen.linear, seen.view, [start], 6)
+    (found,) = fit_linearized(seen.linear, seen.view, [start], 6)
     assert start_of(problem, found.hypothesis.theta) == pytest.approx(TRUE["start"], abs=NEAR)
 
 
 def test_what_is_tried_beside_a_slope_stays_inside_its_bounds() -> None:
     early = EMPTY.with_term(PUSH, np.array([1.0, 0.1, 0.1]))
-    tried = np.array([h.theta for h in reached(early)])
+    tried = np.array([h.theta for h in distant_steps(early)])
     (_, start, duration) = PUSH.parameters
     assert (tried[:, 0] == 1.0).all()
     assert tried[:, 1].min() == start.lower
     assert tried[:, 2].min() == duration.lower
     # A law without an edge in time follows its slopes.
-    assert reached(EMPTY.with_term(Term("viscous_friction", SHOULDER), np.array([0.1]))) == []
+    assert distant_steps(EMPTY.with_term(Term("viscous_friction", SHOULDER), np.array([0.1]))) == []
 
 
 def test_a_pulse_is_not_one_sample() -> None:
@@ -86,11 +90,11 @@ def test_a_pulse_is_not_one_sample() -> None:
     right = np.stack([pulse, np.zeros(bins)], axis=1)
     wrong = np.stack([np.zeros(bins), 0.5 * noise], axis=1)
     responses = [
-        Response(PUSH, np.array([1.0, start, 0.6]), (0,), change[..., None])
+        Sensitivity(PUSH, np.array([1.0, start, 0.6]), (0,), change[..., None])
         for start, change in ((5.0, wrong), (2.0, right))
     ]
-    view = View(residual, np.empty((bins, 2, 0)), floor, (bins,))
-    lens = Lens(view, Answers(responses))
+    view = ResidualView(residual, np.empty((bins, 2, 0)), floor, (bins,))
+    lens = NormalEquations(view, CandidateSensitivities(responses))
     assert lens.children(lens.bare, 1) == [(1,)]
 
 

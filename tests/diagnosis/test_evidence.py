@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import laplace, norm
 
-from pytest_twin.diagnosis.evidence import borne_out, laplace_log_likelihood, log_likelihood
+from pytest_twin.diagnosis.evidence import (
+    laplace_log_likelihood,
+    log_likelihood,
+    supported_by_windows,
+)
 
 FLOOR, MANY = np.array([1e-9]), np.array([4000.0])
 
@@ -50,7 +54,7 @@ def test_what_every_window_gains_is_borne_out_as_likelihoods_have_it() -> None:
     noise = np.random.default_rng(1).standard_normal((windows * long, 1))
     apart = 0.3 * np.sin(np.arange(windows * long))[:, None]
     gained = 0.5 * float(np.sum((noise + apart) ** 2 - noise**2))
-    most = borne_out(noise, noise + apart, [long] * windows, np.ones(1))
+    most = supported_by_windows(noise, noise + apart, [long] * windows, np.ones(1))
     assert most == pytest.approx(gained, rel=0.25)
     assert most > 100.0
 
@@ -63,6 +67,6 @@ def test_what_a_few_windows_gain_and_others_lose_is_not_borne_out() -> None:
     other[3:8] += 3.3
     gained = 0.5 * float(np.sum(other**2 - one**2))
     lengths = [long] * windows
-    most = borne_out(one.reshape(-1, 1), other.reshape(-1, 1), lengths, np.ones(1))
+    most = supported_by_windows(one.reshape(-1, 1), other.reshape(-1, 1), lengths, np.ones(1))
     assert gained > 200.0
     assert most < 5.0

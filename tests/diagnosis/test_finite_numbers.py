@@ -17,8 +17,8 @@ from pytest_twin.diagnosis.findings import estimate, explain, finding_json
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
-from pytest_twin.diagnosis.search.restraint import prune
-from pytest_twin.diagnosis.search.rivals import Rival, Selected
+from pytest_twin.diagnosis.search.pruning import prune
+from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Parameter
 from pytest_twin.formats.mcap import read_recording
@@ -86,15 +86,15 @@ def test_what_diverges_is_not_claimed_and_the_rest_is(tmp_path: Path) -> None:
     late, blown = Term("command_delay", 0), Term("quadratic_drag", 1)
     chosen = Hypothesis((late, blown), np.array([0.02, -200.0]))
 
-    def rival(hypothesis: Hypothesis) -> Rival:
+    def rival(hypothesis: Hypothesis) -> ScoredModel:
         fit, held = (problem.residuals([hypothesis], s)[0] for s in (problem.fit, problem.held_out))
-        return Rival(
+        return ScoredModel(
             Fitted(hypothesis, fit, np.zeros((*fit.shape, hypothesis.theta.size)), 1.0), held
         )
 
     best = rival(chosen)
     assert not np.isfinite(best.held_residual).all()
-    selected = Selected(best, rival(EMPTY), confidence={late: math.nan, blown: math.nan})
+    selected = SelectedModel(best, rival(EMPTY), confidence={late: math.nan, blown: math.nan})
     found = explain(prepared, selected, prune(prepared.problem, selected), trials)
     assert [(f.effect, f.joint) for f in found.findings] == [("command_delay", "left")]
     (finding,) = found.findings

@@ -15,24 +15,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.along import Along, along
-from pytest_twin.diagnosis.first_order.bins import bins
-from pytest_twin.diagnosis.first_order.deviation import Deviation, deviation
-from pytest_twin.diagnosis.first_order.laws import Laws, force_slopes
-from pytest_twin.diagnosis.first_order.responses import linearized, responses
-from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms, upsampled
-from pytest_twin.diagnosis.first_order.screen import (
-    Answers,
-    Lens,
-    Search,
+from pytest_twin.diagnosis.first_order.beam_search import (
+    BeamSearch,
+    CandidateSensitivities,
+    NormalEquations,
+    ResidualView,
     Structure,
-    View,
     candidates,
 )
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.law_forces import LawForces, force_slopes
+from pytest_twin.diagnosis.first_order.linearized_dynamics import (
+    LinearizedDynamics,
+    linearized_dynamics,
+)
+from pytest_twin.diagnosis.first_order.measured_trajectory import (
+    MeasuredTrajectory,
+    measured_trajectory,
+)
+from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms, upsampled
+from pytest_twin.diagnosis.first_order.sensitivities import linearize, sensitivities
+from pytest_twin.diagnosis.free_initial_state import free_initial_states
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, nominal_replay
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
-from pytest_twin.diagnosis.start import free_starts
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
@@ -232,7 +238,7 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
     problem = Problem(simulator, np.arange(len(segments)), np.zeros(0, np.int64), noise, scales)
     if not servo:
         problem.start_noise = noise
-        problem.free = lambda h: free_starts(segments, joints, noise, 1, h, scales)
+        problem.free = lambda h: free_initial_states(segments, joints, noise, 1, h, scales)
     problem.refine_at(EMPTY)
     return problem
 
@@ -240,7 +246,7 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
 def test_a_push_that_outlasts_the_recording_answers_once() -> None:
     problem = problem_of("position", {})
     term = Term("external_force", ELBOW)
-    found, _ = responses(problem, [term], problem.fit)
+    found, _ = sensitivities(problem, [term], problem.fit)
     changes = [r.change for r in found]
     assert not any(np.array_equal(a, b) for i, a in enumerate(changes) for b in changes[:i])
     # From every start one that lasts to the end.
@@ -252,12 +258,12 @@ def test_a_push_that_outlasts_the_recording_answers_once() -> None:
     assert len(each) == len(term.parameters[1].starts)
 
 
-def look(problem: Problem) -> Lens:
+def look(problem: Problem) -> NormalEquations:
     """Every candidate of the catalogue, around the model as it came."""
-    answers, left = responses(problem, candidates(problem), problem.fit)
+    answers, left = sensitivities(problem, candidates(problem), problem.fit)
     lengths = bins(problem, problem.fit).lengths
-    view = View(left, np.empty((*left.shape, 0)), problem.signal_floor, lengths)
-    return Lens(view, Answers(answers))
+    view = ResidualView(left, np.empty((*left.shape, 0)), problem.signal_floor, lengths)
+    return NormalEquations(view, CandidateSensitivities(answers))
 
 
 def assert_near(problem: Problem, term: Term, start: FloatArray, hidden: Hidden) -> None:
@@ -348,7 +354,7 @@ def test_two_effects_are_found_together(mode: str, hidden: dict[Term, dict[str, 
     def worth(before: FloatArray, after: FloatArray) -> bool:
         return bool((after < 0.9 * before).any())
 
-    levels = Search(width=6, most=2, earns=5.0, worth=worth).levels(lens)
+    levels = BeamSearch(width=6, most=2, earns=5.0, worth=worth).levels(lens)
     pairs = [s for level in levels for s in level if len(s.starts) == 2]
     at = next(i for i, s in enumerate(pairs) if set(s.starts) == set(hidden))
     allowed = {*hidden, *(held for t in hidden for held in held_by(problem, t))}
@@ -365,7 +371,7 @@ def test_two_effects_are_found_together(mode: str, hidden: dict[Term, dict[str, 
 MASS, DAMPING, KP, KV, STEP = 2.0, 3.0, 80.0, 4.0, 0.002
 
 
-def slide(limit: float, push: float) -> tuple[Along, Deviation]:
+def slide(limit: float, push: float) -> tuple[MeasuredTrajectory, LinearizedDynamics]:
     """A slide that follows a ramp without lag, its plant pushed with ``push`` N all the time."""
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="{STEP}" integrator="implicitfast" gravity="0 0 0"/><worldbody>'
@@ -388,12 +394,12 @@ def slide(limit: float, push: float) -> tuple[Along, Deviation]:
     simulator = RowSimulator([segment], ("j",), threads=1)
     scales = joint_scales(simulator, nominal_replay(simulator))
     problem = Problem(simulator, np.array([0]), np.zeros(0, np.int64), np.full(1, 1e-6), scales)
-    motion = along(problem, EMPTY, problem.fit)
+    motion = measured_trajectory(problem, EMPTY, problem.fit)
     rigid = rigid_terms(simulator, motion)[0]
-    measured = Laws(simulator, motion, rigid).forces([], 1)
-    predicted = Laws(simulator, motion.predicted, rigid).forces([], 1)
+    measured = LawForces(simulator, motion, rigid).forces([], 1)
+    predicted = LawForces(simulator, motion.predicted, rigid).forces([], 1)
     slopes = force_slopes(simulator, motion, rigid, [])
-    return motion, deviation(simulator, motion, [], measured, predicted, slopes)
+    return motion, linearized_dynamics(simulator, motion, [], measured, predicted, slopes)
 
 
 def closed_form(time: FloatArray, force: float) -> tuple[FloatArray, FloatArray]:
@@ -447,7 +453,7 @@ def test_what_is_named_already_resists_further_deviations() -> None:
     named = EMPTY.with_term(drag, size(drag, 1.5))
     more = named.with_term(other, size(other, 0.06))
     problem.refine_at(named)
-    linear = linearized(problem, problem.fit, named)
+    linear = linearize(problem, problem.fit, named)
     assert linear is not None
     first_order = linear.differences([more])[0]
     without, with_it = problem.residuals([named, more], problem.fit)
@@ -460,7 +466,7 @@ def test_what_is_named_already_resists_further_deviations() -> None:
 def test_slopes_of_forces_are_their_derivatives() -> None:
     drag, cogging = Term("quadratic_drag", CRANK_JOINT), Term("cogging", CRANK_JOINT)
     problem = problem_of("effort", {drag: {"coefficient": 0.3}})
-    motion = along(problem, EMPTY, problem.fit)
+    motion = measured_trajectory(problem, EMPTY, problem.fit)
     rigid = rigid_terms(problem.simulator, motion, [])[0]
     shape: dict[Term, dict[str, float]] = {
         drag: {"coefficient": 0.3},

@@ -17,10 +17,10 @@ from pytest_twin.diagnosis.noise import timing_noise
 from pytest_twin.diagnosis.prepare import NOISE as SENSOR
 from pytest_twin.diagnosis.prepare import STEP as STEPS
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.front import _misread
-from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import search
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.simulation_shortlist import _misread
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
@@ -163,7 +163,7 @@ def test_a_scale_of_efforts_stands_out_among_jumps(
     assert bool(level > 2.0) is stands, level
     # Its laws are simulated, whatever means along the motion say of them, until they are named.
     problem.effort_floor *= level / (1.6 if stands else 1.4)
-    best = Contest(problem).nominal
+    best = ModelComparison(problem).nominal
     starts = _misread(problem, best)
     effects = {h.terms[-1].effect for h in starts}
     assert effects == ({"effort_scale", "effort_bias"} if stands else set())
@@ -256,7 +256,7 @@ def test_what_a_floor_too_high_hid_is_found_once_it_is_lowered(tmp_path: Path) -
     problem = found.problem
     measured = problem.floor.copy()
     hidden = raised(found, 20.0)
-    best = search(found, trials, Selection(problem)).selected.best
+    best = search(found, trials, StepwiseSelection(problem)).selected.best
     assert {t.effect for t in best.hypothesis.terms} == {"viscous_friction", "command_delay"}
     assert float(np.sqrt(best.fitted.mean_square[0])) < measured[0] < 0.3 * hidden
     assert problem.floor[0] <= measured[0]

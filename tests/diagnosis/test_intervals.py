@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term
-from pytest_twin.diagnosis.intervals import clusters, jackknife, spread
+from pytest_twin.diagnosis.intervals import clusters, jackknife, parameter_spread
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.segment import Predicted
 
@@ -57,7 +57,7 @@ def coverage(correlation: float, likeness: float = 0.0) -> float:
     inside = []
     for seed in range(150):
         found = fitted(np.random.default_rng(seed), correlation, likeness)
-        width = spread(problem(), found).half_width
+        width = parameter_spread(problem(), found).half_width
         inside.append(np.abs(found.hypothesis.theta - TRUTH) <= width)
     return float(np.mean(inside))
 
@@ -69,8 +69,8 @@ def test_intervals_contain_the_truth_as_often_as_they_say() -> None:
 
 def test_intervals_widen_with_correlation_and_are_no_wider_than_needed() -> None:
     rng = np.random.default_rng(3)
-    white = spread(problem(), fitted(rng, 0.0)).half_width
-    red = spread(problem(), fitted(rng, 0.95)).half_width
+    white = parameter_spread(problem(), fitted(rng, 0.0)).half_width
+    red = parameter_spread(problem(), fitted(rng, 0.95)).half_width
     assert (red > 2.0 * white).all()
     # White noise of deviation 0.1 on a sine: 0.1 sqrt(2 / n) and Student's 1.96.
     assert np.allclose(white, 1.96 * 0.1 * np.sqrt(2.0 / (SAMPLES * SEGMENTS)), rtol=0.5)
@@ -87,22 +87,22 @@ def test_recordings_that_disagree_widen_the_interval() -> None:
         y = design @ found.hypothesis.theta + found.residual[:, 0] + (design * own).sum(axis=1)
         theta = np.linalg.lstsq(design, y, rcond=None)[0]
         again = Fitted(Hypothesis((), theta), (y - design @ theta)[:, None], found.jacobian, 0.0)
-        width = spread(problem(recordings=SEGMENTS), again).half_width
+        width = parameter_spread(problem(recordings=SEGMENTS), again).half_width
         inside.append(np.abs(theta - TRUTH) <= width)
     assert 0.9 <= float(np.mean(inside)) <= 0.99
 
 
 def test_parameters_that_trade_off_are_known_in_combination() -> None:
-    found = spread(problem(), fitted(np.random.default_rng(0), 0.8, likeness=0.995))
+    found = parameter_spread(problem(), fitted(np.random.default_rng(0), 0.8, likeness=0.995))
     assert found.correlation[0, 1] < -0.95
     assert coverage(0.8, likeness=0.995) >= 0.9
 
 
 def test_what_the_time_step_leaves_is_in_the_interval() -> None:
     given = fitted(np.random.default_rng(1), 0.0)
-    without = spread(problem(), given).half_width
+    without = parameter_spread(problem(), given).half_width
     pull = 0.4 * given.jacobian[:, :, 0]
-    with_it = spread(problem(pull), given).half_width
+    with_it = parameter_spread(problem(pull), given).half_width
     # An eighth of a defect that looks like the first parameter's response, 0.4 of it.
     assert np.isclose(with_it[0] - without[0], 0.05, rtol=0.1)
     assert with_it[1] - without[1] < 0.01
@@ -156,8 +156,8 @@ def test_parameters_that_near_structures_move_are_less_well_known() -> None:
     given = fitted(np.random.default_rng(2), 0.0)
     term = Term("controller_gain", 0)
     one = Fitted(Hypothesis((term,), given.hypothesis.theta), given.residual, given.jacobian, 0.0)
-    alone = spread(problem(), one).half_width
-    near = spread(problem(), one, [(1.0, {term: np.array([0.4, 0.0])})]).half_width
+    alone = parameter_spread(problem(), one).half_width
+    near = parameter_spread(problem(), one, [(1.0, {term: np.array([0.4, 0.0])})]).half_width
     # As likely as the best, 0.4 away: a deviation of sqrt(0.5) 0.4.
     assert near[0] == pytest.approx(np.hypot(alone[0], 1.96 * 0.4 * np.sqrt(0.5)), rel=0.02)
     assert near[1] == pytest.approx(alone[1])

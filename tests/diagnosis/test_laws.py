@@ -10,10 +10,10 @@ import pytest
 from test_first_order import ELBOW, ROBOT, SHOULDER, FloatArray, problem_of
 
 from pytest_twin.diagnosis.first_order import rigid_terms as rigid_terms_module
-from pytest_twin.diagnosis.first_order.along import along
-from pytest_twin.diagnosis.first_order.laws import ActiveEffects, Laws
-from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.law_forces import ActiveEffects, LawForces
+from pytest_twin.diagnosis.first_order.measured_trajectory import measured_trajectory
 from pytest_twin.diagnosis.first_order.rigid_terms import Efforts, Rigid, rigid_terms
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
@@ -55,13 +55,13 @@ def values(problem: Problem, variants: Sequence[Variant]) -> ActiveEffects:
     return [(catalogue()[e], v) for e, v in found.items()]
 
 
-def laws_of(problem: Problem) -> Laws:
-    motion = along(problem, EMPTY, problem.fit)
-    return Laws(problem.simulator, motion, rigid_terms(problem.simulator, motion, [])[0])
+def laws_of(problem: Problem) -> LawForces:
+    motion = measured_trajectory(problem, EMPTY, problem.fit)
+    return LawForces(problem.simulator, motion, rigid_terms(problem.simulator, motion, [])[0])
 
 
 def changed(
-    problem: Problem, laws: Laws, variants: Sequence[Variant], own: Variant
+    problem: Problem, laws: LawForces, variants: Sequence[Variant], own: Variant
 ) -> tuple[FloatArray, FloatArray]:
     mine = values(problem, [own]) if own else []
     base = laws.forces(mine, 1)
@@ -118,7 +118,7 @@ def test_efforts_of_bodies_are_those_of_their_parts(
         {}, LOAD, {**LOAD, **HEAVY}, ASIDE, {**ASIDE, **WIDE}, {**TILTED, **LOAD},
         {**MOVED, **LOAD},
     ]  # fmt: skip
-    motion, simulator = along(problem, EMPTY, problem.fit), problem.simulator
+    motion, simulator = measured_trajectory(problem, EMPTY, problem.fit), problem.simulator
     whole = [rigid_terms(simulator, motion, values(problem, [v]))[0].effort for v in variants]
     efforts = Efforts(simulator, motion)
     asked: list[int] = []

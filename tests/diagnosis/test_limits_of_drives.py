@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from test_first_order import ELBOW, problem_of
 
-from pytest_twin.diagnosis.first_order.responses import in_first_form
+from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.limits import doubtful_limits, limits_instead
-from pytest_twin.diagnosis.search.select import Selection
+from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 
 PROFILE = {"inverse_rate": 3.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}
 SLOW, WEAK = Term("rate_limit", ELBOW), Term("torque_speed_limit", ELBOW)
@@ -24,8 +24,8 @@ def weak(problem: Problem) -> Hypothesis:
 
 def test_a_weak_drive_gives_way_to_the_setpoint_that_moves_slowly() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
-    contest = Contest(problem)
-    best = contest.settled(contest.as_it_is(weak(problem)))
+    comparison = ModelComparison(problem)
+    best = comparison.settled(comparison.scored_without_fit(weak(problem)))
     assert best.left[ELBOW] > (5.0 * problem.floor[ELBOW]) ** 2
     assert doubtful_limits(problem, best) == [WEAK]
     (other,) = limits_instead(problem, best, [WEAK])
@@ -35,8 +35,8 @@ def test_a_weak_drive_gives_way_to_the_setpoint_that_moves_slowly() -> None:
 
 def test_a_search_goes_on_from_the_better_limit_and_asks_once() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
-    selection = Selection(problem)
-    best = selection.contest.settled(selection.contest.as_it_is(weak(problem)))
+    selection = StepwiseSelection(problem)
+    best = selection.comparison.settled(selection.comparison.scored_without_fit(weak(problem)))
     better = selection._limited_otherwise(best)
     assert better is not None
     assert better.hypothesis.terms == (SLOW,)
@@ -46,17 +46,19 @@ def test_a_search_goes_on_from_the_better_limit_and_asks_once() -> None:
 
 def test_a_limit_that_explains_its_joint_is_not_asked_about() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
-    contest = Contest(problem)
+    comparison = ModelComparison(problem)
     size = 3.0 / problem.scales.value(SLOW.parameters[0], ELBOW)
-    best = contest.settled(contest.as_it_is(EMPTY.with_term(SLOW, np.array([size, 0.0, 0.0]))))
+    best = comparison.settled(
+        comparison.scored_without_fit(EMPTY.with_term(SLOW, np.array([size, 0.0, 0.0])))
+    )
     assert doubtful_limits(problem, best) == []
 
 
 def test_what_bends_sharply_elsewhere_is_no_limit() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
-    contest = Contest(problem)
+    comparison = ModelComparison(problem)
     limits = ["rate_limit", "torque_saturation", "torque_speed_limit"]
     others = ["cogging", "external_force", "joint_coupling", "viscous_friction"]
-    sizes = {Term(e, ELBOW): in_first_form(Term(e, ELBOW))[0] for e in limits + others}
-    best = contest.as_it_is(EMPTY.with_terms(sizes))
+    sizes = {Term(e, ELBOW): starts_in_first_form(Term(e, ELBOW))[0] for e in limits + others}
+    best = comparison.scored_without_fit(EMPTY.with_terms(sizes))
     assert [t.effect for t in doubtful_limits(problem, best)] == limits

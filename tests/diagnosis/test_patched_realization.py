@@ -12,13 +12,13 @@ from test_first_order import carried, link
 from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import read_effects
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
-from pytest_twin.diagnosis.searched import pose
+from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError
@@ -167,8 +167,8 @@ def test_a_diagnosis_goes_on_from_the_step_error_of_what_was_found_before(
         tmp_path / "realization", load_model(folder / "model.xml").realization, problem, found
     )
     loaded = load_model(find_model(tmp_path))
-    given = Given.of(loaded.realization, loaded.patched, threads=1)
-    again, _ = pose(given, TrialSet((trial,), (), ()), [])
+    given = ModelSetup.of(loaded.realization, loaded.patched, threads=1)
+    again, _ = build_problem(given, TrialSet((trial,), (), ()), [])
     (later,) = again.problem.predict([EMPTY], np.array([0]))[0]
     assert np.abs(later.position - first.position).max() < 1e-8
     assert np.abs(later.position - uncorrected).max() > 1e-5
@@ -195,8 +195,8 @@ def test_an_effect_of_a_joint_that_no_recording_has_is_left_out_and_said(
             fields[name] = fields[name][:, :1]
     alone = Trial(**{**fields, "joints": JOINTS[:1]})
     notes: list[str] = []
-    given = Given.of(loaded.realization, loaded.patched, threads=1)
-    again, _ = pose(given, TrialSet((alone,), (), ()), notes)
+    given = ModelSetup.of(loaded.realization, loaded.patched, threads=1)
+    again, _ = build_problem(given, TrialSet((alone,), (), ()), notes)
     assert again.problem.joints == JOINTS[:1]
     assert notes == [
         f"rate_limit of joint {JOINTS[1]!r} is not applied: no recording contains this joint"

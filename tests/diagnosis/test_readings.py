@@ -9,8 +9,8 @@ import pytest
 from test_first_order import problem_of
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.readings import Column
-from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensor_readings import Column
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.problem import Problem
 

@@ -11,9 +11,9 @@ from recorded_pendulum import Reality, cell
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
-from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.recorded import settle, with_doubt
 from pytest_twin.diagnosis.recorded.command_between import Between, Left, decide
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
@@ -28,7 +28,7 @@ def asked(folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3)) -> Be
     model, recordings = cell(folder / "cell", reality, seeds)
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
-    (between,) = settle(Given.of(loaded.realization, None, 1), trials).between
+    (between,) = settle(ModelSetup.of(loaded.realization, None, 1), trials).between
     return between
 
 
@@ -176,7 +176,7 @@ def test_what_is_declared_is_not_asked(tmp_path: Path) -> None:
     loaded = load_model(find_model(model))
     options = loaded.options.from_json({"command_between": "held"})
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure, options)
-    settled = settle(Given.of(loaded.realization, None, 1), trials)
+    settled = settle(ModelSetup.of(loaded.realization, None, 1), trials)
     assert settled.between == ()
     said = settled.to_json(trials.fit)["r2.mcap"]
     assert said["command_between"]["value"] == "held"

@@ -9,7 +9,7 @@ import pytest
 from recorded_pendulum import Reality, cell
 
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.recorded import Settled, settle
 from pytest_twin.diagnosis.recorded.effort import Law, Signals, effort_fact, is_the_command
 from pytest_twin.diagnosis.recorded.velocity import velocity_fact, velocity_signal
@@ -81,7 +81,7 @@ def settled(folder: Path, reality: Reality) -> tuple[Settled, tuple]:
     model, recordings = cell(folder / "cell", reality)
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
-    found = settle(Given.of(loaded.realization, None, 1), trials)
+    found = settle(ModelSetup.of(loaded.realization, None, 1), trials)
     return found, found.applied(trials).fit
 
 

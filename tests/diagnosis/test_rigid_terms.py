@@ -10,7 +10,7 @@ import pytest
 from test_first_order import ARM, problem_of
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.along import along
+from pytest_twin.diagnosis.first_order.measured_trajectory import measured_trajectory
 from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
@@ -55,7 +55,7 @@ def planar_arm(q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def test_terms_of_a_planar_arm_are_its_closed_form(problem: Problem) -> None:
-    motion = along(problem, EMPTY, problem.fit)
+    motion = measured_trajectory(problem, EMPTY, problem.fit)
     found = rigid_terms(problem.simulator, motion)[0]
     q, v, a = (x[0, found.at] for x in (motion.position, motion.velocity, motion.acceleration))
     mass, bias = planar_arm(q, v)
@@ -69,7 +69,7 @@ def test_terms_of_a_planar_arm_are_its_closed_form(problem: Problem) -> None:
 def test_a_variant_of_the_bodies_is_written_once_for_its_whole_motion(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    motion = along(problem, EMPTY, problem.fit)
+    motion = measured_trajectory(problem, EMPTY, problem.fit)
     loads = [
         EMPTY.with_term(Term("payload", -1), np.array([mass, 1.0, 0.0, 0.0, 0.0]))
         for mass in np.linspace(0.1, 1.0, 100)

@@ -10,7 +10,7 @@ from test_first_order import ELBOW, SHOULDER, carried, problem_of
 
 from pytest_twin.diagnosis.fit import fit, propose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.search.fewer import merged
+from pytest_twin.diagnosis.search.simplification import merge_terms
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect
 
@@ -69,7 +69,7 @@ def test_a_servo_takes_up_a_drive_that_gives_more() -> None:
     assert one.theta == pytest.approx([-0.5, 0.2])
     assert both.absorbed(servo, drive) is None
     problem = problem_of("position", {servo: {"stiffness_error": -0.5, "damping_error": 0.2}})
-    assert (servo,) in [h.terms for h in merged(problem, both)]
+    assert (servo,) in [h.terms for h in merge_terms(problem, both)]
 
 
 def test_two_terms_that_one_law_is_confused_with_are_offered_as_that() -> None:
@@ -77,10 +77,10 @@ def test_two_terms_that_one_law_is_confused_with_are_offered_as_that() -> None:
     problem = problem_of("position", {Term("controller_gain", SHOULDER): {
         "stiffness_error": -0.3, "damping_error": 0.2}})  # fmt: skip
     pair = (Term("torque_constant", SHOULDER), Term("viscous_friction", SHOULDER))
-    offered = merged(problem, Hypothesis(pair, np.array([-0.3, 0.1])))
+    offered = merge_terms(problem, Hypothesis(pair, np.array([-0.3, 0.1])))
     assert (Term("controller_gain", SHOULDER),) in [h.terms for h in offered]
     apart = (Term("torque_constant", SHOULDER), Term("viscous_friction", ELBOW))
-    assert not merged(problem, Hypothesis(apart, np.array([-0.3, 0.1])))
+    assert not merge_terms(problem, Hypothesis(apart, np.array([-0.3, 0.1])))
 
 
 def test_other_laws_step_in_their_own_parameters() -> None:

@@ -12,12 +12,12 @@ from two_pendulums import case
 
 import pytest_twin.diagnosis
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.first_order.responses import Response, grid
-from pytest_twin.diagnosis.first_order.screen import candidates
-from pytest_twin.diagnosis.first_order.sharpen import _is_lone_limit
+from pytest_twin.diagnosis.first_order.beam_search import candidates
+from pytest_twin.diagnosis.first_order.limit_refinement import _is_lone_limit
+from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity, grid
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.prepare import prepare
-from pytest_twin.diagnosis.search.limits import beyond
+from pytest_twin.diagnosis.search.drive_limits import sizes_up_to_bound
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import TOPICS
@@ -95,16 +95,16 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     catalogue.cache_clear()
 
 
-def first(term: Term) -> Response:
+def first(term: Term) -> Sensitivity:
     start, switches = grid(term)[0]
-    return Response(term, start, switches, np.zeros((1, 1, 1)))
+    return Sensitivity(term, start, switches, np.zeros((1, 1, 1)))
 
 
 @pytest.mark.usefixtures("installed")
 def test_six_starting_sizes_make_no_limit() -> None:
     term = Term("effort_cogging", 0)
     assert len(term.parameters[0].starts) == 6
-    assert beyond(term) == []
+    assert sizes_up_to_bound(term) == []
     assert not _is_lone_limit(first(term))
     assert term.dry_level is None
     assert not term.law.nearly_linear
@@ -114,7 +114,7 @@ def test_six_starting_sizes_make_no_limit() -> None:
 def test_two_starting_sizes_are_enough_for_a_declared_limit() -> None:
     term = Term("ceiling", 0)
     assert _is_lone_limit(first(term))
-    sizes = [float(s[0]) for s in beyond(term)]
+    sizes = [float(s[0]) for s in sizes_up_to_bound(term)]
     assert sizes == pytest.approx([0.2 * 2.0**k for k in range(1, 9)])
     assert max(sizes) <= 99.0
 

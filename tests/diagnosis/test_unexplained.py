@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 
 from pytest_twin.diagnosis.findings import Explained
-from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import Prepared
-from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.restraint import Pruned
-from pytest_twin.diagnosis.search.rivals import Selected
-from pytest_twin.diagnosis.searched import Searched, left_everywhere, pose
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.pruning import PrunedModel
+from pytest_twin.diagnosis.search.scored_model import SelectedModel
+from pytest_twin.diagnosis.search_result import SearchResult, build_problem, residuals_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import unexplained
 from pytest_twin.diagnosis.verdict import JointError
@@ -56,19 +56,19 @@ def recorded(folder: Path, seed: int) -> Path:
     return path
 
 
-def unnamed(prepared: Prepared, trials: TrialSet) -> Searched:
+def unnamed(prepared: Prepared, trials: TrialSet) -> SearchResult:
     """A search that came to nothing."""
     problem = prepared.problem
-    left = left_everywhere(problem, EMPTY)
+    left = residuals_everywhere(problem, EMPTY)
     rms = float(np.sqrt(np.mean(left**2)))
     errors = {"lift": JointError(rms, rms, float(problem.floor[0]), "rad")}
-    nominal = Contest(problem).nominal
-    selected = Selected(nominal, nominal)
-    return Searched(
+    nominal = ModelComparison(problem).nominal
+    selected = SelectedModel(nominal, nominal)
+    return SearchResult(
         prepared,
         trials,
         selected,
-        Pruned(nominal.fitted, [], []),
+        PrunedModel(nominal.fitted, [], []),
         Explained((), EMPTY),
         left,
         left,
@@ -89,9 +89,9 @@ def test_a_cable_under_a_velocity_servo_is_found_where_it_pulls(tmp_path: Path) 
     realization = load(tmp_path / "arm.xml")
     recordings = [read_recording(recorded(tmp_path, seed)) for seed in (1, 2)]
     fit, held_out = (make_trial(r, realization.structure) for r in recordings)
-    given = Given(realization, threads=1)
-    whole, trials = pose(given, TrialSet((fit,), (held_out,), ()), [])
-    cut, kept = pose(given, trials, [], window=0.5)
+    given = ModelSetup(realization, threads=1)
+    whole, trials = build_problem(given, TrialSet((fit,), (held_out,), ()), [])
+    cut, kept = build_problem(given, trials, [], window=0.5)
     found = unnamed(whole, trials)
     place = unexplained(found, cut, kept)["lift"].where
     low, high = (float(x) for x in place.summary.split(" rad (")[0].split()[1::2])

@@ -18,18 +18,23 @@ sys.path.insert(0, str(Path(__file__).parent))
 from one_joint_plant import JOINT, STEP, Hidden, record
 
 from pytest_twin.diagnosis.findings import Explained
-from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched, read_effects
 from pytest_twin.diagnosis.patched.ranges import outside_in_words
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared
-from pytest_twin.diagnosis.search.contest import Contest
-from pytest_twin.diagnosis.search.restraint import Pruned
-from pytest_twin.diagnosis.search.rivals import Selected
-from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhere, pose
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.pruning import PrunedModel
+from pytest_twin.diagnosis.search.scored_model import SelectedModel
+from pytest_twin.diagnosis.search_result import (
+    SearchResult,
+    build_problem,
+    joint_errors,
+    residuals_everywhere,
+)
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
 from pytest_twin.diagnosis.unnamed_law.tested import laws_left, on_test
@@ -99,7 +104,7 @@ def posed(folder: Path, hidden: Hidden, window: float | None) -> tuple[Prepared,
     paths = sorted(folder.glob("*.mcap")) or record(folder, hidden)
     realization = load(folder / "model.xml")
     trials = read_trials(paths, [], TOPICS, realization.structure)
-    return pose(Given.of(realization, None, 1), trials, [], window=window)
+    return build_problem(ModelSetup.of(realization, None, 1), trials, [], window=window)
 
 
 def found(folder: Path, hidden: Hidden) -> FreeLaws:
@@ -160,17 +165,17 @@ def test_the_curve_is_the_hidden_force_within_its_band(tmp_path: Path) -> None:
     assert "a pull towards 0.25 rad" in law.words
 
 
-def nothing_found(prepared: Prepared, trials: TrialSet) -> Searched:
+def nothing_found(prepared: Prepared, trials: TrialSet) -> SearchResult:
     """A search that came to nothing."""
     problem = prepared.problem
-    nominal = Contest(problem).nominal
-    left = left_everywhere(problem, EMPTY)
+    nominal = ModelComparison(problem).nominal
+    left = residuals_everywhere(problem, EMPTY)
     errors = joint_errors(prepared, left, left)
-    return Searched(
+    return SearchResult(
         prepared,
         trials,
-        Selected(nominal, nominal),
-        Pruned(nominal.fitted, [], []),
+        SelectedModel(nominal, nominal),
+        PrunedModel(nominal.fitted, [], []),
         Explained((), EMPTY),
         left,
         left,
@@ -183,9 +188,9 @@ def test_a_law_is_tested_written_read_and_replayed(tmp_path: Path) -> None:
     """Its table in the realization predicts the held-out recordings as the diagnosis says."""
     realization = load((record(tmp_path, magnet)[0].parent) / "model.xml")
     whole, trials = posed(tmp_path, magnet, None)
-    given = Given.of(realization, None, 1)
+    given = ModelSetup.of(realization, None, 1)
     fit_only = replace(trials, held_out=())
-    fitted, kept = pose(given, fit_only, [], scales=whole.problem.scales)
+    fitted, kept = build_problem(given, fit_only, [], scales=whole.problem.scales)
     laws = laws_left(given, nothing_found(fitted, kept), None)
     tested = on_test(laws, fitted.problem, nothing_found(whole, trials))
     ((law, gain),) = tested.laws

@@ -13,12 +13,12 @@ from two_pendulums import ARMATURE, DAMPING, INERTIA, KP, KV, LENGTH, MASS, mjcf
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.free_initial_state import free_shifts
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import carried, confirmed, search
-from pytest_twin.diagnosis.start import free_shifts
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import confirm, refit_whole_motions, search
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.windows import WINDOW
@@ -74,10 +74,10 @@ def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
     lag = 0.01
     realization, trials = hunting(tmp_path, lag=lag)
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
-    other = search(cut, trials, Selection(cut.problem))
+    other = search(cut, trials, StepwiseSelection(cut.problem))
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
-    found = search(prepared, trials, Selection(prepared.problem))
-    whole = carried(found, other)
+    found = search(prepared, trials, StepwiseSelection(prepared.problem))
+    whole = refit_whole_motions(found, other)
     (finding,) = whole.explained.findings
     assert (finding.effect, finding.confidence) == ("actuator_lag", other.selected.confidence[LAGS])
     assert finding.parameters["time_constant"].value == pytest.approx(lag, rel=0.02)
@@ -86,25 +86,25 @@ def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
     # Both name what explains most; what leaves next to nothing has nothing to gain.
     assert whole.beside(replace(other, errors=off(other.errors, times=5.0)))
     assert not whole.beside(other)
-    assert not whole.leaves_less(whole)
+    assert not whole.scores_better_than(whole)
     nothing = replace(whole, explained=Explained((), EMPTY), errors=off(whole.errors, times=30.0))
-    assert whole.leaves_less(nothing)
-    assert not nothing.leaves_less(whole)
-    assert whole.follows_better(nothing)
-    assert not whole.follows_better(whole)
-    assert not nothing.follows_better(whole)
+    assert whole.scores_better_than(nothing)
+    assert not nothing.scores_better_than(whole)
+    assert whole.tracks_better_than(nothing)
+    assert not whole.tracks_better_than(whole)
+    assert not nothing.tracks_better_than(whole)
     assert not whole.beside(nothing)
     once = replace(whole, errors=off(whole.errors, times=30.0), verdict="improved")
-    again = once.judged_again()
+    again = once.with_floor_of()
     assert (again.errors, again.verdict) == (whole.errors, whole.verdict)
 
 
 def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(tmp_path: Path) -> None:
     realization, trials = hunting(tmp_path, lag=0.01)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
-    whole = search(prepared, trials, Selection(prepared.problem))
+    whole = search(prepared, trials, StepwiseSelection(prepared.problem))
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
-    found = confirmed(cut, trials, whole, Run())
+    found = confirm(cut, trials, whole, Run())
     assert found is not None
     assert found.verdict == "explained"
     assert found.prepared is cut
@@ -114,7 +114,7 @@ def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(tmp_path:
     # What does not explain the windows, or names nothing, leaves them to a search of their own.
     for hypothesis in (EMPTY, EMPTY.with_term(Term("encoder_scale", 0), np.array([0.1]))):
         other = replace(whole, explained=Explained((), hypothesis))
-        assert confirmed(cut, trials, other, Run()) is None
+        assert confirm(cut, trials, other, Run()) is None
 
 
 def off(errors: Mapping[str, JointError], times: float) -> dict[str, JointError]:

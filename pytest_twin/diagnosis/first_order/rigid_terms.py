@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.along import Along
+from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
 from pytest_twin.effects.base import Effect, ModelFields, Values
 from pytest_twin.effects.rigid_body import InertialParameters, Payload
 from pytest_twin.effects.rows import RowSimulator
@@ -52,7 +52,7 @@ class Rigid:
     bias: FloatArray
 
 
-def coarse(along: Along) -> NDArray[np.int64]:
+def coarse(along: MeasuredTrajectory) -> NDArray[np.int64]:
     """Samples at which rigid-body terms are taken."""
     every = max(1, round(_EVERY / along.interval))
     samples = along.position.shape[1]
@@ -61,7 +61,7 @@ def coarse(along: Along) -> NDArray[np.int64]:
 
 def rigid_terms(
     simulator: RowSimulator,
-    along: Along,
+    along: MeasuredTrajectory,
     effects: Sequence[tuple[Effect, Values]] = (),
     copies: int = 1,
     nudges: FloatArray | None = None,
@@ -123,7 +123,7 @@ def rigid_terms(
 
 
 def slopes(
-    simulator: RowSimulator, along: Along, effects: Sequence[tuple[Effect, Values]]
+    simulator: RowSimulator, along: MeasuredTrajectory, effects: Sequence[tuple[Effect, Values]]
 ) -> tuple[Rigid, FloatArray, FloatArray]:
     """Terms midway between measured and predicted motion, and their effort's derivatives.
 
@@ -216,7 +216,7 @@ class Efforts:
     motors is as the model has it: that is a law of theirs.
     """
 
-    def __init__(self, simulator: RowSimulator, along: Along) -> None:
+    def __init__(self, simulator: RowSimulator, along: MeasuredTrajectory) -> None:
         """Along a motion of the segments of ``simulator``."""
         self._simulator = simulator
         self._along = along

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.integrator_detection import SUBSTEPS
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
 from pytest_twin.diagnosis.recorded.command_between import (
     MEAN_DELAY,
@@ -24,8 +25,7 @@ from pytest_twin.diagnosis.recorded.command_between import (
     without_own_recording,
 )
 from pytest_twin.diagnosis.recorded.joint_fit import DELAY, JointFit, Parameters, fit_joints
-from pytest_twin.diagnosis.searched import pose
-from pytest_twin.diagnosis.simulated import SUBSTEPS
+from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
@@ -57,7 +57,7 @@ class BetweenFit:
 
 
 def fit_between(
-    given: Given, trials: Sequence[Trial], ways: Sequence[CommandBetween] = COMMAND_BETWEEN
+    given: ModelSetup, trials: Sequence[Trial], ways: Sequence[CommandBetween] = COMMAND_BETWEEN
 ) -> BetweenFit:
     """Ask recordings of one command period what their commands do between stamps.
 
@@ -67,13 +67,13 @@ def fit_between(
         ways: what their commands may do.
 
     Raises:
-        TwinError: as :func:`~pytest_twin.diagnosis.searched.pose`.
+        TwinError: as :func:`~pytest_twin.diagnosis.search_result.pose`.
     """
     chosen = _liveliest(trials)
     asked = tuple(
         replace(t, command_between=between, effort=None) for between in ways for t in chosen
     )
-    prepared, kept = pose(given, TrialSet(asked, (), ()), [])
+    prepared, kept = build_problem(given, TrialSet(asked, (), ()), [])
     problem, noise = prepared.problem, prepared.floor_parts[NOISE]
     of = [(t.command_between, t.path, t.offset) for t in kept.fit]
     common = [

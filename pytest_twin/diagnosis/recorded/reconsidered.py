@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.contest import FAIR, Contest
-from pytest_twin.diagnosis.search.rivals import Rival
-from pytest_twin.diagnosis.search.select import Selection
-from pytest_twin.diagnosis.searched import Searched, concluded, pose
+from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import SearchResult, build_problem, conclude
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
@@ -28,8 +28,8 @@ _AS_WELL = 1.1
 
 
 def with_fewer_effects(
-    found: Searched, given: Given, possible: Sequence[CommandBetween], run: Run
-) -> tuple[Searched, CommandBetween] | None:
+    found: SearchResult, given: ModelSetup, possible: Sequence[CommandBetween], run: Run
+) -> tuple[SearchResult, CommandBetween] | None:
     """What is found under another possible answer, where it explains as much with fewer effects;
     None where none does.
 
@@ -43,32 +43,34 @@ def with_fewer_effects(
     if not start.terms:
         return None
     used = {t.command_between for t in found.trials.fit if t.between_source == "assumed"}
-    best: tuple[Searched, CommandBetween] | None = None
+    best: tuple[SearchResult, CommandBetween] | None = None
     for between in possible:
         if used == {between}:
             continue
-        prepared, trials = pose(given, _so(found.trials, between), [], window=found.prepared.window)
+        prepared, trials = build_problem(
+            given, _so(found.trials, between), [], window=found.prepared.window
+        )
         run.begin(f"commands {between} between their stamps", prepared.problem)
-        selection = Selection(prepared.problem, run)
-        least = _without_one(found, selection.contest)
+        selection = StepwiseSelection(prepared.problem, run)
+        least = _without_one(found, selection.comparison)
         if least is None:
             continue
-        selected = selection.run(selection.contest.settled(least))
-        other = concluded(prepared, trials, selection, selected)
+        selected = selection.run(selection.comparison.settled(least))
+        other = conclude(prepared, trials, selection, selected)
         if _fewer(other, found if best is None else best[0]):
             best = other, between
     return best
 
 
-def _without_one(found: Searched, contest: Contest) -> Rival | None:
+def _without_one(found: SearchResult, comparison: ModelComparison) -> ScoredModel | None:
     """The best fit with one effect fewer, if it leaves no joint worse than all of them did."""
-    start, joints = found.explained.hypothesis, len(contest.problem.joints)
+    start, joints = found.explained.hypothesis, len(comparison.problem.joints)
     fewer = [start.without(t) for t in start.terms]
-    rivals = contest.rivals(fewer, contest.weights(contest.nominal), FAIR)
+    rivals = comparison.rivals(fewer, comparison.weights(comparison.nominal), FAIR)
     before = _rms(found.pruned.fitted.residual, joints)
-    most = np.maximum(_AS_WELL * before, contest.problem.floor[:joints])
+    most = np.maximum(_AS_WELL * before, comparison.problem.floor[:joints])
     as_good = [r for r in rivals if (_rms(r.fitted.residual, joints) <= most).all()]
-    contest.judge(as_good, contest.nominal)
+    comparison.judge(as_good, comparison.nominal)
     return max(as_good, key=lambda r: r.evidence, default=None)
 
 
@@ -87,7 +89,7 @@ def _so(trials: TrialSet, between: CommandBetween) -> TrialSet:
     return replace(trials, fit=fit, held_out=held_out)
 
 
-def _fewer(other: Searched, found: Searched) -> bool:
+def _fewer(other: SearchResult, found: SearchResult) -> bool:
     """Whether fewer effects leave no joint worse than more of them do."""
     if other.explained.hypothesis.more_terms(found.explained.hypothesis) >= 0:
         return False

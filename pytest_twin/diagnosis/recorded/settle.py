@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.diagnosis.given import Given
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded.between_fit import BetweenFit, fit_between
 from pytest_twin.diagnosis.recorded.command_between import BY_MODEL, Between
@@ -145,7 +145,7 @@ class Settled:
         return trial
 
 
-def settle(given: Given, trials: TrialSet) -> Settled:
+def settle(given: ModelSetup, trials: TrialSet) -> Settled:
     """Ask the recordings what they are.
 
     Args:

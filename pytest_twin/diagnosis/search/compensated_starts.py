@@ -11,13 +11,13 @@ import numpy as np
 from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.tryout import Tryout
+from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 
 _FITTED, _ITERATIONS = 2, 3
 """Pairs that are fitted, and iterations of the fit: the pairs cancel only approximately."""
 
 
-def compensated(tryout: Tryout, own: Hypothesis) -> list[Hypothesis]:
+def compensated(tryout: TrialSimulation, own: Hypothesis) -> list[Hypothesis]:
     """For each term of a hypothesis and each other effect that compensates it, the pair with the
     least error after a short fit, where that is less than without.
 

@@ -15,20 +15,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.beam_search import BeamSearch, NormalEquations, ResidualView
 from pytest_twin.diagnosis.first_order.bins import bins
-from pytest_twin.diagnosis.first_order.polish import Polished, polish
-from pytest_twin.diagnosis.first_order.screen import Lens, Search, View
+from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit, fit_linearized
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.search.fewer import (
-    in_like_forms,
-    in_other_forms,
-    in_parts,
-    merged,
-    of_the_robot,
-    simpler,
+from pytest_twin.diagnosis.search.linearized_shortlist import linearized_evidence
+from pytest_twin.diagnosis.search.linearized_view import LinearizedView
+from pytest_twin.diagnosis.search.simplification import (
+    equal_sized_forms,
+    merge_joints,
+    merge_terms,
+    simpler_forms,
+    special_cases,
+    split_terms,
 )
-from pytest_twin.diagnosis.search.foremost import evidence_along
-from pytest_twin.diagnosis.search.look import Look
 from pytest_twin.diagnosis.structure_search.score import Scorer
 from pytest_twin.diagnosis.structure_search.settings import Settings
 
@@ -49,7 +49,7 @@ class Proposal:
     gain: float
 
 
-def proposals(scorer: Scorer, look: Look, settings: Settings) -> list[Proposal]:
+def proposals(scorer: Scorer, look: LinearizedView, settings: Settings) -> list[Proposal]:
     """Proposals around the incumbent, most promising first.
 
     Args:
@@ -66,23 +66,23 @@ def proposals(scorer: Scorer, look: Look, settings: Settings) -> list[Proposal]:
     starts = list(pool.values())
     if look.linear is None:
         return [Proposal(h, 0.0) for h in starts]
-    fitted = polish(look.linear, look.view, starts, _ITERATIONS)
-    incumbent = Polished(own, look.view.residual)
-    worth = evidence_along(look.view, [incumbent, *fitted], scorer.name_price)
+    fitted = fit_linearized(look.linear, look.view, starts, _ITERATIONS)
+    incumbent = LinearizedFit(own, look.view.residual)
+    worth = linearized_evidence(look.view, [incumbent, *fitted], scorer.name_price)
     gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
     found = [Proposal(p.hypothesis, float(g)) for p, g in zip(fitted, gains, strict=True)]
     return sorted(found, key=lambda p: -p.gain)
 
 
-def _exchanged(scorer: Scorer, look: Look, settings: Settings) -> Iterable[Hypothesis]:
+def _exchanged(scorer: Scorer, look: LinearizedView, settings: Settings) -> Iterable[Hypothesis]:
     """The incumbent with terms removed and others added."""
     own, view = look.around.hypothesis, look.view
     removed = removals(own)
     rests = [own.without(*gone) for gone in removed]
     lefts = _residuals(scorer, look, removed, rests)
 
-    def search(most: int, width: int) -> Search:
-        return Search(
+    def search(most: int, width: int) -> BeamSearch:
+        return BeamSearch(
             width, most, settings.earns,
             lambda before, after: bool((after < before).any()),
         )  # fmt: skip
@@ -91,7 +91,7 @@ def _exchanged(scorer: Scorer, look: Look, settings: Settings) -> Iterable[Hypot
         if gone:
             yield rest
         slope = view.jacobian[:, :, own.parameters_without(*gone)]
-        lens = Lens(View(left, slope, view.floor, view.lengths), look.answers)
+        lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), look.answers)
         most = settings.added if not gone else min(len(gone) + 1, 2)
         width = settings.beam if not gone else settings.beam // 2
         for level in search(most, width).levels(lens):
@@ -113,7 +113,7 @@ def removals(own: Hypothesis) -> list[tuple[Term, ...]]:
 
 def _residuals(
     scorer: Scorer,
-    look: Look,
+    look: LinearizedView,
     removed: Sequence[tuple[Term, ...]],
     rests: Sequence[Hypothesis],
 ) -> list[FloatArray]:
@@ -138,10 +138,10 @@ def _rewritten(scorer: Scorer, own: Hypothesis) -> list[Hypothesis]:
     """The same physics in other words."""
     problem = scorer.problem
     return [
-        *merged(problem, own),
-        *of_the_robot(problem, own),
-        *simpler(problem, own),
-        *in_parts(problem, own),
-        *in_other_forms(problem, own),
-        *in_like_forms(own),
+        *merge_terms(problem, own),
+        *merge_joints(problem, own),
+        *special_cases(problem, own),
+        *split_terms(problem, own),
+        *simpler_forms(problem, own),
+        *equal_sized_forms(own),
     ]

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.polish import polish
+from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.look import Look
+from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.structure_search.score import Model, Scorer
 
 _ITERATIONS = 3
@@ -24,7 +24,7 @@ _ITERATIONS = 3
 
 
 def corrected_fits(
-    scorer: Scorer, look: Look, models: Sequence[Model], corrections: int
+    scorer: Scorer, look: LinearizedView, models: Sequence[Model], corrections: int
 ) -> list[Model]:
     """Models fitted by the linearized motion, each step confirmed by a simulation."""
     if look.linear is None:
@@ -39,7 +39,7 @@ def corrected_fits(
             look.linear.bins.mean(best[i].residual) + d
             for i, d in zip(active, changes, strict=True)
         ]
-        fitted = polish(
+        fitted = fit_linearized(
             look.linear, look.view, [best[i].hypothesis for i in active], _ITERATIONS, targets
         )
         tried = scorer.simulate([p.hypothesis for p in fitted])

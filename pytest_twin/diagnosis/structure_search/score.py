@@ -15,7 +15,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
-from pytest_twin.diagnosis.first_order.screen import name_price, price
+from pytest_twin.diagnosis.first_order.beam_search import effect_penalty, parameter_penalty
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 
@@ -55,7 +55,7 @@ class Scorer:
 
     def __init__(self, problem: Problem, candidates: int, earns: float, share: float) -> None:
         self.problem = problem
-        self.name_price = name_price(candidates)
+        self.name_price = effect_penalty(candidates)
         self.earns, self.share = earns, share
         self.nominal = self.simulate([Hypothesis((), np.empty(0))])[0]
 
@@ -97,7 +97,7 @@ class Scorer:
         count = effective_samples(better.residual, problem.lengths(problem.fit))
         ratio = log_likelihood(model.residual, floor, count)
         ratio -= log_likelihood(over.residual, floor, count)
-        ratio -= price(count) * (model.hypothesis.free - over.hypothesis.free)
+        ratio -= parameter_penalty(count) * (model.hypothesis.free - over.hypothesis.free)
         ratio -= self.name_price * (len(model.hypothesis.terms) - len(over.hypothesis.terms))
         if len(better.validation):
             held = effective_samples(better.validation, problem.lengths(problem.held_out))

@@ -9,13 +9,13 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.first_order.responses import grid
-from pytest_twin.diagnosis.first_order.screen import candidates
+from pytest_twin.diagnosis.first_order.beam_search import candidates
+from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.look import Look, look_around
-from pytest_twin.diagnosis.search.rivals import Rival
+from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.structure_search.proposals import Proposal, proposals
 from pytest_twin.diagnosis.structure_search.refit import as_fitted, corrected_fits, settled
 from pytest_twin.diagnosis.structure_search.score import Model, Scorer
@@ -99,7 +99,7 @@ class StructureSearch:
         if not named and not scorer.stands_out(incumbent, STANDS_OUT).any():
             return None
         fitted = as_fitted(self.problem, incumbent, result.jacobian)
-        look = look_around(self.problem, Rival(fitted, incumbent.validation))
+        look = linearize_around(self.problem, ScoredModel(fitted, incumbent.validation))
         models = self._raced(look, incumbent)
         result.rivals = [(m, scorer.gain(m, incumbent)) for m in models]
         winner = self._winner(incumbent, models)
@@ -121,7 +121,7 @@ class StructureSearch:
             return None
         return Result(better, jacobian)
 
-    def _raced(self, look: Look, incumbent: Model) -> list[Model]:
+    def _raced(self, look: LinearizedView, incumbent: Model) -> list[Model]:
         """Proposals simulated; the best of them fitted."""
         scorer, settings = self.scorer, self.settings
         found = proposals(scorer, look, settings)
@@ -149,7 +149,7 @@ class StructureSearch:
         return sorted(found, key=rank, reverse=True)[: settings.proposals]
 
     def _fitted(
-        self, look: Look, models: Sequence[Model], incumbent: Model, count: int
+        self, look: LinearizedView, models: Sequence[Model], incumbent: Model, count: int
     ) -> list[Model]:
         """Models by their gain, the first fitted."""
         scorer = self.scorer

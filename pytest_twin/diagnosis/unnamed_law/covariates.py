@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.readings import Column
-from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensor_readings import Column
 from pytest_twin.effects.unnamed_law import (
     COLDNESS,
     COMMAND,

@@ -17,7 +17,7 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import joint_type, joint_unit
-from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.locate import Where
 from pytest_twin.diagnosis.prepare import Prepared

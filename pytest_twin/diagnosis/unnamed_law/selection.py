@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.responses import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.unnamed_law.covariates import Covariate, covariates
 from pytest_twin.diagnosis.unnamed_law.regression import (
     STRENGTHS,

@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.searched import Searched, joint_errors, left_everywhere, pose
+from pytest_twin.diagnosis.search_result import (
+    SearchResult,
+    build_problem,
+    joint_errors,
+    residuals_everywhere,
+)
 from pytest_twin.diagnosis.unexplained import unexplained
 from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json
@@ -36,7 +41,7 @@ class TestedLaws:
 
     laws: tuple[tuple[FreeLaw, float], ...]
     hypothesis: Hypothesis
-    tested: Searched
+    tested: SearchResult
     notes: tuple[str, ...]
 
     @property
@@ -50,7 +55,7 @@ class TestedLaws:
         return max(gains, default=None)
 
 
-def laws_left(given: Given, found: Searched, near: float | None) -> FreeLaws:
+def laws_left(given: ModelSetup, found: SearchResult, near: float | None) -> FreeLaws:
     """Free laws for what a search leaves unexplained.
 
     Args:
@@ -65,14 +70,14 @@ def laws_left(given: Given, found: Searched, near: float | None) -> FreeLaws:
     if not all(s.amid for s in prepared.problem.simulator.segments):
         # In short windows the measured motion and the simulated one stay close.
         scales = prepared.problem.scales
-        prepared, trials = pose(given, trials, [], window=near or WINDOW, scales=scales)
+        prepared, trials = build_problem(given, trials, [], window=near or WINDOW, scales=scales)
     left = unexplained(found, prepared, trials)
     where = {joint: item.where for joint, item in left.items()}
     return free_laws(prepared, hypothesis, where, prepared.problem.fit)
 
 
 def on_test(
-    found: FreeLaws, fitted: Problem, tested: Searched, *, searched_all: bool = True
+    found: FreeLaws, fitted: Problem, tested: SearchResult, *, searched_all: bool = True
 ) -> TestedLaws:
     """Predict the test recordings with the laws; those that they do not confirm are dropped.
 
@@ -95,12 +100,12 @@ def on_test(
     while kept:
         terms = {law.term: _moved(law.term, column) for law in kept}
         everything = _with(named, found.hypothesis, terms)
-        after = left_everywhere(problem, everything)
+        after = residuals_everywhere(problem, everything)
         whole = _squared(problem, after)
         gains = []
         for law in kept:
             without = everything.without(terms[law.term])
-            gains.append(_gain(_squared(problem, left_everywhere(problem, without)), whole))
+            gains.append(_gain(_squared(problem, residuals_everywhere(problem, without)), whole))
         worst = int(np.argmin(gains))
         if gains[worst] >= WORTH:
             if not searched_all:

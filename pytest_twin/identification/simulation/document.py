@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.physical_totals import impossible
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.totals import impossible
 from pytest_twin.effects.base import Parameter
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.records import correlated, verdict_of

@@ -12,15 +12,15 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import Fitted, fit
-from pytest_twin.diagnosis.given import Given
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import Spread, spread
+from pytest_twin.diagnosis.intervals import Spread, parameter_spread
+from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.physical_totals import at_zero
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded import Settled, settle
-from pytest_twin.diagnosis.searched import joint_errors, left_everywhere, pose
-from pytest_twin.diagnosis.totals import at_zero
+from pytest_twin.diagnosis.search_result import build_problem, joint_errors, residuals_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.identification.simulation.equation_error import first_values
@@ -88,12 +88,12 @@ def identify_simulation(
         SimulationError: the model diverges on every recording.
     """
     notes: list[str] = []
-    given = Given.of(realization, inherited, threads)
+    given = ModelSetup.of(realization, inherited, threads)
     fit_alone = replace(trials, held_out=())
     with np.errstate(over="ignore", invalid="ignore"):
         settled = settle(given, fit_alone)
         used = settled.applied(trials)
-        prepared, used = pose(given, used, notes)
+        prepared, used = build_problem(given, used, notes)
         problem = prepared.problem
         modes = [problem.simulator.segments[0].mode_of(j) for j in range(len(problem.joints))]
         first = first_values(problem)
@@ -111,19 +111,19 @@ def identify_simulation(
         found, last, whole = _together(problem, found, stage_of, stages)
         stages = [*last, whole]
         fitted = _with_slopes(problem, found)
-        spread_ = spread(problem, fitted)
+        spread = parameter_spread(problem, fitted)
         # The errors that are reported count every recording alike.
         problem.trust = {}
-        before, after = (left_everywhere(problem, h) for h in (EMPTY, found))
+        before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
         errors = joint_errors(prepared, before, after)
     return SimulationResult(
-        prepared, found, stage_of, spread_, tuple(stages), errors, settled, used,
+        prepared, found, stage_of, spread, tuple(stages), errors, settled, used,
         (*used.notes, *notes),
     )  # fmt: skip
 
 
 def _stage(
-    given: Given,
+    given: ModelSetup,
     trials: TrialSet,
     whole: Prepared,
     name: StageName,
@@ -179,7 +179,7 @@ def _together(
     if stage.state != "accepted":
         return found, list(stages), stage
     off = np.abs(moved.hypothesis.theta - found.theta)
-    beyond = off > np.maximum(spread(problem, moved).half_width, 1e-9)
+    beyond = off > np.maximum(parameter_spread(problem, moved).half_width, 1e-9)
     reopened = {stage_of[t] for t in found.terms if beyond[found.slice_of(t)].any()}
     said = [
         replace(

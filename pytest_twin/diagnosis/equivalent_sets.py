@@ -1,0 +1,473 @@
+"""Which other sets of effects predict the recordings as well as the one that was found.
+
+Some sets of effects are alike on some recordings: a late command and a late sensor of one joint, a
+tilted base and a zero offset about parallel axes, a motor constant and payload, viscous and dry
+friction that are all larger by the same share. A confidence is honest only if such a set was asked
+for. Subsets of the final set are taken out; a beam search over all candidates, linearized along the
+measured motion, looks for other sets that predict the same change; the closest are fitted along the
+motion, then by simulation with the slopes of the linearized motion, which cost no simulation.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.effort_stamps import within_a_step
+from pytest_twin.diagnosis.evidence import NOISE_FLOORS, log_likelihood, tempered_samples
+from pytest_twin.diagnosis.first_order.beam_search import (
+    CandidateSensitivities,
+    NormalEquations,
+    ResidualView,
+    Structure,
+)
+from pytest_twin.diagnosis.first_order.linearized_fit import (
+    NEARBY,
+    LinearizedFit,
+    fit_linearized,
+    linearized_slopes,
+)
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.fit import Fitted, propose, weighted_cost
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.patched.native import mjcf_expresses
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.linearized_view import linearize_around
+from pytest_twin.diagnosis.search.model_comparison import QUICK, ModelComparison
+from pytest_twin.diagnosis.search.pruning import in_floors
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.term_exchange import residuals_without
+from pytest_twin.diagnosis.set_evidence import (
+    evidence_on,
+    idle_parameters,
+    misfit,
+    recordings_of,
+    set_evidence,
+    set_price,
+)
+
+MOST_SIMULATIONS = 60.0
+"""Simulations of all recordings that the comparison may take; what it saves is not needed again."""
+# Terms in a subset that is taken out, and subsets at most: singles, whole joints, pairs, triples.
+_LARGEST, _MOST_SUBSETS = 3, 24
+# Beam search: single effects, children of each larger set, and sets that are grown.
+_SINGLE, _KEPT, _GROWN = 60, 6, 3
+# Sets of one, two and three effects for each subset, and of all, that are fitted along the motion;
+# starts of one set at most.
+_OF_SIZE, _POLISHED, _STARTED = (4, 2, 2), 24, 2
+# Sets that are simulated as they start, of these with parameters of what they stand for and with
+# fewer effects; sets that stay for each step of the fit; evidence behind the final set beyond which
+# none does after one.
+_SIMULATED, _ALIKE, _FEWER, _IN_FRONT, _FAR_BEHIND = 12, 4, 3, (6, 4, 3), 400.0
+_DAMPINGS = (1e-4, 1e-1)
+# Share of the evidence that a set gains over the worst one from which a smaller set in it explains
+# nearly as much.
+_MOST_OF_IT = 0.9
+_AHEAD = 0.5
+"""Evidence by which another set must be ahead to take the place of the final one."""
+
+Allowed = Callable[[Hypothesis], bool]
+"""Whether a set is physically possible and lies where the recordings show it."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlternativeSet:
+    """Another set of effects, fitted by simulation.
+
+    Attributes:
+        rival: the whole set.
+        evidence: penalized log-likelihood over the final set's, model error counted.
+        apart: largest RMS difference between its prediction and the final set's on the fitted
+            recordings, in floors.
+    """
+
+    rival: ScoredModel
+    evidence: float
+    apart: float
+
+    @property
+    def terms(self) -> frozenset[Term]:
+        """Its effects."""
+        return frozenset(self.rival.hypothesis.terms)
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSets:
+    """The likeliest set and its rivals.
+
+    Attributes:
+        best: the final set, or one that is likelier.
+        sets: all other sets with their evidence over ``best``, likeliest first.
+        tempering: effective samples with model error counted, over those without.
+        simulations: of all recordings that the comparison took.
+    """
+
+    best: ScoredModel
+    sets: tuple[AlternativeSet, ...]
+    tempering: float
+    simulations: float
+
+
+def compare_sets(
+    comparison: ModelComparison, found: Hypothesis, allowed: Allowed = lambda h: True
+) -> ComparedSets:
+    """Compare a fitted set of effects with others that predict the same.
+
+    Args:
+        comparison: of the problem.
+        found: the final set, fitted.
+        allowed: whether a set may be reported at all. If the final set may not, the likeliest
+            other one takes its place.
+
+    Returns:
+        The comparison; without rivals where the robot touches something, since nothing is
+        linearized there.
+    """
+    problem = comparison.problem
+    count = _Count(problem)
+    best = comparison.scored_without_fit(found, slopes=True)
+    look = linearize_around(problem, best)
+    if look.linear is None or not found.terms or not np.isfinite(best.fitted.cost):
+        return ComparedSets(best, (), 1.0, count.spent)
+    near = _near(comparison, best, look.linear, look.view, look.answers, allowed)
+    rivals = _simulated(comparison, best, look.linear, near, count)
+    rivals = [r for r in rivals if allowed(r.hypothesis) and np.isfinite(r.fitted.cost)]
+    return _compared(comparison, best, rivals, look.linear, count, possible=allowed(found))
+
+
+class _Count:
+    """Simulations of all recordings since it was made, what was known apart."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._once = max(int(problem.simulator.steps.sum()), 1)
+        self._since = self._stepped()
+        self.fitted = float(problem.simulator.steps[problem.fit].sum()) / self._once
+
+    def _stepped(self) -> int:
+        return self._problem.stepped - self._problem.repeated
+
+    @property
+    def spent(self) -> float:
+        return (self._stepped() - self._since) / self._once
+
+
+def subsets(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
+    """Subsets of a final set that are taken out: single terms, all terms, all of one joint, equal
+    effects at several joints, then pairs and triples that share a joint or the whole robot.
+    """
+    out: dict[tuple[Term, ...], None] = dict.fromkeys((t,) for t in terms)
+    if len(terms) <= _LARGEST + 1:
+        out[tuple(terms)] = None
+    joints = {t.joint for t in terms if t.joint >= 0}
+    crowds = [tuple(t for t in terms if t.joint in (j, -1)) for j in sorted(joints)]
+    alike = [
+        tuple(t for t in terms if t.effect == effect)
+        for effect in sorted({t.effect for t in terms})
+    ]
+    out.update(dict.fromkeys(c for c in (*crowds, *alike) if c))
+    for size in range(2, _LARGEST + 1):
+        for crowd in crowds:
+            out.update(dict.fromkeys(itertools.combinations(crowd, size)))
+    return list(out)[:_MOST_SUBSETS]
+
+
+def _near(
+    comparison: ModelComparison,
+    best: ScoredModel,
+    linear: Linear,
+    view: ResidualView,
+    answers: CandidateSensitivities,
+    allowed: Allowed,
+) -> list[Hypothesis]:
+    """Other sets that predict nearly the same along the motion, fitted there, likeliest first; with
+    them the final set without some of its terms, where that is near.
+    """
+    own, found = best.hypothesis, list[tuple[float, Hypothesis]]()
+    alike = list[Hypothesis]()
+    places = subsets(own.terms)
+    lefts = residuals_without(comparison.problem, linear, view, own, places)
+    for gone, left in zip(places, lefts, strict=True):
+        rest = own.without(*gone)
+        slope = view.jacobian[:, :, own.parameters_without(*gone)]
+        lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), answers)
+        sets = _beam(lens, own.terms, _LARGEST if len(gone) == 1 else len(gone))
+        fits = [LinearizedFit(rest.with_terms(s.starts), s.residual) for s in sets]
+        evidence = _along(comparison, view, own, fits)
+        for i in _chosen(gone, sets, evidence):
+            h = fits[i].hypothesis
+            found.append((float(evidence[i]), h))
+            same = _carried(comparison.problem, own, gone, h)
+            found += [(float(evidence[i]), c) for c in same]
+            alike += [c for c in same if len(c.terms) <= len(own.terms)]
+        found.append((np.inf if len(gone) == 1 else -np.inf, rest))
+    starts = _without_additions(found, _STARTED)[:_POLISHED]
+    fitted = fit_linearized(linear, view, starts, NEARBY)
+    values = _along(comparison, view, own, fitted).tolist()
+    ranked = [
+        (e, f.hypothesis) for e, f in zip(values, fitted, strict=True) if allowed(f.hypothesis)
+    ]
+    # What is linearized is exact for small effects only. Sets that are alike by structure may seem
+    # far apart along the motion: they are simulated with the parameters of what they stand for.
+    likeliest = _without_additions(ranked, 1)
+    fewer = [h for h in likeliest if len(h.terms) < len(own.terms)]
+    out = [*(h for h in alike[:_ALIKE] if allowed(h)), *fewer[:_FEWER], *likeliest]
+    return list({(h.terms, h.theta.tobytes()): h for h in out}.values())[:_SIMULATED]
+
+
+def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[Structure]:
+    """The best sets of up to so many candidates in the place of what is gone."""
+    level, out = [lens.bare], list[Structure]()
+    for _ in range(largest):
+        chosen = {
+            frozenset(c): c
+            for s in level
+            for c in lens.children(s, _KEPT if s.chosen else _SINGLE, [*barred, *s.starts])
+        }
+        if not chosen:
+            break
+        ranked = lens.compared(level[0], [lens.structure(c) for c in chosen.values()])
+        out += ranked
+        level = ranked[:_GROWN]
+    return out
+
+
+def _chosen(gone: Sequence[Term], sets: Sequence[Structure], evidence: FloatArray) -> list[int]:
+    """Which sets are fitted along the motion: the best few of each size, because what is linearized
+    around coarse starting values favours many parameters; and single effects that the catalogue
+    lists as confused with what is gone.
+    """
+    out = dict[int, None]()
+    order = [int(i) for i in np.argsort(-evidence)]
+    for size, count in enumerate(_OF_SIZE, start=1):
+        out.update(dict.fromkeys([i for i in order if len(sets[i].chosen) == size][:count]))
+    confused = {e for t in gone for e in t.law.confused_with}
+    for i in order:
+        if len(sets[i].starts) == 1:
+            (new,) = sets[i].starts
+            if new.effect in confused or any(t.effect in new.law.confused_with for t in gone):
+                out[i] = None
+    return list(out)
+
+
+def _carried(
+    problem: Problem, own: Hypothesis, gone: Sequence[Term], other: Hypothesis
+) -> list[Hypothesis]:
+    """Another set with the values that parameters of one name and quantity have in what is gone:
+    equal effects at other places, and delays of another part of the signal path.
+    """
+    known = {
+        (p.name, p.quantity): float(x) * problem.scales.value(p, t.joint)
+        for t in gone
+        for p, x in zip(t.parameters, own.theta[own.slice_of(t)], strict=True)
+        if not p.choice
+    }
+    theta, same = other.theta.copy(), False
+    for t in other.terms:
+        if t in own.terms:
+            continue
+        at = other.slice_of(t).start
+        for k, p in enumerate(t.parameters):
+            if (p.name, p.quantity) in known:
+                value = known[p.name, p.quantity] / problem.scales.value(p, t.joint)
+                theta[at + k], same = np.clip(value, p.lower, p.upper), True
+    return [other.with_theta(theta)] if same else []
+
+
+def _without_additions(found: Sequence[tuple[float, Hypothesis]], most: int) -> list[Hypothesis]:
+    """Sets by evidence, at most so many with the same terms, none that only adds effects to a set
+    that explains nearly as much: whether more effects are needed is the search's question.
+    """
+    known: dict[tuple[Term, ...], float] = {}
+    for e, h in found:
+        if np.isfinite(e):
+            known[h.terms] = max(e, known.get(h.terms, e))
+    lost = min(known.values(), default=0.0)
+
+    def adds(evidence: float, h: Hypothesis) -> bool:
+        return np.isfinite(evidence) and any(
+            set(h.terms) > set(terms) and e - lost >= _MOST_OF_IT * (evidence - lost)
+            for terms, e in known.items()
+            if e > lost
+        )
+
+    return _few_of_each([(e, h) for e, h in found if not adds(e, h)], most)
+
+
+def _few_of_each(found: Sequence[tuple[float, Hypothesis]], most: int) -> list[Hypothesis]:
+    """Hypotheses by evidence, at most so many with the same terms in the same forms."""
+    out, seen = list[Hypothesis](), Counter[_Form]()
+    for evidence, h in sorted(found, key=lambda each: -each[0]):
+        form = _form(h)
+        if evidence > -np.inf and seen[form] < most:
+            seen[form] += 1
+            out.append(h)
+    return out
+
+
+_Form = frozenset[tuple[Term, tuple[float, ...]]]
+
+
+def _form(h: Hypothesis) -> _Form:
+    """Terms of a set with their choices."""
+    return frozenset(
+        (t, tuple(
+            float(x) for x, p in zip(h.theta[h.slice_of(t)], t.parameters, strict=True) if p.choice
+        ))
+        for t in h.terms
+    )  # fmt: skip
+
+
+def _along(
+    comparison: ModelComparison, view: ResidualView, own: Hypothesis, fits: Sequence[LinearizedFit]
+) -> FloatArray:
+    """Evidence of sets over the final one, along the motion."""
+    everything = [LinearizedFit(own, view.residual), *fits]
+    if len(everything) == 1:
+        return np.zeros(0)
+    residuals = [np.nan_to_num(f.residual) for f in everything]
+    effective = view.effective_of_best(residuals)
+    closest = min(residuals, key=lambda r: misfit(r, view.floor))
+    samples = tempered_samples(
+        effective, np.mean(closest**2, axis=0), view.floor,
+        recordings_of(comparison.problem, fitted=True), len(comparison.problem.joints),
+    )  # fmt: skip
+    values = np.array([
+        log_likelihood(f.residual, NOISE_FLOORS * view.floor, samples)
+        - set_price(comparison, f.hypothesis, samples)
+        for f in everything
+    ])  # fmt: skip
+    over: FloatArray = np.nan_to_num(values[1:] - values[0], nan=-np.inf)
+    return over
+
+
+def _simulated(
+    comparison: ModelComparison,
+    best: ScoredModel,
+    linear: Linear,
+    near: Sequence[Hypothesis],
+    count: _Count,
+) -> list[ScoredModel]:
+    """Sets fitted by simulation: all as they start, fewer after each step of the fit."""
+    problem = comparison.problem
+    weights = comparison.weights(best)
+    current = list(near)
+    if not current:
+        return []
+    residual = problem.residuals(current, problem.fit)
+    for step, most in enumerate(_IN_FRONT):
+        behind = _FAR_BEHIND if step else np.inf
+        current, residual = _front(comparison, best, current, residual, most, behind)
+        slopes = linearized_slopes(linear, current)
+        tried = [
+            propose(h, linear.residual(np.nan_to_num(r)), slope, weights, damping)
+            if h.theta.size
+            else h
+            for h, r, slope in zip(current, residual, slopes, strict=True)
+            for damping in _DAMPINGS
+        ]
+        if count.spent + len(tried) * count.fitted > MOST_SIMULATIONS:
+            break
+        found = problem.residuals(tried, problem.fit)
+        for i in range(len(current)):
+            mine = range(i * len(_DAMPINGS), (i + 1) * len(_DAMPINGS))
+            k = min(mine, key=lambda k: weighted_cost(found[k], weights))
+            if weighted_cost(found[k], weights) < weighted_cost(residual[i], weights):
+                current[i], residual[i] = tried[k], found[k]
+    held = [best.held_residual] * len(current)
+    if comparison.has_held:
+        held = problem.residuals(current, problem.held_out)
+    return [
+        ScoredModel(Fitted(h, r, np.empty((*r.shape, 0)), weighted_cost(r, weights)), other)
+        for h, r, other in zip(current, residual, held, strict=True)
+    ]
+
+
+def _front(
+    comparison: ModelComparison,
+    best: ScoredModel,
+    hypotheses: Sequence[Hypothesis],
+    residuals: Sequence[FloatArray],
+    most: int,
+    behind: float,
+) -> tuple[list[Hypothesis], list[FloatArray]]:
+    """The likeliest sets by simulation, one start of each, none that is further ``behind``."""
+    lengths = comparison.problem.lengths(comparison.problem.fit)
+    problem, sets = comparison.problem, [best.hypothesis, *hypotheses]
+    left = within_a_step(problem, sets, [best.fitted.residual, *residuals], problem.fit)
+    values = evidence_on(comparison, sets, left, lengths, fitted=True)[0]
+    order = [i for i in np.argsort(-values[1:]) if values[1 + i] > values[0] - behind]
+    first = {_form(hypotheses[i]): int(i) for i in reversed(order)}
+    chosen = [int(i) for i in order if first[_form(hypotheses[i])] == i][:most]
+    return [hypotheses[i] for i in chosen], [residuals[i] for i in chosen]
+
+
+def _compared(
+    comparison: ModelComparison,
+    best: ScoredModel,
+    rivals: Sequence[ScoredModel],
+    linear: Linear,
+    count: _Count,
+    *,
+    possible: bool,
+) -> ComparedSets:
+    """The likeliest set, and the evidence of the others over it."""
+    everyone = [best, *rivals]
+    idle = idle_parameters(comparison.problem, linear, [r.hypothesis for r in everyone])
+    values, tempering = set_evidence(comparison, everyone, idle)
+    values -= values[0]
+    if possible:
+        # More effects may follow more; the search has decided that they are not needed.
+        more = [len(r.hypothesis.terms) > len(best.hypothesis.terms) for r in everyone]
+        values = np.where(more, np.minimum(values, 0.0), values)
+    elif rivals:
+        values[0] = -np.inf
+    top = int(np.argmax(values))
+    if possible and values[top] <= _AHEAD:
+        top = 0
+    top = _as_likely_in_mjcf(everyone, values, top)
+    first = {frozenset(everyone[i].hypothesis.terms): i for i in np.argsort(values, kind="stable")}
+    chosen, others = everyone[top], [i for i in first.values() if i != top]
+    if top:
+        comparison.problem.refine_at(chosen.hypothesis)
+        (chosen,) = comparison.rivals(
+            [chosen.hypothesis], comparison.weights(chosen), QUICK, slopes=True
+        )
+    sets = [
+        AlternativeSet(
+            everyone[i],
+            float(values[i] - values[top]),
+            _apart(comparison.problem, everyone[i], chosen),
+        )
+        for i in others
+        if np.isfinite(values[i])
+    ]
+    sets.sort(key=lambda s: -s.evidence)
+    return ComparedSets(chosen, tuple(sets), tempering, count.spent)
+
+
+def _as_likely_in_mjcf(rivals: Sequence[ScoredModel], values: FloatArray, top: int) -> int:
+    """Of sets as likely as the likeliest and as large, the one of which MJCF holds most effects.
+
+    Recordings do not decide between them, and a user runs that one with MuJoCo alone.
+    """
+
+    def inexpressible(i: int) -> int:
+        return sum(not mjcf_expresses(t.effect) for t in rivals[i].hypothesis.terms)
+
+    size = len(rivals[top].hypothesis.terms)
+    alike = [
+        i
+        for i, r in enumerate(rivals)
+        if len(r.hypothesis.terms) == size and values[i] >= values[top] - _AHEAD
+    ]
+    return min(alike, key=lambda i: (inexpressible(i), i != top))
+
+
+def _apart(problem: Problem, one: ScoredModel, other: ScoredModel) -> float:
+    return float(in_floors(one.fitted.residual - other.fitted.residual, problem.signal_floor).max())

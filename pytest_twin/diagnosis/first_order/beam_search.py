@@ -1,0 +1,449 @@
+"""Which effects, at which joints, alone and together, could explain a residual: to first order.
+
+Forces add, and so do their first-order responses: a structure of several effects is a least-squares
+problem of its own, in which the parameters of effects that are already named may give way too. All
+of them are solved from inner products that are taken once (normal equations), so that many
+structures can be looked at: the best few of every size are grown, then every term is held against
+one or two others in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
+from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
+from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
+from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects import catalogue
+from pytest_twin.realization.executor import Forks
+
+_RIDGE = 1e-8
+_SWAPS = 4
+
+
+def candidates(problem: Problem) -> list[Term]:
+    """Every effect that competes, where it can act."""
+    servo = problem.simulator.layout.servo
+    found = []
+    for effect in catalogue().values():
+        if not effect.candidate or problem.family not in (None, effect.family):
+            continue
+        if effect.needs_effort_sensor and problem.effort_floor is None:
+            continue
+        if effect.family == "contact" and not problem.simulator.models.contact.has(effect.id):
+            continue
+        if effect.scope == "robot":
+            found.append(Term(effect.id, -1))
+            continue
+        for j in range(len(problem.joints)):
+            if effect.family in ("actuation", "timing") and servo[j] not in effect.modes:
+                continue
+            if effect.periodic and problem.simulator.layout.slides[j]:
+                continue
+            found.append(Term(effect.id, j))
+    return found
+
+
+@dataclass(slots=True)
+class ResidualView:
+    """A residual and what may give way to explain it, averaged over bins.
+
+    Attributes:
+        residual: (bins, signals) of the best hypothesis.
+        jacobian: (bins, signals, parameters) of its prediction.
+        floor: (signals,) deviation of what no model can explain.
+        lengths: bins of each segment.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    floor: FloatArray
+    lengths: Sequence[int]
+
+    @property
+    def mean_square(self) -> FloatArray:
+        """(signals,) of the residual."""
+        mean_square: FloatArray = np.mean(self.residual**2, axis=0)
+        return mean_square
+
+    def above(self, mean_square: FloatArray, floors: float) -> NDArray[np.bool_]:
+        """(signals,) whether a mean square is more than so many floors."""
+        return np.asarray(mean_square > (floors * self.floor) ** 2)
+
+    def effective_of_best(self, residuals: Sequence[FloatArray]) -> FloatArray:
+        """(signals,) independent samples of the (bins, signals) residual that fits best."""
+
+        def misfit(residual: FloatArray) -> float:
+            mean_square = np.nan_to_num(np.mean(residual**2, axis=0), nan=np.inf)
+            return float(np.log(np.maximum(mean_square, self.floor**2)).sum())
+
+        return effective_samples(np.nan_to_num(min(residuals, key=misfit)), self.lengths)
+
+    def worth(self, residual: FloatArray, effective: FloatArray, parameters: int) -> float:
+        """Log-likelihood of a (bins, signals) residual less the price of its parameters."""
+        return (
+            log_likelihood(residual, self.floor, effective)
+            - parameter_penalty(effective) * parameters
+        )
+
+
+@dataclass(slots=True)
+class Structure:
+    """Terms that together explain a residual to first order.
+
+    Attributes:
+        starts: term -> parameters, in multiples of their scales, in the order of naming.
+        residual: (bins, signals) what they leave.
+        evidence: over the structure that it was held against.
+        chosen: responses of its terms, by their number.
+    """
+
+    starts: dict[Term, FloatArray]
+    residual: FloatArray
+    evidence: float = 0.0
+    chosen: tuple[int, ...] = ()
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers a fit of it moves."""
+        return sum(int(t.movable(start).sum()) for t, start in self.starts.items())
+
+
+def parameter_penalty(effective: FloatArray) -> float:
+    """Log-likelihood that one more parameter has to earn (Schwarz 1978)."""
+    return float(0.5 * np.log(max(float(effective.mean()), 2.0)))
+
+
+def effect_penalty(candidates: int) -> float:
+    """Log-likelihood that one more name has to earn, for it is one of many (extended BIC: Chen,
+    Chen, Biometrika 95, 2008).
+    """
+    return float(np.log(max(candidates, 1)))
+
+
+@dataclass(slots=True)
+class _Group:
+    """Responses with the same number of switches, for batched algebra.
+
+    Attributes:
+        which: their numbers.
+        columns: (responses, switches) their columns.
+        own: (signals, responses, switches, switches) inner products with themselves.
+    """
+
+    which: list[int]
+    columns: NDArray[np.int64]
+    own: FloatArray
+
+
+class CandidateSensitivities:
+    """Responses of all candidates as columns, and their inner products.
+
+    Attributes:
+        at: the columns of each response.
+        free: how many numbers a fit of each moves.
+        lower, upper: (columns,) bounds of their amplitudes.
+    """
+
+    def __init__(self, responses: Sequence[Sensitivity]) -> None:
+        self.responses = list(responses)
+        self.at: list[slice] = []
+        self.free = [int(r.term.movable(r.start).sum()) for r in self.responses]
+        parts, ends, count = [], [], 0
+        for r in self.responses:
+            self.at.append(slice(count, count + len(r.switches)))
+            count += len(r.switches)
+            parts.append(np.moveaxis(r.change, 0, -1))  # (signals, switches, bins)
+            for s in r.switches:
+                parameter = r.term.parameters[s]
+                ends.append(sorted([parameter.lower / r.start[s], parameter.upper / r.start[s]]))
+        self.lower, self.upper = np.reshape(ends, (-1, 2)).T
+        joined = np.concatenate(parts, axis=1) if parts else np.zeros((1, 0, 1))
+        self.columns = np.ascontiguousarray(joined, dtype=np.float32)
+        self._products: dict[int, FloatArray] = {}
+        self.name_price = effect_penalty(len({r.term for r in self.responses}))
+        self.groups = [self._group(m) for m in sorted({len(r.switches) for r in self.responses})]
+
+    def _group(self, switches: int) -> _Group:
+        which = [i for i, r in enumerate(self.responses) if len(r.switches) == switches]
+        columns = np.array([np.arange(self.at[i].start, self.at[i].stop) for i in which])
+        block = self.columns[:, columns].astype(np.float64)
+        return _Group(which, columns, np.matmul(block, block.swapaxes(-1, -2)))
+
+    def columns_of(self, chosen: Sequence[int]) -> list[int]:
+        """Columns of several responses, in their order."""
+        return [c for i in chosen for c in range(self.at[i].start, self.at[i].stop)]
+
+    def with_columns(self, other: FloatArray) -> FloatArray:
+        """(signals, columns, k) inner products with (bins, signals, k) other columns."""
+        moved = np.ascontiguousarray(np.moveaxis(other, 0, 1), dtype=np.float32)
+        return np.asarray(np.matmul(self.columns, moved), dtype=np.float64)
+
+    def products(self, response: int) -> FloatArray:
+        """(signals, columns, switches) inner products with a response's own columns."""
+        self.take_products([response])
+        return self._products[response]
+
+    def take_products(self, responses: Iterable[int]) -> None:
+        """Take inner products with the columns of several responses, at a fifth of what they cost
+        one by one.
+        """
+        new = [i for i in dict.fromkeys(responses) if i not in self._products]
+        if not new:
+            return
+        mine = self.columns[:, self.columns_of(new)].swapaxes(-1, -2)
+        found = np.matmul(self.columns, mine).astype(np.float64)
+        at = 0
+        for i in new:
+            count = len(self.responses[i].switches)
+            self._products[i] = found[:, :, at : at + count]
+            at += count
+
+
+class NormalEquations:
+    """One view through all responses: structures by their normal equations."""
+
+    def __init__(self, view: ResidualView, answers: CandidateSensitivities) -> None:
+        self.view = view
+        self.answers = answers
+        self.bins = len(view.residual)
+        jacobian = np.moveaxis(view.jacobian, 1, 0)  # (signals, bins, parameters)
+        self.own = jacobian.swapaxes(-1, -2) @ jacobian
+        self.own_residual = np.einsum("sbp,bs->sp", jacobian, view.residual)
+        self.squared = np.einsum("bs,bs->s", view.residual, view.residual)
+        self.with_own = answers.with_columns(view.jacobian)
+        self.with_residual = answers.with_columns(view.residual[:, :, None])[:, :, 0]
+
+    @property
+    def bare(self) -> Structure:
+        """Nothing new: only what is named gives way."""
+        return self.structure(())
+
+    def _normal(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Of own parameters and chosen responses: (signals, p, p) and (signals, p)."""
+        answers = self.answers
+        columns = answers.columns_of(chosen)
+        p = self.own.shape[1]
+        total = p + len(columns)
+        normal = np.empty((len(self.squared), total, total))
+        normal[:, :p, :p] = self.own
+        side = self.with_own[:, columns]
+        normal[:, p:, :p] = side
+        normal[:, :p, p:] = side.swapaxes(-1, -2)
+        at = p
+        for i in chosen:
+            block = answers.products(i)[:, columns]
+            normal[:, p:, at : at + block.shape[2]] = block
+            at += block.shape[2]
+        right = np.concatenate([self.own_residual, self.with_residual[:, columns]], axis=1)
+        return normal, right
+
+    def structure(self, chosen: tuple[int, ...]) -> Structure:
+        """A structure with all its amplitudes fitted together, inside their bounds."""
+        normal, right = self._normal(chosen)
+        p = self.own.shape[1]
+        answers = self.answers
+        columns = answers.columns_of(chosen)
+        lower = np.concatenate([np.full(p, -np.inf), answers.lower[columns]])
+        upper = np.concatenate([np.full(p, np.inf), answers.upper[columns]])
+        x = self._solved(normal[:, None], right[:, None], lower[None], upper[None])[0][0]
+        residual = self.view.residual - self.view.jacobian @ x[:p]
+        starts: dict[Term, FloatArray] = {}
+        at = p
+        for i in chosen:
+            r = answers.responses[i]
+            amplitude = x[at : at + len(r.switches)]
+            at += len(r.switches)
+            residual = residual - r.change @ amplitude
+            start = r.start.copy()
+            start[list(r.switches)] *= amplitude
+            starts[r.term] = start
+        return Structure(starts, residual, 0.0, chosen)
+
+    def _solved(
+        self, normal: FloatArray, right: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Amplitudes (k, p) and mean squares (k, signals) of k problems.
+
+        Args:
+            normal: (signals, k, p, p); right: (signals, k, p).
+            lower, upper: (k, p) bounds; amplitudes beyond stop there and the others give way.
+        """
+        count, p = right.shape[1:]
+        mean_square = np.repeat((self.squared / self.bins)[None], count, axis=0)
+        x = np.zeros((count, p))
+        if not p:
+            return x, mean_square
+        eye = np.eye(p)
+        for _ in range(3):
+            # Again under the weights of what is left: what is explained must not drown the rest.
+            weight = 1.0 / (mean_square + self.view.floor**2)
+            a = np.einsum("ks,skpq->kpq", weight, normal)
+            b = np.einsum("ks,skp->kp", weight, right)
+            size = np.sqrt(np.maximum(np.einsum("kpp->kp", a), 1e-300))
+            scaled = a / (size[:, :, None] * size[:, None, :]) + _RIDGE * eye
+            x = np.linalg.solve(scaled, (b / size)[..., None])[..., 0] / size
+            held = np.clip(x, lower, upper)
+            fixed = held != x
+            if fixed.any():
+                # Those at a bound leave the equations; the rest is solved anew.
+                keep = ~fixed
+                kept = scaled * (keep[:, :, None] & keep[:, None, :]) + eye * fixed[:, :, None]
+                rest = b / size - np.einsum("kpq,kq->kp", scaled, np.where(fixed, held * size, 0.0))
+                again = np.linalg.solve(kept, np.where(keep, rest, 0.0)[..., None])[..., 0] / size
+                x = np.clip(np.where(fixed, held, again), lower, upper)
+            taken = (normal @ x[None, :, :, None])[..., 0]
+            explained = np.einsum("kp,skp->ks", x, 2.0 * right - taken)
+            mean_square = np.maximum(self.squared[None] - explained, 0.0) / self.bins
+        return x, mean_square
+
+    def children(
+        self, parent: Structure, count: int, barred: Collection[Term] = ()
+    ) -> list[tuple[int, ...]]:
+        """The parent with one more term: the most promising, one entry per term, none that is
+        ``barred``.
+
+        They are ranked by the effective samples of what the best of them leaves: as long as a pulse
+        stands it seems to be one sample, whatever it hides.
+        """
+        answers, floor = self.answers, self.view.floor
+        base, base_right = self._normal(parent.chosen)
+        p = base.shape[1]
+        beside = [self.with_own, *(answers.products(i) for i in parent.chosen)]
+        with_base = np.concatenate(beside, axis=2)
+        misfit = np.full((len(answers.responses), len(self.squared)), np.inf)
+        for group in answers.groups:
+            m = group.columns.shape[1]
+            k = len(group.which)
+            normal = np.empty((len(self.squared), k, p + m, p + m))
+            normal[:, :, :p, :p] = base[:, None]
+            side = with_base[:, group.columns]
+            normal[:, :, p:, :p] = side
+            normal[:, :, :p, p:] = side.swapaxes(-1, -2)
+            normal[:, :, p:, p:] = group.own
+            right = np.concatenate(
+                [np.repeat(base_right[:, None], k, axis=1), self.with_residual[:, group.columns]],
+                axis=2,
+            )
+            lower = np.concatenate([np.full((k, p), -np.inf), answers.lower[group.columns]], axis=1)
+            upper = np.concatenate([np.full((k, p), np.inf), answers.upper[group.columns]], axis=1)
+            _, mean_square = self._solved(normal, right, lower, upper)
+            misfit[group.which] = np.log(np.maximum(mean_square, floor**2))
+        named = {*parent.starts, *barred}
+        new = [r.term not in named for r in answers.responses]
+        sound = np.flatnonzero(new & np.isfinite(misfit).all(axis=1))
+        if not len(sound):
+            return []
+        closest = int(sound[np.argmin(misfit[sound].sum(axis=1))])
+        left = self.structure((*parent.chosen, closest)).residual
+        effective = self.view.effective_of_best([parent.residual, left])
+        cost = parameter_penalty(effective)
+        best: dict[Term, tuple[float, int]] = {}
+        for i in map(int, sound):
+            term = answers.responses[i].term
+            gain = -0.5 * float(misfit[i] @ effective) - cost * answers.free[i]
+            if term not in best or gain > best[term][0]:
+                best[term] = gain, i
+        ranked = sorted(best.values(), key=lambda x: -x[0])[:count]
+        return [(*parent.chosen, i) for _, i in ranked]
+
+    def compared(self, parent: Structure, children: list[Structure]) -> list[Structure]:
+        """Children by their evidence over a parent, under the best child's effective samples."""
+        effective = self.view.effective_of_best([c.residual for c in children])
+
+        def worth(s: Structure) -> float:
+            names = self.answers.name_price * len(s.starts)
+            return self.view.worth(s.residual, effective, s.parameters) - names
+
+        base = worth(parent)
+        for c in children:
+            c.evidence = worth(c) - base
+        return sorted(children, key=lambda c: -c.evidence)
+
+
+@dataclass(slots=True)
+class BeamSearch:
+    """How far structures are searched.
+
+    Attributes:
+        width: structures kept at each size.
+        most: terms at most.
+        earns: evidence that a larger structure, or another in its place, must gain.
+        worth: whether (signals,) mean squares after are worth one more name than before.
+        cores: that take part.
+    """
+
+    width: int
+    most: int
+    earns: float
+    worth: Callable[[FloatArray, FloatArray], bool]
+    cores: int = 1
+    _seen: dict[frozenset[int], Structure] = field(default_factory=dict)
+
+    def levels(self, lens: NormalEquations) -> list[list[Structure]]:
+        """Structures of one, two, ... terms that explain a residual, best first at each size."""
+        level = [lens.bare]
+        found: list[list[Structure]] = []
+        for _ in range(self.most):
+            grown = self._grown(lens, level, 2 * self.width)
+            if not grown:
+                break
+            children = lens.compared(level[0], grown)
+            before = np.mean(level[0].residual ** 2, axis=0)
+            # One that is worth it carries the others along: a pair may win whose halves do not.
+            passing = [
+                c for c in children
+                if c.evidence >= self.earns
+                and self.worth(before, np.mean(c.residual**2, axis=0))
+            ]  # fmt: skip
+            if not passing:
+                break
+            level = [passing[0], *(c for c in children[: self.width] if c is not passing[0])]
+            found.append(level)
+        if not found:
+            return []
+        for size in found:
+            self._swap(lens, size[0])
+        sizes: dict[int, list[Structure]] = {}
+        for structure in self._seen.values():
+            sizes.setdefault(len(structure.chosen), []).append(structure)
+        return [lens.compared(lens.bare, sizes[n])[: self.width] for n in sorted(sizes)]
+
+    def _grown(
+        self, lens: NormalEquations, level: Sequence[Structure], count: int
+    ) -> list[Structure]:
+        check()
+        parents = [s for s in level if len(s.chosen) < self.most]
+        lens.answers.take_products(i for s in parents for i in s.chosen)
+        children = Forks(self.cores).map(partial(lens.children, count=count), parents)
+        wanted = {frozenset(c): c for each in children for c in each}
+        new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
+        lens.answers.take_products(i for chosen in new.values() for i in chosen)
+        self._seen |= {key: lens.structure(chosen) for key, chosen in new.items()}
+        return [self._seen[key] for key in wanted]
+
+    def _swap(self, lens: NormalEquations, best: Structure) -> None:
+        """Look at the structure with terms exchanged for one or two others, while that pays."""
+        for _ in range(_SWAPS):
+            pool: list[Structure] = []
+            for i in best.chosen:
+                rest = lens.structure(tuple(c for c in best.chosen if c != i))
+                ones = self._grown(lens, [rest], self.width)
+                pool += ones
+                if len(best.chosen) < self.most:
+                    pool += self._grown(lens, ones, 3)
+            pool = [s for s in pool if set(s.chosen) != set(best.chosen)]
+            if not pool:
+                break
+            top = lens.compared(best, pool)[0]
+            if top.evidence < self.earns:
+                break
+            best = top

@@ -1,0 +1,465 @@
+"""The generalized force that laws give along a motion, without simulating it.
+
+The hooks of :class:`~pytest_twin.effects.base.Effect` are called on samples of the motion as rows:
+all samples at once where no law remembers, else step by step. Joints whose laws are those at hand
+already are left out. Dry friction follows the sign of the velocity; where the joint stands it is
+what the motion asks for, up to its level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
+from pytest_twin.diagnosis.first_order.rigid_terms import Rigid, upsampled
+from pytest_twin.effects.acting import ActiveEffects, hooks_between_steps, there
+from pytest_twin.effects.base import ModelFields, World, moving_apart
+from pytest_twin.effects.roll_in import act
+from pytest_twin.effects.row_models import OF_ROWS
+from pytest_twin.effects.rows import RowSimulator
+
+_TIP = 1e-4
+"""rad or m, that a position is moved to see how a force changes with it."""
+# Numbers of one array: where all samples are taken at once, few enough to stay in a core's cache;
+# step by step, where every step has its price, as many as memory allows.
+_IN_CACHE, _MOST_NUMBERS = 100_000, 2_000_000
+_BLOCK = 64
+"""Steps that are prepared and closed together: few enough to stay in a core's cache."""
+_PER_ROW = (
+    "gain", "stiffness", "damping", "offset", "lower", "upper", "friction_level",
+    "motor_armature", "motor_damping", "link_inertia", "coldness", "least_setpoint",
+    "greatest_setpoint",
+)  # fmt: skip
+_AT_ONCE, _SAMPLES, _STEPS = 0, 1, 2
+"""Pace of a joint's laws: all samples at once, sample by sample, at the model's own step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forces:
+    """What acts along a motion, (variants, segments, samples, joints) N*m or N; of lanes, (lanes,
+    samples, columns), or one sample for all where nothing changes in time.
+
+    Attributes:
+        total: all that is not rigid-body: drive, friction, springs, pushes.
+        drive: of it, what the drive delivers.
+        dry: of it, dry friction; ``level`` its greatest value.
+        stiffness, damping: of the drive's law.
+        passive_stiffness, passive_damping: of the joint, beside the drive.
+    """
+
+    total: FloatArray
+    drive: FloatArray
+    dry: FloatArray
+    level: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
+    passive_stiffness: FloatArray
+    passive_damping: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Lanes:
+    """Joints of segments under variants of their laws, side by side.
+
+    A lane is one joint, or all joints of the robot where a law reads what another joint's does.
+
+    Attributes:
+        copy: (lanes,) variant.
+        segment: (lanes,) index among the motion's segments.
+        joint: (lanes, columns).
+    """
+
+    copy: NDArray[np.int64]
+    segment: NDArray[np.int64]
+    joint: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, pairs: NDArray[np.int64], joint: NDArray[np.int64], segments: int) -> _Lanes:
+        """Every segment under (n,) variants at (n, columns) joints."""
+        return cls(
+            np.repeat(pairs, segments),
+            np.tile(np.arange(segments), len(pairs)),
+            np.repeat(joint, segments, axis=0),
+        )
+
+    def of_copy(self, x: FloatArray) -> FloatArray:
+        """(lanes, columns) of (copies, joints)."""
+        return x[self.copy[:, None], self.joint]
+
+    def of_segment(self, x: FloatArray) -> FloatArray:
+        """(lanes, columns) of (segments, joints)."""
+        return x[self.segment[:, None], self.joint]
+
+    def in_time(self, x: FloatArray) -> FloatArray:
+        """(lanes, n, columns) of (segments, n, joints)."""
+        return np.moveaxis(x[self.segment[:, None], :, self.joint], 2, 1)
+
+    def parts(self, samples: int, pace: int) -> Iterator[_Lanes]:
+        """Lanes in parts of what is worked out together."""
+        most = _IN_CACHE if pace == _AT_ONCE else _MOST_NUMBERS
+        per = max(1, most // (samples * self.joint.shape[1]))
+        for first in range(0, len(self.copy), per):
+            some = slice(first, first + per)
+            yield _Lanes(self.copy[some], self.segment[some], self.joint[some])
+
+
+@dataclass(slots=True)
+class _Joint:
+    """What lanes have beside the drive, (lanes, columns)."""
+
+    damping: FloatArray
+    armature: FloatArray
+    own_armature: FloatArray
+    constant: FloatArray
+    spring: FloatArray
+    model_spring: FloatArray
+    rest: FloatArray
+    soft: NDArray[np.bool_]
+
+
+class LawForces:
+    """Evaluates laws along one motion."""
+
+    def __init__(self, simulator: RowSimulator, along: MeasuredTrajectory, rigid: Rigid) -> None:
+        self.simulator = simulator
+        self.along = along
+        samples = along.position.shape[1]
+        self.load = upsampled(rigid.bias, rigid.at, samples)
+        self.required = upsampled(rigid.effort, rigid.at, samples)
+        self._held: dict[int, FloatArray] = {}
+        self._at_start = simulator.models.world(along.segments)
+        self._standing, self._direction = _slipping(along.velocity, along.slip_velocity)
+
+    def forces(self, effects: ActiveEffects, copies: int) -> Forces:
+        """Forces of ``copies`` variants.
+
+        Args:
+            effects: values (copies, joints), neutral where a variant lacks the effect.
+            copies: how many variants.
+        """
+        segments, samples, joints = self.along.position.shape
+        out = Forces(*(np.zeros((copies, segments, samples, joints)) for _ in fields(Forces)))
+        everything = np.ones((copies, joints), dtype=bool)
+        for lanes, found in self._found(effects, _pace(effects, (copies, joints)), everything):
+            at = (lanes.copy[:, None], lanes.segment[:, None], slice(None), lanes.joint)
+            for field in fields(Forces):
+                getattr(out, field.name)[at] = np.moveaxis(getattr(found, field.name), 1, 2)
+        return out
+
+    def changes(
+        self, effects: ActiveEffects, copies: int, own: ActiveEffects, base: Forces
+    ) -> tuple[FloatArray, FloatArray]:
+        """What variants add to the total force and to the drive.
+
+        Args:
+            effects: values (copies, joints), neutral where a variant lacks the effect.
+            copies: how many variants.
+            own: of the laws at hand, values (1, joints).
+            base: their forces.
+
+        Returns:
+            Twice (copies, segments, samples, joints) N*m or N.
+        """
+        segments, samples, joints = self.along.position.shape
+        shape = (copies, joints)
+        total, drive = np.zeros((2, copies, segments, samples, joints))
+        # A law that remembers must not change how the others are sampled: a joint that lost it is
+        # stepped as it was.
+        pace = np.maximum(_pace(effects, shape), _pace(own, (1, joints)))
+        for lanes, found in self._found(effects, pace, _unlike(effects, own, shape)):
+            here = (lanes.segment[:, None], slice(None), lanes.joint)
+            at = (lanes.copy[:, None], *here)
+            total[at] = np.moveaxis(found.total, 1, 2) - base.total[0][here]
+            drive[at] = np.moveaxis(found.drive, 1, 2) - base.drive[0][here]
+        return total, drive
+
+    def _found(
+        self, effects: ActiveEffects, pace: NDArray[np.int64], which: NDArray[np.bool_]
+    ) -> Iterator[tuple[_Lanes, Forces]]:
+        """Forces of (copies, joints) joints ``which``, those of one pace together."""
+        segments, samples, joints = self.along.position.shape
+        coupled = np.zeros(len(which), dtype=bool)
+        for effect, v in effects:
+            if effect.reads_other_joints:
+                coupled |= there(effect, v).any(axis=1)
+        coupled &= which.any(axis=1)
+        together = np.where(coupled, pace.max(axis=1), -1)
+        alone = np.where(which & ~coupled[:, None], pace, -1)
+        for p in (_AT_ONCE, _SAMPLES, _STEPS):
+            copies = np.flatnonzero(together == p)
+            everything = np.tile(np.arange(joints), (len(copies), 1))
+            copy, joint = np.nonzero(alone == p)
+            for some, columns in ((copies, everything), (copy, joint[:, None])):
+                if len(some):
+                    for lanes in _Lanes.of(some, columns, segments).parts(samples, p):
+                        yield lanes, self._of_lanes(effects, lanes, p)
+
+    def _of_lanes(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> Forces:
+        along = self.along
+        active = [(e, {n: lanes.of_copy(x) for n, x in v.items()}) for e, v in effects]
+        each = [(e, v) for e, v in active if there(e, v).any()]
+        world = self._world(lanes)
+        joint = self._joint(each, world, lanes)
+        for effect, v in each:
+            effect.gains(world, v)
+        stiffness, damping = world.stiffness, world.damping
+        if pace == _AT_ONCE:
+            out = self._at_once(each, world, joint, lanes)
+        else:
+            # Gears are stiff: they need the model's own step. A sample will do for the rest.
+            out = self._stepwise(each, world, joint, lanes, along.steps if pace == _STEPS else 1)
+        total, drive, dry, level = out
+        constant = (stiffness, damping, joint.spring + joint.model_spring, joint.damping)
+        return Forces(total, drive, dry, level, *(x[:, None] for x in constant))
+
+    def _world(self, lanes: _Lanes) -> World:
+        world = replace(self._at_start, servo=self._at_start.servo[lanes.joint], state={})
+        for name in OF_ROWS:
+            value = getattr(world, name)
+            value = value[lanes.segment] if value.ndim == 1 else lanes.of_segment(value)
+            setattr(world, name, value)
+        return world
+
+    def _joint(self, effects: ActiveEffects, world: World, lanes: _Lanes) -> _Joint:
+        simulator = self.simulator
+        models = [simulator.segments[s].model for s in self.along.segments]
+        dof = simulator.layout.dof_index
+
+        def of(values: list[FloatArray]) -> FloatArray:
+            return lanes.of_segment(np.array(values))
+
+        gravity = np.array([m.opt.gravity for m in models])[lanes.segment]
+        changed = ModelFields.neutral(gravity, lanes.joint.shape[1])
+        changed.damping = of([m.dof_damping[dof] for m in models])
+        changed.friction = world.friction_level
+        for effect, v in effects:
+            if effect.family != "contact":
+                effect.fields(changed, v)
+        soft = moving_apart(effects, lanes.joint.shape)
+        if soft.any():
+            known = simulator.models.link_inertia(np.asarray(self.along.segments))
+            world.link_inertia = lanes.of_segment(known)
+        world.friction_level = np.maximum(changed.friction, 0.0)
+        own = of([m.dof_armature[dof] for m in models])
+        world.motor_armature = own + changed.armature
+        world.motor_damping = changed.damping
+        constant, world.motor_constant = changed.split_force(soft)
+        rest = of([m.qpos_spring[simulator.layout.qpos_index] for m in models])
+        springs = of([m.jnt_stiffness[simulator.layout.joint_ids] for m in models])
+        return _Joint(
+            changed.damping, changed.armature, own, constant, changed.stiffness, springs, rest,
+            soft,
+        )  # fmt: skip
+
+    def _commands(self, effects: ActiveEffects, lanes: _Lanes, count: int) -> FloatArray:
+        """(lanes, count, columns) means of the held commands over even parts of the motion."""
+        simulator, along = self.simulator, self.along
+        segments, samples, joints = along.position.shape
+        steps = (samples - 1) * along.steps
+        late = [(e, v) for e, v in effects if e.overrides("command_latency", "sample_time")]
+        if late:
+            rows = along.segments[lanes.segment]
+            found = simulator.commands(rows, late, steps, lanes.joint)
+            mean: FloatArray = found.reshape(len(rows), count, -1, found.shape[2]).mean(axis=2)
+            return mean
+        if count not in self._held:
+            found = simulator.commands(along.segments, [], steps)
+            self._held[count] = found.reshape(segments, count, -1, joints).mean(axis=2)
+        return lanes.in_time(self._held[count])
+
+    def _at_once(
+        self, effects: ActiveEffects, world: World, joint: _Joint, lanes: _Lanes
+    ) -> list[FloatArray]:
+        along = self.along
+        samples = along.position.shape[1]
+        count, columns = lanes.joint.shape
+        mean = self._commands(effects, lanes, samples - 1)
+        # A command holds from its sample on; a sample stands for half a sample to either side.
+        held = np.concatenate([mean[:, :1], 0.5 * (mean[:, 1:] + mean[:, :-1]), mean[:, -1:]], 1)
+
+        def spread(x: NDArray[Any]) -> NDArray[Any]:
+            return np.repeat(x, samples, axis=0)
+
+        def flat(x: FloatArray) -> FloatArray:
+            return lanes.in_time(x).reshape(-1, columns)
+
+        for name in (*_PER_ROW, "servo"):
+            setattr(world, name, spread(getattr(world, name)))
+        wide = _Joint(*(spread(getattr(joint, f.name)) for f in fields(_Joint)))
+        world.time = along.time[lanes.segment].ravel()
+        world.position, world.velocity = flat(along.position), flat(along.velocity)
+        world.load = flat(self.load)
+        world.setpoint = held.reshape(-1, columns)
+        world.applied = wide.constant - wide.spring * (world.position - wide.rest)
+        act(
+            world,
+            hooks_between_steps([(e, {n: spread(x) for n, x in v.items()}) for e, v in effects]),
+        )
+        out = self._closed(
+            wide, world.velocity, flat(along.acceleration), flat(self.required),
+            world.delivered, world.applied, world.friction_level,
+            (flat(self._standing), flat(self._direction)),
+        )  # fmt: skip
+        return [x.reshape(count, samples, columns) for x in out]
+
+    def _stepwise(
+        self, effects: ActiveEffects, world: World, joint: _Joint, lanes: _Lanes, parts: int
+    ) -> list[FloatArray]:
+        along = self.along
+        samples = along.position.shape[1]
+        count, columns = lanes.joint.shape
+        world.timestep = along.interval / parts
+
+        def by_step(x: FloatArray) -> FloatArray:
+            return np.ascontiguousarray(x.swapaxes(0, 1))
+
+        held = by_step(self._commands(effects, lanes, (samples - 1) * parts))
+        motion = [
+            by_step(lanes.in_time(x))
+            for x in (along.position, along.velocity, self.load, along.acceleration, self.required)
+        ]
+        start = along.time[lanes.segment, 0]
+        hooks = hooks_between_steps(effects)
+        world.time, world.load = start, motion[2][0]
+        self.simulator.roll_in(world, along.segments[lanes.segment], effects, lanes.joint)
+        bounds = world.lower, world.upper, world.friction_level
+        # Commands are means over a step, so the motion is taken in its middle; the motor behind a
+        # gear starts each step with the link, as it does when it is simulated.
+        middle = 0.5 if parts == 1 else 0.0
+        share = ((np.arange(parts) + middle) / parts)[None, :, None, None]
+        slip_velocity = along.slip_velocity[lanes.joint]
+        mean = np.empty((4, samples - 1, count, columns))
+        per = max(1, _BLOCK // parts)
+        drive, level = np.empty((2, per * parts, count, columns))
+        for first in range(0, samples - 1, per):
+            last = min(first + per, samples - 1)
+            steps = (last - first) * parts
+            position, velocity, load, acceleration, required = (
+                (
+                    x[first:last, None] + share * (x[first + 1 : last + 1] - x[first:last])[:, None]
+                ).reshape(steps, count, columns)
+                for x in motion
+            )
+            applied = joint.constant - joint.spring * (position - joint.rest)
+            for i in range(steps):
+                k = first * parts + i
+                world.time = start + k * world.timestep
+                world.position, world.velocity = position[i], velocity[i]
+                world.load, world.setpoint, world.applied = load[i], held[k], applied[i]
+                world.lower, world.upper, world.friction_level = bounds
+                act(world, hooks)
+                drive[i], level[i] = world.delivered, world.friction_level
+            found = self._closed(
+                joint, velocity, acceleration, required, drive[:steps], applied,
+                level[:steps], _slipping(velocity, slip_velocity),
+            )  # fmt: skip
+            for m, x in zip(mean, found, strict=True):
+                m[first:last] = x.reshape(last - first, parts, count, columns).mean(axis=1)
+        out = np.empty((4, count, samples, columns))
+        mean = mean.swapaxes(1, 2)
+        # Means over the sample after each stamp, moved to the stamps.
+        out[:, :, 0], out[:, :, -1] = mean[:, :, 0], mean[:, :, -1]
+        out[:, :, 1:-1] = 0.5 * (mean[:, :, 1:] + mean[:, :, :-1])
+        return list(out)
+
+    @staticmethod
+    def _closed(
+        joint: _Joint,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        required: FloatArray,
+        drive: FloatArray,
+        applied: FloatArray,
+        level: FloatArray,
+        slipping: tuple[FloatArray, FloatArray],
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Total, drive, dry friction and its level, (..., lanes, columns) like the arguments."""
+        level = np.maximum(level, 0.0)
+        others = drive + applied - joint.damping * velocity - joint.armature * acceleration
+        standing, direction = slipping
+        # At rest dry friction is what holds the joint, as far as its level goes.
+        holding = np.minimum(np.maximum(required - others, -level), level)
+        dry = standing * holding - (1.0 - standing) * level * direction
+        total = others + dry
+        if joint.soft.any():
+            # A link that the gear lets go has no armature: the mass matrix has it all the same.
+            total = np.where(joint.soft, applied + joint.own_armature * acceleration, total)
+        return total, drive, dry, level
+
+
+def _slipping(velocity: FloatArray, slip_velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far a joint stands, 0 to 1, and the direction of its friction, -1 to 1."""
+    slip = velocity / slip_velocity
+    return np.exp(-0.25 * slip * slip), np.tanh(slip)
+
+
+def force_slopes(
+    simulator: RowSimulator, along: MeasuredTrajectory, rigid: Rigid, effects: ActiveEffects
+) -> tuple[FloatArray, FloatArray]:
+    """How fast forces that depend on the state alone (drag, cogging) fall with it.
+
+    Central differences, midway between the measured and the predicted motion.
+
+    Args:
+        simulator: of the segments.
+        along: the motion.
+        rigid: its rigid-body terms.
+        effects: of the hypothesis, values (1, joints).
+
+    Returns:
+        Stiffness and damping, twice (segments, samples, joints).
+    """
+    of_state = [
+        (e, v) for e, v in effects
+        if e.overrides("force") and not e.remembers and e.family != "environment"
+    ]  # fmt: skip
+    out = np.zeros((2, *along.position.shape))
+    if not of_state:
+        return out[0], out[1]
+    position, velocity = along.midway
+
+    def force(q: FloatArray, v: FloatArray) -> FloatArray:
+        laws = LawForces(simulator, replace(along, position=q, velocity=v), rigid)
+        found: FloatArray = laws.changes(of_state, 1, [], laws.forces([], 1))[0][0]
+        return found
+
+    tip = along.slip_velocity
+    out[0] = (force(position - _TIP, velocity) - force(position + _TIP, velocity)) / (2 * _TIP)
+    out[1] = (force(position, velocity - tip) - force(position, velocity + tip)) / (2 * tip)
+    return out[0], out[1]
+
+
+def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
+    """How the laws of every (copies, joints) joint have to be stepped."""
+    out = np.full(shape, _AT_ONCE)
+    for effect, v in effects:
+        if effect.remembers:
+            mine = _STEPS if effect.overrides("gear") else _SAMPLES
+            out = np.maximum(out, np.where(there(effect, v), mine, _AT_ONCE))
+    return out
+
+
+def _unlike(
+    effects: ActiveEffects, own: ActiveEffects, shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """(copies, joints) whose laws are not those at hand."""
+    out = np.zeros(shape, dtype=bool)
+    held = {e.id: v for e, v in own}
+    for effect, v in effects:
+        acts = there(effect, v)
+        mine = held.pop(effect.id, None)
+        if mine is None:
+            out |= acts
+        else:
+            changed = np.any([x != mine[n] for n, x in v.items()], axis=0)
+            out |= changed & (acts | there(effect, mine))
+    for effect, _ in own:
+        if effect.id in held:
+            out |= there(effect, held[effect.id])
+    return out

@@ -1,0 +1,148 @@
+"""Fit a structure along the measured motion: all parameters, shapes included, without simulation.
+
+Levenberg-Marquardt on :meth:`Linear.differences`, in which laws are exact and only the deviations
+that follow from them are of first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
+from pytest_twin.diagnosis.first_order.beam_search import ResidualView
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.fit import finite_differences, proposals, weighted_cost
+from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores
+
+NEARBY, FAR_OFF = 3, 8
+"""Iterations of what starts near where it ends, and of what stands for something else."""
+_DAMPINGS = (1e-4, 1e-2, 1.0)
+_ENOUGH = 3e-3
+_FEW, _AT_ONCE = 4, 48
+"""Rows of one batch: fewer are not worth a core of their own, more take memory and save no time."""
+
+
+@dataclass(slots=True)
+class LinearizedFit:
+    """A hypothesis fitted along the measured motion.
+
+    Attributes:
+        hypothesis: the one at hand with more terms, every parameter free.
+        residual: (bins, signals) what it leaves.
+    """
+
+    hypothesis: Hypothesis
+    residual: FloatArray
+
+
+def fit_linearized(
+    linear: Linear,
+    view: ResidualView,
+    starts: Sequence[Hypothesis],
+    iterations: int,
+    targets: Sequence[FloatArray] | None = None,
+) -> list[LinearizedFit]:
+    """Fit every start, side by side; each under the weights of its residual.
+
+    Args:
+        linear: laws along the measured motion.
+        view: residual and noise floor.
+        starts: hypotheses with starting values.
+        iterations: at most.
+        targets: (bins, signals) what the differences of each are to explain; the residual of
+            ``view`` by default.
+    """
+    if targets is None:
+        targets = [view.residual] * len(starts)
+    residuals = [t - d for t, d in zip(targets, _differences(linear, starts), strict=True)]
+    fits = [LinearizedFit(h, r) for h, r in zip(starts, residuals, strict=True)]
+    target = {id(f): t for f, t in zip(fits, targets, strict=True)}
+    active = [f for f in fits if f.hypothesis.theta.size]
+    for _ in range(iterations):
+        if not active:
+            break
+        nudges = [finite_differences(f.hypothesis) for f in active]
+        moved = iter(_differences(linear, [row for rows, _ in nudges for row in rows]))
+        weights: list[FloatArray] = []
+        tried: list[Hypothesis] = []
+        ends = [0]
+        for f, (_, steps) in zip(active, nudges, strict=True):
+            weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
+            here = target[id(f)] - f.residual
+            slope = np.zeros((*here.shape, f.hypothesis.theta.size))
+            for column, s in zip(np.flatnonzero(f.hypothesis.movable), steps, strict=True):
+                slope[..., column] = (next(moved) - here) / s
+            slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
+            weights.append(weight)
+            tried += proposals(f.hypothesis, f.residual, slope, weight, _DAMPINGS)
+            ends.append(len(tried))
+        owner = [f for f, n in zip(active, np.diff(ends), strict=True) for _ in range(n)]
+        found = _differences(linear, tried)
+        left = [target[id(f)] - d for f, d in zip(owner, found, strict=True)]
+        still = []
+        for k, (f, weight) in enumerate(zip(active, weights, strict=True)):
+            mine = range(ends[k], ends[k + 1])
+            best = min(mine, key=lambda i: weighted_cost(left[i], weight))
+            before, after = weighted_cost(f.residual, weight), weighted_cost(left[best], weight)
+            # Less would only move what is the same physics away from where it is known to be.
+            if after <= (1.0 - _ENOUGH) * before:
+                f.hypothesis, f.residual = tried[best], left[best]
+                still.append(f)
+        active = still
+    return fits
+
+
+def linearized_slopes(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+    """(bins, signals, parameters) of each hypothesis's prediction along the measured motion, per
+    scaled parameter; zero where a fit does not move it.
+    """
+    nudges = [finite_differences(h) for h in hypotheses]
+    here = _differences(linear, hypotheses)
+    moved = iter(_differences(linear, [row for rows, _ in nudges for row in rows]))
+    out = []
+    for h, base, (_, steps) in zip(hypotheses, here, nudges, strict=True):
+        slope = np.zeros((*base.shape, h.theta.size))
+        for column, step in zip(np.flatnonzero(h.movable), steps, strict=True):
+            slope[..., column] = (next(moved) - base) / step
+        out.append(np.nan_to_num(slope, posinf=0.0, neginf=0.0))
+    return out
+
+
+def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+    """As :meth:`Linear.differences`, in batches that need the same steps.
+
+    Raises:
+        OutOfTime: the time of the search is over.
+    """
+    check()
+    groups: dict[tuple[bool, bool], list[int]] = {}
+    for i, h in enumerate(hypotheses):
+        effects = [t.law for t in h.terms]
+        key = (
+            any(e.remembers for e in effects),
+            any(e.overrides("gear") for e in effects),
+        )
+        groups.setdefault(key, []).append(i)
+    cores = free_cores(linear.simulator.threads)
+    batches = []
+    # What takes the model's own step takes longest.
+    for key in sorted(groups, key=lambda k: (k[1], k[0]), reverse=True):
+        # All of a batch have all laws of it: those of the same laws go together.
+        which = sorted(groups[key], key=lambda i: sorted(t.effect for t in hypotheses[i].terms))
+        each = min(_AT_ONCE, max(-(-len(which) // cores), _FEW))
+        batches += [which[i : i + each] for i in range(0, len(which), each)]
+    if cores > 1:
+        linear.know_bodies(hypotheses)
+    differences = Forks(cores).map(
+        linear.differences, [[hypotheses[i] for i in some] for some in batches]
+    )
+    out: dict[int, FloatArray] = {}
+    for some, found in zip(batches, differences, strict=True):
+        out.update(zip(some, found, strict=True))
+    return [out[i] for i in range(len(hypotheses))]

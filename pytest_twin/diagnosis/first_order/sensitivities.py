@@ -1,0 +1,575 @@
+"""What every candidate would change, to first order, without simulating any of them.
+
+Along the measured motion each law gives the force that it adds; the equation of small deviations
+turns forces into positions. Sensors and clocks change the reading itself. In contact, where small
+deviations do not stay small, candidates are simulated instead.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import check
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.law_forces import Forces, LawForces, force_slopes
+from pytest_twin.diagnosis.first_order.linearized_dynamics import (
+    LinearizedDynamics,
+    linearized_dynamics,
+)
+from pytest_twin.diagnosis.first_order.measured_trajectory import (
+    MeasuredTrajectory,
+    measured_trajectory,
+)
+from pytest_twin.diagnosis.first_order.rigid_terms import (
+    Efforts,
+    Rigid,
+    changes_bodies,
+    rigid_terms,
+    tilts,
+    upsampled,
+)
+from pytest_twin.diagnosis.first_order.sensor_readings import Column, SensorReadings
+from pytest_twin.diagnosis.free_initial_state import (
+    FreeInitialState,
+    free_initial_state,
+    free_shifts,
+)
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.acting import BETWEEN_STEPS, ActiveEffects, in_turn, with_fixed
+from pytest_twin.effects.base import Effect, Values
+from pytest_twin.realization.executor import Forks
+from pytest_twin.realization.forks import free_cores
+
+_IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *BETWEEN_STEPS)
+_CLOSEST = 16
+"""Candidates that are simulated at every starting size, where none is of first order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """What a candidate changes at one choice of its shape parameters.
+
+    Attributes:
+        term: the candidate.
+        start: its parameters where the change was taken, each switch on.
+        switches: indices of the parameters that switch the effect on.
+        change: (bins, signals, switches) prediction with one switch on minus without.
+    """
+
+    term: Term
+    start: FloatArray
+    switches: tuple[int, ...]
+    change: FloatArray
+
+
+Sizes = Sequence[tuple[FloatArray, tuple[int, ...]]]
+"""Parameters of a term, and which of them switch it on there."""
+
+
+def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
+    """Starting sizes of a term, of its first form first, and which of its parameters switch it on
+    there.
+    """
+    if not term.law.has_forms:
+        return _sizes(term, [p.starts for p in term.parameters])
+    out = []
+    for form in itertools.product(*(p.starts if p.choice else (0.0,) for p in term.parameters)):
+        has = term.law.has(np.array(form))
+        # Forms with shapes of their own are many: what others have too is at its middle size.
+        own = any(
+            p.under and p.neutral is None and here
+            for p, here in zip(term.parameters, has, strict=True)
+        )
+        starts: list[tuple[float, ...]] = []
+        for p, chosen, here in zip(term.parameters, form, has, strict=True):
+            if p.choice or not here:
+                starts.append((chosen,))
+            elif own and p.neutral is None and p.under is None:
+                starts.append((p.starts[len(p.starts) // 2],))
+            else:
+                starts.append(p.starts)
+        out += _sizes(term, starts)
+    return out
+
+
+def _sizes(
+    term: Term, starts: Sequence[tuple[float, ...]]
+) -> list[tuple[FloatArray, tuple[int, ...]]]:
+    """All combinations of starts; of several switches the first of each."""
+    switches = term.switches(np.array([s[0] for s in starts]))
+    several = len(switches) > 1
+    each = [s[:1] if several and k in switches else s for k, s in enumerate(starts)]
+    return [(np.array(size), switches) for size in itertools.product(*each)]
+
+
+def starts_in_first_form(term: Term) -> list[FloatArray]:
+    """Starting sizes of a term in its first form alone, in all of them where none has parameters
+    that others lack.
+    """
+    sizes = [start for start, _ in grid(term)]
+    choices = [k for k, p in enumerate(term.parameters) if p.choice and term.law.has_forms]
+    return [s for s in sizes if np.array_equal(s[choices], sizes[0][choices])]
+
+
+def simulated_sensitivities(
+    problem: Problem,
+    terms: Sequence[Term],
+    segments: NDArray[np.int64],
+    hypothesis: Hypothesis,
+    residual: FloatArray,
+) -> list[Sensitivity]:
+    """Responses by simulation: every candidate at one size, the closest at all of theirs.
+
+    Args:
+        problem: what to explain.
+        terms: candidates, none of them in the hypothesis.
+        segments: on which.
+        hypothesis: the best so far.
+        residual: (bins, signals) that they are to explain.
+    """
+    sizes = {t: grid(t) for t in terms}
+    middle = {t: len(starts_in_first_form(t)) // 2 for t in sizes}
+    found = _simulated(problem, [(t, sizes[t][middle[t]]) for t in terms], segments, hypothesis)
+    weight = 1.0 / (np.mean(residual**2, axis=0) + problem.signal_floor**2)
+    order = sorted(found, key=lambda r: -_explained(r.change, residual, weight))
+    closest = [r.term for r in order[:_CLOSEST]]
+    rest = [(t, s) for t in closest for k, s in enumerate(sizes[t]) if k != middle[t]]
+    return found + _simulated(problem, rest, segments, hypothesis)
+
+
+def _explained(change: FloatArray, residual: FloatArray, weight: FloatArray) -> float:
+    """Weighted squares of (bins, signals) that (bins, signals, switches) changes take away."""
+    root = np.sqrt(weight)
+    a = (change * root[:, None]).reshape(-1, change.shape[2]).astype(np.float64)
+    b = (residual * root).ravel()
+    return float(np.linalg.norm(a @ np.linalg.lstsq(a, b, rcond=None)[0]) ** 2)
+
+
+def _simulated(
+    problem: Problem,
+    sizes: Sequence[tuple[Term, tuple[FloatArray, tuple[int, ...]]]],
+    segments: NDArray[np.int64],
+    hypothesis: Hypothesis,
+) -> list[Sensitivity]:
+    """Responses at given sizes, all in one batch."""
+    if not sizes:
+        return []
+    rows: list[Hypothesis] = [hypothesis]
+    plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
+    for term, (full, switches) in sizes:
+        plan.append((term, full, switches))
+        for s in switches:
+            rows.append(hypothesis.with_term(term, _alone(full, switches, s)))
+    binned = bins(problem, segments)
+    found = [binned.mean(r) for r in problem.residuals(rows, segments)]
+    at, out = 1, []
+    for term, start, switches in plan:
+        change = np.stack([found[0] - found[at + k] for k in range(len(switches))], axis=-1)
+        at += len(switches)
+        if np.isfinite(change).all():
+            out.append(Sensitivity(term, start, switches, change.astype(np.float32)))
+    return out
+
+
+def _alone(full: FloatArray, switches: tuple[int, ...], switch: int) -> FloatArray:
+    alone = full.copy()
+    alone[[k for k in switches if k != switch]] = 0.0
+    return alone
+
+
+def sensitivities(
+    problem: Problem,
+    terms: Sequence[Term],
+    segments: NDArray[np.int64],
+    hypothesis: Hypothesis = EMPTY,
+    residual: FloatArray | None = None,
+) -> tuple[list[Sensitivity], FloatArray]:
+    """First-order responses of every candidate at a hypothesis.
+
+    Args:
+        problem: what to explain.
+        terms: candidates, none of them in the hypothesis.
+        segments: on which.
+        hypothesis: the best so far.
+        residual: (samples, signals) its residual there, if it is known.
+
+    Returns:
+        The responses, and the (bins, signals) residual that they are to explain.
+    """
+    if residual is None:
+        residual = problem.residuals([hypothesis], segments)[0]
+    linear = linearize(problem, segments, hypothesis)
+    return sensitivities_around(linear, problem, terms, segments, hypothesis, residual)
+
+
+def sensitivities_around(
+    linear: Linear | None,
+    problem: Problem,
+    terms: Sequence[Term],
+    segments: NDArray[np.int64],
+    hypothesis: Hypothesis,
+    residual: FloatArray,
+) -> tuple[list[Sensitivity], FloatArray]:
+    """As :func:`sensitivities`, around a hypothesis that is linearized already."""
+    if linear is None:
+        left = bins(problem, segments).mean(residual)
+        return simulated_sensitivities(problem, terms, segments, hypothesis, left), left
+    return linear.sensitivities(terms), linear.residual(residual)
+
+
+def linearize(
+    problem: Problem, segments: NDArray[np.int64], hypothesis: Hypothesis
+) -> Linear | None:
+    """What is of first order around a hypothesis; None where the robot meets something."""
+    if problem.simulator.models.contact.world.size:
+        return None
+    return Linear(problem, hypothesis, segments)
+
+
+class Linear:
+    """First-order responses at one hypothesis, and whole hypotheses along its measured motion."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        hypothesis: Hypothesis,
+        segments: NDArray[np.int64],
+    ) -> None:
+        self.problem = problem
+        self.simulator = problem.simulator
+        self.segments = segments
+        joints = len(problem.joints)
+        self.own = with_fixed(
+            effect_values([hypothesis], joints, problem.scales), self.simulator.fixed, 1
+        )
+        self.along: MeasuredTrajectory = measured_trajectory(problem, hypothesis, segments)
+        active = in_turn(self.own)
+        self.rigid: Rigid = rigid_terms(self.simulator, self.along, active)[0]
+        self.efforts = Efforts(self.simulator, self.along)
+        (self.own_effort,) = self.efforts.of(active, 1)
+        self.laws = LawForces(self.simulator, self.along, self.rigid)
+        self.base: Forces = self.laws.forces(active, 1)
+        predicted = LawForces(self.simulator, self.along.predicted, self.rigid).forces(active, 1)
+        self.deviation: LinearizedDynamics = linearized_dynamics(
+            self.simulator, self.along, active, self.base, predicted,
+            force_slopes(self.simulator, self.along, self.rigid, active),
+        )  # fmt: skip
+        self.bins = bins(problem, segments)
+        self.readings = SensorReadings(problem, self.along, self.deviation, self.bins)
+        self.starts = self._free_starts()
+        self.readings.free(self.starts)
+
+    def residual(self, residual: FloatArray) -> FloatArray:
+        """(bins, signals) of (samples, signals), freed of shifted starts and trusted as responses
+        are.
+        """
+        joints = len(self.problem.joints)
+        out, at = residual.copy(), 0
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            n = len(segment.time)
+            if i in self.starts:
+                off = self.starts[i].freed(segment.position - self.along.reading[i])
+                out[at : at + n, :joints] = off * self.problem.trust.get(int(s), 1.0)
+            at += n
+        return self.bins.mean(out)
+
+    def _free_starts(self) -> dict[int, FreeInitialState]:
+        """Free starts of this motion: a shift dies out or grows as other deviations do."""
+        if self.problem.free is None:
+            return {}
+        segments, samples, joints = self.along.position.shape
+        unit = np.tile(np.eye(2 * joints), (segments, 1, 1))
+        none = np.zeros((segments, samples, joints, 2 * joints))
+        state = self.deviation.trajectory(none, unit)
+        out = {}
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            free = free_shifts(segment)
+            if free:
+                response = self.readings.at_stamps(i, state[i, :, :joints, :free])
+                response = response.reshape(-1, free)
+                out[i] = free_initial_state(response, segment, self.problem.start_noise)
+        return out
+
+    # -- candidates
+
+    def sensitivities(self, terms: Sequence[Term]) -> list[Sensitivity]:
+        """All candidates', those of one effect together.
+
+        Raises:
+            OutOfTime: the time of the search is over.
+        """
+        check()
+        by_effect: dict[str, list[Term]] = {}
+        for term in sorted(terms, key=lambda t: t.effect):
+            by_effect.setdefault(term.effect, []).append(term)
+        cores = free_cores(self.simulator.threads)
+        if cores > 1:
+            self.know_bodies([
+                EMPTY.with_term(t, start) for each in by_effect.values() for t in each
+                for start, _ in grid(t)
+            ])  # fmt: skip
+        order = sorted(by_effect, key=_slow, reverse=True)
+        found = Forks(cores).map(self._of_effect, [by_effect[e] for e in order])
+        of = dict(zip(order, found, strict=True))
+        return [response for effect in by_effect for response in of[effect]]
+
+    def _of_effect(self, terms: Sequence[Term]) -> list[Sensitivity]:
+        """Those of one effect."""
+        return self.at_sizes(terms, grid(terms[0]))
+
+    def at_sizes(self, terms: Sequence[Term], sizes: Sizes) -> list[Sensitivity]:
+        """One effect's at several joints, at given sizes."""
+        out: list[Sensitivity] = []
+        plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
+        columns: list[Column] = []
+        for term, start, switches, found in self._columns(terms, sizes):
+            plan.append((term, start, switches))
+            columns += found
+        changes = self.readings.of(columns)
+        at, seen = 0, set[tuple[Term, bytes]]()
+        for term, start, switches in plan:
+            change = np.stack(changes[at : at + len(switches)], axis=-1)
+            at += len(switches)
+            # Pushes that outlast the recordings are alike.
+            same = term, sha256(change.tobytes()).digest()
+            if np.isfinite(change).all() and change.any() and same not in seen:
+                seen.add(same)
+                out.append(Sensitivity(term, start, switches, change))
+        return out
+
+    def _columns(
+        self, terms: Sequence[Term], sizes: Sizes
+    ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[Column]]]:
+        """Columns of one effect at several joints: every joint has it at once."""
+        effect = terms[0].law
+        rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
+        values = self._values(effect, rows, terms)
+        everything = {**self._wide(len(rows)), effect.id: values}
+        active = in_turn(everything)
+        joints = len(self.problem.joints)
+        added = None
+        if effect.overrides(*_IN_FORCES):
+            added = self.laws.changes(active, len(rows), in_turn(self.own), self.base)
+        heavy = changes_bodies(effect, values, joints)
+        masses: dict[int, list[FloatArray]] = {}
+        if heavy:
+            masses = self._rigid_forces(effect, rows, terms)
+        out = []
+        for term in terms:
+            j = term.joint
+            row = 0
+            for full, switches in sizes:
+                columns = []
+                for _ in switches:
+                    column = self._sensed(effect, values, row, j)
+                    if added is not None:
+                        column.joint = None if j < 0 else j
+                        column.force, column.drive = (
+                            x[row] if j < 0 else x[row, ..., j] for x in added
+                        )
+                    if heavy:
+                        column = column.at_all(joints)
+                        extra = masses[j][row]
+                        column.force = extra if column.force is None else column.force + extra
+                    columns.append(column)
+                    row += 1
+                out.append((term, full, switches, columns))
+        return out
+
+    def _values(
+        self, effect: Effect, rows: Sequence[FloatArray], terms: Sequence[Term]
+    ) -> dict[str, FloatArray]:
+        """(rows, joints) values: each row's sizes at all candidate joints, its own elsewhere."""
+        joints, scales = len(self.problem.joints), self.problem.scales
+        out = {}
+        for i, p in enumerate(effect.parameters):
+            array = np.empty((len(rows), joints))
+            own = self.own.get(effect.id)
+            array[:] = (p.neutral or 0.0) if own is None else own[p.name]
+            for term in terms:
+                column = slice(None) if term.joint < 0 else slice(term.joint, term.joint + 1)
+                array[:, column] = [[r[i] * scales.value(p, term.joint)] for r in rows]
+            out[p.name] = array
+        return out
+
+    def _wide(self, rows: int) -> dict[str, Values]:
+        return {
+            e: {n: np.repeat(x, rows, axis=0) for n, x in v.items()} for e, v in self.own.items()
+        }
+
+    def _rigid_forces(
+        self, effect: Effect, rows: Sequence[FloatArray], terms: Sequence[Term]
+    ) -> dict[int, list[FloatArray]]:
+        """Joint -> row -> (segments, samples, joints): what other masses leave unbalanced."""
+        samples = self.along.position.shape[1]
+        each = [self._values(effect, rows, [term]) for term in terms]
+        values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
+        copies = len(rows) * len(terms)
+        active = in_turn({**self._wide(copies), effect.id: values})
+        efforts = self.efforts.of(active, copies)
+        forces = [-upsampled(e - self.own_effort, self.rigid.at, samples) for e in efforts]
+        return {
+            term.joint: forces[i * len(rows) : (i + 1) * len(rows)] for i, term in enumerate(terms)
+        }
+
+    def _sensed(self, effect: Effect, values: Values, row: int, joint: int) -> Column:
+        """What sensors and clocks change by themselves."""
+        if not _sensing([(effect, values)]):
+            return Column()
+        mine = {n: x[row : row + 1] for n, x in values.items()}
+        direct = []
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            n = len(self.problem.joints)
+            stamps = np.repeat(segment.time[None, :, None], n, axis=2)
+            # What is predicted, for what is measured has the sensors' errors in it already.
+            position = self.along.reading[i][None]
+            velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
+            moved, _ = effect.sense(stamps, position, velocity, mine)
+            change = moved - position
+            if effect.overrides("sample_time"):
+                late = self.simulator.taken(self.segments[i : i + 1], stamps, [(effect, mine)])
+                grid_q = self.along.predicted_position[i]
+                change = (
+                    change + (self._at(grid_q, i, late[0]) - self._at(grid_q, i, stamps[0]))[None]
+                )
+            change = _only(change[0], joint)
+            if self.problem.effort_floor is not None and segment.effort is not None:
+                measured = segment.effort[None]
+                effort = effect.sense_effort(measured, mine)[0] - segment.effort
+                if effect.overrides("sample_time"):
+                    effort = effort + self._effort_at(i, late[0]) - self.along.effort[i]
+                change = np.concatenate([change, _only(effort, joint)], axis=1)
+            direct.append(change)
+        q0 = np.array([self.simulator.segments[s].initial_position for s in self.segments])
+        v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
+        repeated = {n: np.repeat(x, len(q0), axis=0) for n, x in mine.items()}
+        q, v = effect.unsense(q0, v0, repeated)
+        initial = np.concatenate([_only(q - q0, joint), _only(v - v0, joint)], axis=1)
+        return Column(initial=initial if initial.any() else None, direct=np.concatenate(direct))
+
+    def _at(self, values: FloatArray, i: int, stamps: FloatArray) -> FloatArray:
+        """(stamps, joints) of (samples, joints) values of segment ``i``, linear."""
+        time = self.along.time[i]
+        return np.stack(
+            [np.interp(stamps[:, j], time, values[:, j]) for j in range(values.shape[1])], axis=1
+        )
+
+    def _effort_at(self, i: int, taken: FloatArray) -> FloatArray:
+        """(stamps, joints) predicted efforts of segment ``i`` as they would be read at other times,
+        (stamps, joints) s, linear between stamps.
+        """
+        effort, stamps = self.along.effort[i], self.simulator.segments[self.segments[i]].time
+        own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
+        own = self.simulator.taken(self.segments[i : i + 1], own, _sensing(in_turn(self.own)))[0]
+        return np.stack(
+            [np.interp(taken[:, j], own[:, j], effort[:, j]) for j in range(effort.shape[1])],
+            axis=1,
+        )
+
+    # -- whole hypotheses
+
+    def know_bodies(self, hypotheses: Sequence[Hypothesis]) -> None:
+        """Work out and keep what hypotheses ask of their bodies, before forks each do."""
+        joints = len(self.problem.joints)
+        values = effect_values(hypotheses, joints, self.problem.scales)
+        self.efforts.know(
+            [
+                (e, v) for e, v in in_turn(values)
+                if changes_bodies(e, v, joints) and not tilts(e, v, joints)
+            ],
+            len(hypotheses),
+        )  # fmt: skip
+
+    def differences(self, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+        """What hypotheses would read more than the one at hand, (bins, signals) each.
+
+        Their laws act all at once along the measured motion; only the deviations that follow from
+        them are of first order.
+        """
+        joints, copies = len(self.problem.joints), len(hypotheses)
+        values = with_fixed(
+            effect_values(hypotheses, joints, self.problem.scales), self.simulator.fixed, copies
+        )
+        active = in_turn(values)
+        total, drive = self.laws.changes(active, copies, in_turn(self.own), self.base)
+        columns = [Column(total[k], drive[k]) for k in range(copies)]
+        if any(changes_bodies(e, v, joints) for e, v in (*active, *in_turn(self.own))):
+            samples = self.along.position.shape[1]
+            efforts = self.efforts.of(active, copies)
+            for column, effort in zip(columns, efforts, strict=True):
+                assert column.force is not None
+                column.force = column.force - upsampled(
+                    effort - self.own_effort, self.rigid.at, samples
+                )
+        base_reading, base_start = self._read_off(_sensing(in_turn(self.own)), 0)
+        sensing, known = _sensing(active), dict[bytes, tuple[FloatArray, FloatArray]]()
+        for k, column in enumerate(columns):
+            # Few hypotheses differ in what they make of a reading.
+            key = b"".join(x[k].tobytes() for _, v in sensing for x in v.values())
+            if key not in known:
+                reading, start = self._read_off(sensing, k)
+                known[key] = reading - base_reading, start - base_start
+            column.direct, column.initial = known[key]
+        return self.readings.of(columns)
+
+    def _read_off(self, active: ActiveEffects, row: int) -> tuple[FloatArray, FloatArray]:
+        """What sensors and clocks make of the predicted motion, and the state behind its start."""
+        mine = [(e, {n: x[row : row + 1] for n, x in v.items()}) for e, v in active]
+        n = len(self.problem.joints)
+        out = []
+        for i, s in enumerate(self.segments):
+            segment = self.simulator.segments[s]
+            stamps = np.repeat(segment.time[None, :, None], n, axis=2)
+            stamps = self.simulator.taken(self.segments[i : i + 1], stamps, mine)
+            position = self._at(self.along.predicted_position[i], i, stamps[0])[None]
+            velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
+            measured = segment.effort is not None and self.problem.effort_floor is not None
+            effort = position
+            if measured and segment.effort is not None:
+                late = self._effort_at(i, stamps[0]) - self.along.effort[i]
+                effort = (segment.effort + late)[None]
+            for effect, v in mine:
+                position, velocity = effect.sense(stamps, position, velocity, v)
+                effort = effect.sense_effort(effort, v)
+            signals = [position[0], effort[0]] if measured else [position[0]]
+            out.append(np.concatenate(signals, axis=1))
+        q = np.array([self.simulator.segments[s].initial_position for s in self.segments])
+        v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
+        for effect, v in reversed(mine):
+            q, v0 = effect.unsense(q, v0, {k: np.repeat(x, len(q), axis=0) for k, x in v.items()})
+        return np.concatenate(out), np.concatenate([q, v0], axis=1)
+
+
+def _slow(effect: str) -> tuple[bool, bool]:
+    """Greater for effects whose laws take longer to follow along a motion."""
+    law = catalogue()[effect]
+    return law.overrides("gear"), law.remembers
+
+
+def _sensing(active: ActiveEffects) -> ActiveEffects:
+    """Those that change what is read of a motion."""
+    return [
+        (e, v) for e, v in active
+        if e.overrides("sense", "sense_effort", "sample_time", "unsense")
+    ]  # fmt: skip
+
+
+def _only(values: FloatArray, joint: int) -> FloatArray:
+    """(..., joints) values of one joint alone; of all where it is the whole robot's."""
+    if joint < 0:
+        return values
+    out = np.zeros_like(values)
+    out[..., joint] = values[..., joint]
+    return out

@@ -1,0 +1,283 @@
+"""What sensors read of small deviations: from samples of a motion to means over bins.
+
+Reading between samples, trusting an effort less beside a jump, taking off what a shifted start
+explains, and averaging are all linear: they are worked out once, as sparse matrices, and every
+column then costs one product with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.bins import Bins
+from pytest_twin.diagnosis.first_order.linearized_dynamics import LinearizedDynamics
+from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
+from pytest_twin.diagnosis.free_initial_state import FreeInitialState
+from pytest_twin.diagnosis.problem import Problem
+
+_AT_ONCE = 32
+"""Columns that are turned into readings together: few enough to stay in a core's cache."""
+
+
+@dataclass(slots=True)
+class Column:
+    """One switch of one candidate, or one whole hypothesis: what it adds, to be read.
+
+    Attributes:
+        force, drive: (segments, samples, joints), or None; (segments, samples) at one joint alone.
+        joint: that one.
+        initial: (segments, 2 joints) of the state behind the first reading, or None.
+        direct: (stamps of all segments, signals) of readings, or None; columns that share one share
+            its means.
+    """
+
+    force: FloatArray | None = None
+    drive: FloatArray | None = None
+    initial: FloatArray | None = None
+    direct: FloatArray | None = None
+    joint: int | None = None
+
+    def at_all(self, joints: int) -> Column:
+        """The same with forces at each of the robot's joints."""
+        if self.joint is None:
+            return self
+        force, drive = (_at_one(x, self.joint, joints) for x in (self.force, self.drive))
+        return Column(force, drive, self.initial, self.direct)
+
+
+class SensorReadings:
+    """Reads deviations from a motion as its segments were read.
+
+    Args:
+        problem: what to explain.
+        along: the motion.
+        deviation: how forces move it.
+        bins: of its segments.
+    """
+
+    def __init__(
+        self, problem: Problem, along: MeasuredTrajectory, deviation: LinearizedDynamics, bins: Bins
+    ) -> None:
+        self.deviation = deviation
+        self.joints = len(problem.joints)
+        self.signals = len(problem.signal_floor)
+        segments = [problem.simulator.segments[s] for s in along.segments]
+        lengths = [len(s.time) for s in segments]
+        self._stamps = np.concatenate([[0], np.cumsum(lengths)])
+        self._bins = np.concatenate([[0], np.cumsum(bins.lengths)])
+        self._at = [_between(along, i, s.time) for i, s in enumerate(segments)]
+        self._mean = _means(bins, int(self._stamps[-1]))
+        at = sparse.block_diag(self._at, format="csr")
+        self._position = self._in_turn(self._mean @ at)
+        self._position_trust: FloatArray | None = None
+        if problem.trust:
+            self._position_trust = problem.trust_of(along.segments, bins.lengths)
+        self._trust: FloatArray | None = None
+        self._efforts = [self._position] * self.joints
+        if problem.effort_floor is not None and problem.effort_trust:
+            ones = [np.ones((n, self.joints)) for n in lengths]
+            self._trust = np.concatenate([
+                problem.trusted(int(s), one) for s, one in zip(along.segments, ones, strict=True)
+            ])  # fmt: skip
+            self._efforts = [
+                self._in_turn(self._mean @ sparse.diags_array(trust) @ at)
+                for trust in self._trust.T
+            ]
+        self._stiffness, self._damping = (
+            np.ascontiguousarray(x.swapaxes(0, 1))[..., None]
+            for x in (deviation.stiffness, deviation.damping)
+        )
+        self._starts: dict[int, _Start] = {}
+
+    def free(self, starts: dict[int, FreeInitialState]) -> None:
+        """Take off from now on what shifted starts of some segments explain."""
+        for i, start in starts.items():
+            shifts = start.solve.shape[0]
+            solve = start.solve.reshape(shifts, -1, self.joints)
+            of_samples = np.stack([s @ self._at[i] for s in np.moveaxis(solve, 2, 0)], axis=2)
+            mean = self._mean[self._bins[i] : self._bins[i + 1], self._stamps_of(i)]
+            response = start.response.reshape(len(self._at[i].indptr) - 1, -1)
+            self._starts[i] = _Start(
+                of_samples.reshape(shifts, -1), start.solve,
+                np.asarray(mean @ response).reshape(-1, shifts),
+            )  # fmt: skip
+
+    def at_stamps(self, i: int, values: FloatArray) -> FloatArray:
+        """(stamps, ...) of (samples, ...) values of segment ``i``, linear in between."""
+        read = self._at[i] @ values.reshape(len(values), -1)
+        return np.asarray(read).reshape(-1, *values.shape[1:])
+
+    def of(self, columns: Sequence[Column]) -> list[FloatArray]:
+        """(bins, signals) means of every column."""
+        return [
+            change
+            for first in range(0, len(columns), _AT_ONCE)
+            for change in self._of_few(columns[first : first + _AT_ONCE])
+        ]
+
+    def _in_turn(self, read: sparse.csr_array) -> sparse.csr_array:
+        """What reads samples of one segment after the other, for samples that come in turn, each of
+        all segments.
+        """
+        segments, samples = self.deviation.stiffness.shape[:2]
+        in_turn = np.arange(segments * samples).reshape(segments, samples).T.ravel()
+        return sparse.csr_array(read[:, in_turn])
+
+    def _stamps_of(self, i: int) -> slice:
+        """Stamps of segment ``i`` among all."""
+        return slice(int(self._stamps[i]), int(self._stamps[i + 1]))
+
+    def _of_few(self, columns: Sequence[Column]) -> list[FloatArray]:
+        joints, count = self.joints, len(columns)
+        segments, samples = self.deviation.stiffness.shape[:2]
+        initial = np.zeros((segments, 2 * joints, count))
+        for k, c in enumerate(columns):
+            if c.initial is not None:
+                initial[..., k] = c.initial
+        binned = np.zeros((int(self._bins[-1]), self.signals, count))
+        moved, effort = self._acted(columns, initial)
+        if moved is not None:
+            flat = moved.reshape(samples * segments, -1)
+            binned[:, :joints] = (self._position @ flat).reshape(-1, joints, count)
+        if effort is not None:
+            for j, mean in enumerate(self._efforts):
+                mine = effort[:, :, j].reshape(samples * segments, -1)
+                binned[:, joints + j] = mean @ mine
+        direct = {id(c.direct): c.direct for c in columns if c.direct is not None}
+        means = {key: self._read_off(d) for key, d in direct.items()}
+        for k, c in enumerate(columns):
+            if c.direct is not None:
+                binned[:, :, k] += means[id(c.direct)]
+        self._take_starts_off(binned, columns, moved)
+        if self._position_trust is not None:
+            binned[:, :joints] *= self._position_trust[..., None]
+        out = binned.astype(np.float32)
+        return [np.asarray(out[:, :, k]) for k in range(count)]
+
+    def _acted(
+        self, columns: Sequence[Column], initial: FloatArray
+    ) -> tuple[FloatArray | None, FloatArray | None]:
+        """(samples, segments, joints, columns) positions under forces, and efforts where these are
+        measured; None where nothing moves, or drives.
+        """
+        joints, count = self.joints, len(columns)
+        segments, samples = self.deviation.stiffness.shape[:2]
+        pushed = [c for c in columns if c.force is not None or c.drive is not None]
+        alone = all(c.joint is not None for c in pushed)
+        if not alone:
+            columns = [c.at_all(joints) for c in columns]
+        joint = np.array([c.joint or 0 for c in columns])
+        none = np.zeros((segments, samples) if alone else (segments, samples, joints))
+        shape = (samples, segments, joints, count)
+        effort = None
+        if self.signals > joints:
+            effort = np.empty(shape)
+            drive = _side_by_side([none if c.drive is None else c.drive for c in columns])
+            drive = drive.swapaxes(0, 1)
+            here = joint == np.arange(joints)[:, None]
+
+        def delivered(some: slice) -> FloatArray:
+            return np.where(here, drive[some, :, None], 0.0) if alone else drive[some]
+
+        if not initial.any() and all(c.force is None for c in columns):
+            if effort is not None:
+                effort[:] = delivered(slice(None))
+            return None, effort
+        force = _side_by_side([none if c.force is None else c.force for c in columns])
+        of = self.deviation
+        states = of.of_joints(force, joint, initial) if alone else of.of(force, initial)
+        moved, first = np.empty(shape), 0
+        for state in states:
+            some = slice(first, first + len(state))
+            first = some.stop
+            position, velocity = state[:, :, :joints], state[:, :, joints:]
+            moved[some] = position
+            if effort is not None:
+                effort[some] = delivered(some)
+                effort[some] -= self._stiffness[some] * position
+                effort[some] -= self._damping[some] * velocity
+        return moved, effort
+
+    def _take_starts_off(
+        self, binned: FloatArray, columns: Sequence[Column], moved: FloatArray | None
+    ) -> None:
+        """Take off (bins, signals, columns) what shifted starts explain of (samples, segments,
+        joints, columns) deviations and of what is read directly.
+        """
+        direct = {id(c.direct): c.direct for c in columns if c.direct is not None}
+        for i, start in self._starts.items():
+            shift = np.zeros((len(start.solve), len(columns)))
+            if moved is not None:
+                shift += start.of_samples @ moved[:, i].reshape(-1, len(columns))
+            solved = {
+                key: start.solve @ d[self._stamps_of(i), : self.joints].ravel()
+                for key, d in direct.items()
+            }
+            for k, c in enumerate(columns):
+                if c.direct is not None:
+                    shift[:, k] += solved[id(c.direct)]
+            mine = binned[self._bins[i] : self._bins[i + 1], : self.joints]
+            mine -= (start.response @ shift).reshape(mine.shape)
+
+    def _read_off(self, direct: FloatArray) -> FloatArray:
+        """(bins, signals) means of (stamps, signals) readings, efforts as far as trusted."""
+        if self._trust is not None:
+            trusted = direct[:, self.joints :] * self._trust
+            direct = np.concatenate([direct[:, : self.joints], trusted], axis=1)
+        return np.asarray(self._mean @ direct)
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """The start of one segment that is not known.
+
+    Attributes:
+        of_samples: (shifts, samples * joints) the most probable shift under a deviation.
+        solve: (shifts, stamps * joints) the same under readings.
+        response: (bins * joints, shifts) means of what a shift changes.
+    """
+
+    of_samples: FloatArray
+    solve: FloatArray
+    response: FloatArray
+
+
+def _between(along: MeasuredTrajectory, i: int, stamps: FloatArray) -> sparse.csr_array:
+    """(stamps, samples) that reads segment ``i`` at its stamps, linear in between."""
+    samples = along.position.shape[1]
+    at = (stamps - along.time[i, 0]) / along.interval
+    left = np.clip(at.astype(np.int64), 0, samples - 2)
+    part = at - left
+    row = np.arange(len(stamps))
+    weights = np.concatenate([1.0 - part, part])
+    places = np.tile(row, 2), np.concatenate([left, left + 1])
+    return sparse.csr_array((weights, places), shape=(len(stamps), samples))
+
+
+def _means(bins: Bins, stamps: int) -> sparse.csr_array:
+    """(bins, stamps) that averages."""
+    counts = bins.counts
+    weights = np.repeat(1.0 / counts, counts)
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    return sparse.csr_array((weights, np.arange(stamps), ends), shape=(len(counts), stamps))
+
+
+def _at_one(values: FloatArray | None, joint: int, joints: int) -> FloatArray | None:
+    """(..., joints) of (...) values at one joint, zero at the others."""
+    if values is None:
+        return None
+    out = np.zeros((*values.shape, joints))
+    out[..., joint] = values
+    return out
+
+
+def _side_by_side(columns: Sequence[FloatArray]) -> FloatArray:
+    """(..., columns), as ``np.stack`` has them; it writes column by column, each into every line
+    of the cache, and takes four times as long.
+    """
+    return np.ascontiguousarray(np.moveaxis(np.array(columns), 0, -1))

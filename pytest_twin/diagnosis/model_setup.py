@@ -1,0 +1,71 @@
+"""What a diagnosis is given beside recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from pytest_twin.diagnosis.hypothesis import Scales
+from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.replay import fixed_values
+from pytest_twin.diagnosis.prepare import Prepared, prepare, shared_joints
+from pytest_twin.diagnosis.temperature import Coldness
+from pytest_twin.effects.contact_geoms import ContactGeoms
+from pytest_twin.realization import Realization
+from pytest_twin.trial import Trial
+
+
+@dataclass(frozen=True, slots=True)
+class ModelSetup:
+    """A model, and how it is stepped.
+
+    Attributes:
+        realization: the model as it came, without delay lines.
+        beside: effects that are stepped beside it.
+        coldness: of trials by their temperature as an earlier diagnosis had it; empty where the
+            trials tell.
+        creeps: whether dry friction does, as MuJoCo's default constraint has it.
+        substeps: steps for each of the model's that a simulation took which made the recordings; 0
+            where a robot did.
+        threads: of the batches, 0 for all cores.
+    """
+
+    realization: Realization
+    beside: tuple[AppliedEffect, ...] = ()
+    coldness: Coldness = field(default_factory=dict)
+    creeps: bool = False
+    substeps: int = 0
+    threads: int = 0
+
+    @classmethod
+    def of(
+        cls, realization: Realization, inherited: Patched | None, threads: int = 0
+    ) -> ModelSetup:
+        """A realization as it came, by an earlier diagnosis or not.
+
+        Whether a simulation made the recordings is not the model's: it is asked of each set anew.
+        """
+        coldness = {} if inherited is None else inherited.coldness
+        creeps = inherited is not None and inherited.creeps
+        beside = stepped_beside(realization, inherited)
+        return cls(without_delays(realization), beside, coldness, creeps, threads=threads)
+
+    def prepared(
+        self,
+        fit: Sequence[Trial],
+        held_out: Sequence[Trial],
+        window: float | None = None,
+        contact: ContactGeoms | None = None,
+        scales: Scales | None = None,
+    ) -> Prepared:
+        """The problem of explaining ``fit`` and predicting ``held_out``; arguments and errors as
+        :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
+        """
+        joints = shared_joints(self.realization, (*fit, *held_out))
+        return prepare(
+            self.realization, fit, held_out,
+            threads=self.threads, window=window, coldness=self.coldness,
+            fixed=fixed_values(self.beside, joints, 1), contact=contact, creeps=self.creeps,
+            substeps=self.substeps, scales=scales,
+        )  # fmt: skip

@@ -1,0 +1,469 @@
+"""A quick diagnosis of one recording, in seconds: the single most likely effect.
+
+It locates the missing force, fits each effect at that joint to a short part of the recording, and
+tests the best one on the whole recording. It does not combine effects and uses no other recording;
+:mod:`pytest_twin.diagnosis.diagnose` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
+from pytest_twin.diagnosis.first_order.beam_search import (
+    CandidateSensitivities,
+    NormalEquations,
+    ResidualView,
+    candidates,
+)
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.sensitivities import sensitivities
+from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.locate import MissingForce, Where, missing_force, motions, place_of
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.replay import replay_whole
+from pytest_twin.diagnosis.prepare import NOISE, Prepared
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.smoothing import smooth_state
+from pytest_twin.diagnosis.verdict import AT_FLOOR
+from pytest_twin.errors import SimulationError
+from pytest_twin.realization import Realization
+from pytest_twin.replay import replay
+from pytest_twin.trial import Trial
+
+# Of a longer recording, the stretch around its worst error, s.
+_LOOKED_AT = 20.0
+# Candidates are simulated over this share of what is looked at, and no less or more than this, s.
+_STRETCH_SHARE, _SHORTEST, _LONGEST = 0.15, 1.0, 2.5
+# Joints whose missing force stands out at least this much of the clearest one's are looked at.
+_CAUSE, _MOST_JOINTS = 0.4, 2
+_RIVALS, _ITERATIONS = 5, 3
+# An effect is named where it earns this much evidence and removes this share of the squared error.
+_EARNS, _WORTH = 5.0, 0.3
+# An alternative is clearly worse where it leaves this many times the squared error that the best
+# leaves, or, where that is below the noise floor, this many times the squared floor.
+_CLEARLY_WORSE, _MOST_NAMED = 3.0, 2
+# Joints that one effect does not explain are looked at by themselves, so many times.
+_MOST_LOOKS = 3
+# What a short fit leaves below this share of the model's own error speaks for no name.
+_COARSE = 0.05
+# One stretch of one recording settles nothing.
+_MOST_SURE = 0.9
+_STATE_SECONDS = 0.06
+
+Starts = dict[Term, FloatArray]
+"""Terms that are fitted together -> where their parameters start."""
+
+
+Place = tuple[str, tuple[str, ...]]
+"""An effect and the joints that have it; none where it is the whole robot's."""
+
+
+@dataclass(frozen=True, slots=True)
+class LikelyEffect:
+    """The most likely effect.
+
+    Attributes:
+        place: the effect and its joints.
+        values: reported name of a parameter -> (value, unit); of the first joint.
+        share: of the evidence among what was tried.
+        removed: share of the squared error over all that was looked at that it removes.
+        rivals: what explains the recording about as well, the best first.
+        of: joints whose errors it was to explain; empty for all of the robot's.
+    """
+
+    place: Place
+    values: dict[str, tuple[float, str]]
+    share: float
+    removed: float
+    rivals: tuple[Place, ...] = ()
+    of: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class QuickDiagnosis:
+    """Result of a quick diagnosis.
+
+    Attributes:
+        suspects: the effect that explains most, then, for joints that it does not explain, the
+            effect that explains most of theirs; empty where nothing stands out.
+        unexplained: joints that left their tolerance and that no suspect explains.
+        joint: whose force is missing, None where none stands out of the sensors' noise.
+        where: when and in which regime.
+        floors: RMS error of the worst joint that was to be explained, in floors.
+    """
+
+    suspects: tuple[LikelyEffect, ...]
+    unexplained: tuple[str, ...]
+    joint: str | None
+    where: Where
+    floors: float
+
+
+def quick_diagnosis(
+    realization: Realization,
+    trial: Trial,
+    patched: Patched | None = None,
+    failed: Collection[str] = (),
+) -> QuickDiagnosis:
+    """Look at one trial.
+
+    Args:
+        realization: the model as it came.
+        trial: what was recorded.
+        patched: what stands beside the model, where a diagnosis wrote it.
+        failed: joints whose errors are to be explained; all, where it names none that both have.
+            Others may have errors that somebody allowed them, and that are larger in floors.
+
+    Raises:
+        RecordingError: the model and the recording share no joint.
+        SimulationError: the model diverges.
+        SpecError: a controller, payload or actuator that the model lacks.
+    """
+    seen, since = _worst_part(realization, trial, patched, failed)
+    whole = _prepared(realization, [seen], [], patched)
+    before = whole.problem.residuals([EMPTY], whole.problem.fit)[0]
+    if not np.isfinite(before).all():
+        raise SimulationError(
+            "the model diverges under the recorded commands",
+            path=trial.path,
+            expected="finite joint positions; check the unit of the commands, then the masses, "
+            "inertias and servo gains of the model",
+        )
+    joints = len(whole.problem.joints)
+    counted = _counted(whole.problem.joints, failed)
+    size = np.sqrt(np.mean(before[:, :joints] ** 2, axis=0)) / whole.problem.floor
+    force = missing_force(whole.problem, before, whole.floor_parts[NOISE])
+    causes = _causes(force, size, counted)
+    where = _where(whole, seen, since, _blame(force, causes[:1]), causes[0])
+    suspects: list[LikelyEffect] = []
+    left = counted & (size > AT_FLOOR)
+    looks = _MOST_LOOKS
+    while left.any() and looks:
+        looks -= 1
+        look = _Look(realization, patched, seen, whole, before, counted if not suspects else left)
+        found = look.suspect(force, size)
+        if found is None:
+            break
+        suspect, after = found
+        suspects.append(suspect)
+        left = left & ~_explained(before, after, joints)
+    stands = bool(force.strength[causes[0]] > 1.0)
+    names = whole.problem.joints
+    return QuickDiagnosis(
+        suspects=tuple(suspects),
+        unexplained=tuple(n for n, out in zip(names, left, strict=True) if out and n in failed),
+        joint=names[causes[0]] if stands else None,
+        where=where,
+        floors=float(size[counted].max()),
+    )
+
+
+def _blame(force: MissingForce, causes: Sequence[int]) -> FloatArray:
+    """(samples,) what of the force that is missing at joints stands out of its noise, squared."""
+    squared: FloatArray = (force.force[:, causes] / force.noise[list(causes)]) ** 2
+    blame: FloatArray = np.maximum(squared - 1.0, 0.0).sum(axis=1)
+    return blame
+
+
+def _explained(before: FloatArray, after: FloatArray, joints: int) -> NDArray[np.bool_]:
+    """(joints,) of whose squared error an effect removes at least what a name has to."""
+    left, whole = (np.sum(r[:, :joints] ** 2, axis=0) for r in (after, before))
+    explained: NDArray[np.bool_] = left <= (1.0 - _WORTH) * whole
+    return explained
+
+
+def cut(trial: Trial, start: float, end: float) -> Trial:
+    """A stretch of a trial, s from its first state; earlier commands stay, as they still act.
+
+    Where no velocity was recorded, the first state gets that of a cubic through its neighbours.
+    """
+    inside = np.flatnonzero((trial.time >= start) & (trial.time <= end))
+    first = float(trial.time[inside[0]])
+    velocity: FloatArray
+    if trial.velocity is None or not np.isfinite(trial.velocity[inside[0]]).all():
+        velocity = np.full((len(inside), len(trial.joints)), np.nan)
+        velocity[0] = smooth_state(trial.time, trial.position, first, _STATE_SECONDS)[1]
+    else:
+        velocity = trial.velocity[inside]
+    sent = trial.command_time <= end
+    return replace(
+        trial,
+        start=trial.start + round(first * 1e9),
+        time=trial.time[inside] - first,
+        position=trial.position[inside],
+        velocity=velocity,
+        effort=None if trial.effort is None else trial.effort[inside],
+        command_time=trial.command_time[sent] - first,
+        command=trial.command[sent],
+        marks=(),
+    )
+
+
+def _worst_part(
+    realization: Realization, trial: Trial, patched: Patched | None, failed: Collection[str]
+) -> tuple[Trial, float]:
+    """The trial, or, of a long one, what lies around its largest error; and where that begins."""
+    if trial.duration <= _LOOKED_AT:
+        return trial, 0.0
+    if patched is None:
+        replayed = replay(realization, [trial], tcp=False)[0]
+    else:
+        replayed = replay_whole(realization, patched, trial)
+    if replayed.error is not None:
+        raise replayed.error
+    off = (trial.position - replayed.position)[:, _counted(trial.joints, failed)]
+    off = off / np.maximum(np.sqrt(np.mean(off**2, axis=0)), 1e-12)
+    start = _fullest(trial.time, (off**2).sum(axis=1), _LOOKED_AT)
+    return cut(trial, start, start + _LOOKED_AT), start
+
+
+def _prepared(
+    realization: Realization, fit: Sequence[Trial], aside: Sequence[Trial], patched: Patched | None
+) -> Prepared:
+    return ModelSetup.of(realization, patched).prepared(fit, aside)
+
+
+def _counted(joints: Sequence[str], failed: Collection[str]) -> NDArray[np.bool_]:
+    """(joints,) whose errors are to be explained."""
+    named = np.array([j in failed for j in joints])
+    return named if named.any() else np.ones_like(named)
+
+
+def _causes(force: MissingForce, size: FloatArray, counted: NDArray[np.bool_]) -> list[int]:
+    """Joints whose own force is missing, the clearest first, of those that count before others
+    that may move them; else the joint that shows most.
+    """
+    strength = force.strength
+    order = np.argsort(-strength, kind="stable")
+    stands = np.where(counted, strength, 0.0).max()
+    # Where none of their own forces stands out of the noise, they are moved by others.
+    own = counted & (stands > 1.0) & (strength >= _CAUSE * stands)
+    clear = [int(j) for j in order if own[j]]
+    clear += [int(j) for j in order if strength[j] >= max(_CAUSE * strength.max(), 1e-9)]
+    worst = int(np.argmax(np.where(counted, size, 0.0)))
+    return list(dict.fromkeys(clear))[:_MOST_JOINTS] or [worst]
+
+
+def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, joint: int) -> Where:
+    problem = prepared.problem
+    unit = "m" if problem.simulator.layout.slides[joint] else "rad"
+    found = place_of(motions(prepared, [trial]), blame, joint, unit)
+    moved = {
+        name: [[round(a + since, 3), round(b + since, 3)] for a, b in windows]
+        for name, windows in found.windows.items()
+    }
+    return Where(found.summary, moved)
+
+
+def _stretches(problem: Problem, trial: Trial, blame: FloatArray) -> list[Trial]:
+    """Where most of the blame lies, and, where there is room, where most of the rest does."""
+    length = float(np.clip(_STRETCH_SHARE * trial.duration, _SHORTEST, _LONGEST))
+    time = np.concatenate([s.time for s in problem.simulator.segments])
+    first = _fullest(time, blame, length)
+    found = [cut(trial, first, first + length)]
+    left = np.where((time >= first - length) & (time <= first + length), 0.0, blame)
+    if left.any():
+        second = _fullest(time, left, length)
+        if abs(second - first) >= length:
+            found.append(cut(trial, second, second + length))
+    return found
+
+
+def _fullest(time: FloatArray, blame: FloatArray, length: float) -> float:
+    """Start of the stretch of ``length`` s that holds most of the blame."""
+    summed = np.concatenate([[0.0], np.cumsum(blame)])
+    last = max(float(time[-1]) - length, 0.0)
+    begin = np.searchsorted(time, np.minimum(time, last))
+    end = np.searchsorted(time, time[begin] + length, side="right")
+    return float(time[begin[int(np.argmax(summed[end] - summed[begin]))]])
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """What is asked of one look.
+
+    Attributes:
+        seen: the trial, or its worst part.
+        whole: the problem over all of it.
+        before: (samples, signals) residual of the nominal model over all of it.
+        counted: (joints,) whose errors are to be explained.
+    """
+
+    realization: Realization
+    patched: Patched | None
+    seen: Trial
+    whole: Prepared
+    before: FloatArray
+    counted: NDArray[np.bool_]
+
+    def suspect(
+        self, force: MissingForce, size: FloatArray
+    ) -> tuple[LikelyEffect, FloatArray] | None:
+        """The effect that explains most, and the residual over all of the trial with it."""
+        whole, counted = self.whole.problem, self.counted
+        causes = _causes(force, size, counted)
+        own = [j for j in causes if counted[j]] or causes
+        parts = _stretches(whole, self.seen, _blame(force, own))
+        problem = _prepared(self.realization, parts[:1], parts[1:], self.patched).problem
+        # One measure of parameters, so that a fit of the stretch means the same on the whole.
+        problem.scales, problem.floor = whole.scales, whole.floor
+        signals = np.flatnonzero(counted)
+        nominal = problem.residuals([EMPTY], problem.fit)[0]
+        tried = _tried(problem, causes, nominal, signals)
+        if not tried:
+            return None
+        fitted, evidence = _weighed(problem, tried, nominal, signals)
+        best = int(np.argmax(evidence))
+        after = whole.residuals([f.hypothesis for f in fitted], whole.fit)
+        removed = 1.0 - _squared(after[best], whole, counted) / _squared(
+            self.before, whole, counted
+        )
+        if evidence[best] < _EARNS or not removed >= _WORTH:
+            return None
+        named = tried[best]
+        place = _place(problem, named)
+        places = [_place(problem, starts) for starts in tried]
+        # Two forms of one law are one name. What holds the named one and more is no other name.
+        same = np.array([p == place for p in places])
+        other = np.array([not _holds(starts, named) for starts in tried]) & ~same
+        share = np.exp(np.maximum(evidence - evidence.max(), -700.0)) * (same | other)
+        share /= share.sum()
+        explained = counted & _explained(self.before, after[best], len(counted))
+        left = np.array([_squared(r, whole, explained) for r in after])
+        floor = float(len(self.before) * explained.sum())
+        close = (left <= _CLEARLY_WORSE * max(left[best], floor)) | (share >= 1.0 - _MOST_SURE)
+        order = np.argsort(-evidence, kind="stable")
+        rivals = dict.fromkeys(places[i] for i in order if close[i] and other[i])
+        suspect = LikelyEffect(
+            place=place,
+            values=_values(problem, fitted[best].hypothesis),
+            share=min(float(share[same].sum()), _MOST_SURE),
+            removed=float(removed),
+            rivals=tuple(rivals)[:_MOST_NAMED],
+            of=() if counted.all() else tuple(np.array(problem.joints)[counted].tolist()),
+        )
+        return suspect, after[best]
+
+
+def _tried(
+    problem: Problem, causes: Sequence[int], nominal: FloatArray, signals: NDArray[np.int64]
+) -> list[Starts]:
+    """Effects worth a fit: the best to first order, and what the first of them is confused with."""
+    terms = [
+        t
+        for t in candidates(problem)
+        # A stretch's clock begins anew, and what warms up does so over minutes.
+        if (t.joint < 0 or t.joint in causes) and not t.law.needs_temperature
+    ]
+    # Positions come first, and are what is held; what efforts are off may be another law's.
+    answers, mean = sensitivities(problem, terms, problem.fit, residual=nominal)
+    seen = [replace(r, change=r.change[:, signals]) for r in answers if r.change[:, signals].any()]
+    binned = bins(problem, problem.fit)
+    left = mean[:, signals]
+    view = ResidualView(
+        left, np.empty((*left.shape, 0)), problem.signal_floor[signals], binned.lengths
+    )
+    lens = NormalEquations(view, CandidateSensitivities(seen))
+    chosen = list(lens.children(lens.bare, _RIVALS))
+    if not chosen:
+        return []
+    first = seen[chosen[0][0]].term
+    chosen += [(at,) for at, response in enumerate(seen) if _confused(first, response.term)]
+    # What the whole robot has and what each of its joints has may look the same.
+    for robot in [seen[at].term for (at,) in chosen if seen[at].term.joint < 0]:
+        alike: dict[str, list[int]] = {}
+        for at, response in enumerate(seen):
+            if response.term.joint >= 0 and _confused(robot, response.term):
+                alike.setdefault(response.term.effect, []).append(at)
+        chosen += [tuple(joints) for joints in alike.values() if len(joints) > 1]
+    return [lens.structure(c).starts for c in dict.fromkeys(chosen)]
+
+
+def _confused(one: Term, other: Term) -> bool:
+    """Whether the catalogue says that two effects, at one joint or the robot's, are confused."""
+    same = one.joint == other.joint or min(one.joint, other.joint) < 0
+    return same and (other.effect in one.law.confused_with or one.effect in other.law.confused_with)
+
+
+def _holds(starts: Starts, named: Starts) -> bool:
+    """Whether a candidate is the named one with further joints, or with further parameters."""
+    if named.keys() < starts.keys():
+        return True
+    (term,), (other,) = (list(starts)[:1], list(named)[:1])
+    special = term.law.special_cases({p.name: p.starts[0] for p in term.parameters})
+    return term.joint == other.joint and other.effect in special
+
+
+def _weighed(
+    problem: Problem,
+    found: Sequence[Starts],
+    nominal: FloatArray,
+    signals: NDArray[np.int64],
+) -> tuple[list[Fitted], FloatArray]:
+    """The candidates after a short fit, and the evidence of each over the model as it came.
+
+    Args:
+        nominal: (samples, signals) residual of the model as it came.
+        signals: columns of those that count.
+    """
+    left = nominal[:, signals]
+    mean_square = np.mean(left**2, axis=0)
+    floor = np.maximum(problem.signal_floor[signals], _COARSE * np.sqrt(mean_square))
+    starts = [
+        reduce(lambda made, term: made.with_term(*term), terms.items(), EMPTY) for terms in found
+    ]
+    weights = np.zeros(nominal.shape[1])
+    weights[signals] = 1.0 / np.sqrt(mean_square + floor**2)
+    fitted = fit(problem, starts, weights, problem.fit, iterations=_ITERATIONS)
+    effective = effective_samples(left, problem.lengths(problem.fit))
+    price = 0.5 * np.log(max(float(effective.mean()), 2.0))
+    base = log_likelihood(left, floor, effective)
+    evidence = np.array([
+        log_likelihood(f.residual[:, signals], floor, effective) - base - price * f.hypothesis.free
+        for f in fitted
+    ])  # fmt: skip
+    if len(problem.held_out):
+        hypotheses = [EMPTY, *(f.hypothesis for f in fitted)]
+        predicted = problem.residuals(hypotheses, problem.held_out)
+        without, *with_term = (r[:, signals] for r in predicted)
+        worth = effective_samples(without, problem.lengths(problem.held_out))
+        base = log_likelihood(without, floor, worth)
+        evidence += [log_likelihood(r, floor, worth) - base for r in with_term]
+    return fitted, np.nan_to_num(evidence, nan=-np.inf)
+
+
+def _squared(residual: FloatArray, problem: Problem, counted: NDArray[np.bool_]) -> float:
+    """Sum of squared position errors in floors; infinite where a simulation diverged."""
+    positions = residual[:, : len(problem.joints)] / problem.floor
+    value = float(np.sum(positions[:, counted] ** 2))
+    return value if np.isfinite(value) else float("inf")
+
+
+def _place(problem: Problem, starts: Starts) -> Place:
+    (effect,) = {term.effect for term in starts}
+    return effect, tuple(problem.joints[term.joint] for term in starts if term.joint >= 0)
+
+
+def _values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, str]]:
+    """Of the first term; without what only says which form of its law acts."""
+    term = hypothesis.terms[0]
+    simulator = problem.simulator
+    kind = "slide" if simulator.layout.slides[max(term.joint, 0)] else "hinge"
+    servo = str(simulator.layout.servo[max(term.joint, 0)])
+    return {
+        p.reported_name: (
+            p.reported(float(value * problem.scales.value(p, term.joint))),
+            p.unit(kind, servo),
+        )
+        for p, value in zip(term.parameters, hypothesis.theta, strict=False)
+        if not p.choice
+    }

@@ -1,0 +1,173 @@
+"""The same physics in fewer words: two terms as one law, a law as the simpler one it comes to."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.beam_search import candidates
+from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects import catalogue
+
+
+def merge_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with two terms of a joint as one of them that has the other in it, or as
+    the one law that is confused with both.
+    """
+    out = []
+    terms = [t for t in hypothesis.terms if t.joint >= 0]
+    for a, b in itertools.combinations(terms, 2):
+        if a.joint != b.joint:
+            continue
+        out += [h for h in (hypothesis.absorbed(a, b), hypothesis.absorbed(b, a)) if h]
+        for new in candidates(problem):
+            both = {a.effect, b.effect} <= set(new.law.confused_with)
+            if both and new.joint == a.joint and new not in hypothesis.terms:
+                (start, _), *_ = grid(new)
+                out.append(hypothesis.without(a, b).with_term(new, start))
+    return out
+
+
+def merge_joints(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with the same law at two joints or more as the one of the whole robot that is
+    confused with it: commands that come late everywhere, or sensors that do. Parameters of one
+    name start at the mean of what the joints have.
+    """
+    out = []
+    for new in candidates(problem):
+        if new.joint >= 0 or new in hypothesis.terms:
+            continue
+        for effect in new.law.confused_with:
+            each = [t for t in hypothesis.terms if t.effect == effect and t.joint >= 0]
+            if len(each) > 1:
+                start = _mean(problem, hypothesis, each, new)
+                out.append(hypothesis.without(*each).with_term(new, start))
+    return out
+
+
+def _mean(problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: Term) -> FloatArray:
+    """Where a term starts in the place of several: at their mean in parameters of one name."""
+    (start, _), *_ = grid(new)
+    each_has = [_values(problem, hypothesis, t) for t in each]
+    for k, p in enumerate(new.parameters):
+        alike = [values[p.name] for values in each_has if p.name in values]
+        if alike:
+            scale = problem.scales.value(p, new.joint)
+            start[k] = np.clip(np.mean(alike) / scale, p.lower, p.upper)
+    return start
+
+
+def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[str, float]:
+    """Parameters of a term by name, SI units."""
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    return {
+        p.name: float(t) * problem.scales.value(p, term.joint)
+        for p, t in zip(term.parameters, theta, strict=True)
+    }
+
+
+def special_cases(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with one of its laws as the special case that it comes to."""
+    out = []
+    for term in hypothesis.terms:
+        bare = hypothesis.without(term)
+        cases = _special_cases(problem, hypothesis, term)
+        out += [bare.with_term(new, start) for new, start in cases.items()]
+    return out
+
+
+def split_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with a law whose shape ends at its bound as all that it comes to there: what
+    takes a thousand seconds to fade is dry and viscous friction that stays.
+    """
+    out = []
+    for term in hypothesis.terms:
+        cases = _special_cases(problem, hypothesis, term)
+        if len(cases) > 1 and problem.out_of_shape(hypothesis, term):
+            out.append(hypothesis.without(term).with_terms(cases))
+    return out
+
+
+def _special_cases(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[Term, FloatArray]:
+    """Laws that a term comes to at some of its parameters and that the hypothesis has not, and
+    their own.
+    """
+    out = {}
+    for effect, special in term.law.special_cases(_values(problem, hypothesis, term)).items():
+        new = Term(effect, term.joint)
+        if new not in hypothesis.terms:
+            own = [special[p.name] / problem.scales.value(p, term.joint) for p in new.parameters]
+            bounds = zip(own, new.parameters, strict=True)
+            out[new] = np.array([np.clip(x, p.lower, p.upper) for x, p in bounds])
+    return out
+
+
+def simpler_forms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with a law in a form that has fewer parameters, or with an equivalent effect
+    in place of a term: a payload in place of another last link.
+    """
+    out = []
+    for term in hypothesis.terms:
+        out += _forms_with_fewer(hypothesis, term)
+        out += _as_equivalents(problem, hypothesis, term)
+    return out
+
+
+def equal_sized_forms(hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The hypothesis with a law in another form that has as many parameters: other crests a turn, a
+    gap on the other side of a law. Which one it takes is no slope's to tell, and was chosen when
+    less was known beside it.
+    """
+    out = []
+    for term in hypothesis.terms:
+        out += _forms(hypothesis, term, len(term.parameters))
+    return [h for h in out if h.free == hypothesis.free]
+
+
+def _forms_with_fewer(hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
+    """The hypothesis with a term in each form that has fewer parameters."""
+    own = hypothesis.theta[hypothesis.slice_of(term)]
+    return _forms(hypothesis, term, int(term.movable(own).sum()) - 1)
+
+
+def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
+    """The hypothesis with a term in each other form of so many parameters at most; what both have
+    stays.
+    """
+    place = hypothesis.slice_of(term)
+    own = hypothesis.theta[place]
+    movable, found = term.movable(own), dict[bytes, Hypothesis]()
+    for start, _ in grid(term):
+        other = term.movable(start)
+        if other.sum() <= most:
+            theta = hypothesis.theta.copy()
+            theta[place] = np.where(movable & other, own, start)
+            found[theta.tobytes()] = hypothesis.with_theta(theta)
+    found.pop(hypothesis.theta.tobytes(), None)
+    return list(found.values())
+
+
+def _as_equivalents(problem: Problem, hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
+    """The hypothesis with each form of each equivalent effect that it lacks in place of a term."""
+    layout, model = problem.simulator.layout, problem.simulator.segments[0].model
+    values = _values(problem, hypothesis, term)
+    out: list[Hypothesis] = []
+    for effect, own in term.law.equivalents(values, layout, model, term.joint).items():
+        new = Term(effect, -1 if catalogue()[effect].scope == "robot" else term.joint)
+        if new in hypothesis.terms:
+            continue
+        forms = dict[bytes, Hypothesis]()
+        for start, _ in grid(new):
+            has = new.law.has(start)
+            for k, p in enumerate(new.parameters):
+                if has[k] and p.name in own:
+                    scale = problem.scales.value(p, new.joint)
+                    start[k] = np.clip(own[p.name] / scale, p.lower, p.upper)
+            forms[has.tobytes()] = hypothesis.without(term).with_term(new, start)
+        out += forms.values()
+    return out

@@ -1,0 +1,362 @@
+"""What could stand in the place of what was named, along the measured motion.
+
+With a term taken away, every candidate is held against what is missing then, to first order; those
+in front are fitted along the motion as deviations from the fit at hand. There the term itself is
+exact and what is alike differs by little, however much both do. Where it is a gear, which along the
+motion says little of what it does, what is missing is simulated. Several terms of one joint are
+taken away together, too: two wrong ones may hold each other up in the place of one.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.beam_search import (
+    CandidateSensitivities,
+    NormalEquations,
+    ResidualView,
+)
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit
+from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.linearized_shortlist import (
+    fit_and_score_linearized,
+    linearized_evidence,
+)
+from pytest_twin.diagnosis.search.linearized_view import LinearizedView
+from pytest_twin.diagnosis.search.scored_model import AS_GOOD, Place, ScoredModel
+
+# Rivals in a place that are looked at, and those in the place of several terms, of all such places.
+_RIVALS, _OF_SEVERAL = 6, 4
+# Rivals are fitted along the motion that are not further than this evidence behind the fit at hand,
+# or behind the first in their place: laws do not add up where a joint sticks; and the first few
+# that take back this share of what is lost without: a grid knows little of their shapes.
+_NEAR = 100.0
+_HALF, _FEW = 0.5, 2
+# Floors that taking a gear away leaves, beyond which small deviations say nothing of its rivals.
+_FAR_APART = 30.0
+# Evidence that more parameters gain by chance, at most.
+_CHANCE = 15.0
+# Share of what is lost without a law by which one that has it in it has to be ahead, and by which
+# it may be behind such a one and stand in its place: what a simulator does not do quite as reality
+# does, a law with more to it follows a little, and that grows with what the law does.
+MORE_TO_IT, _AS_MUCH = 0.02, 0.01
+# Terms of one joint up to which all their subsets are taken away; of more, pairs and all of them.
+_CROWD = 4
+
+
+@dataclass(frozen=True, slots=True)
+class TermExchange:
+    """Something else in the place of one or more terms.
+
+    Attributes:
+        gone: what was taken away.
+        new: what stands there; None for nothing.
+        hypothesis: fitted along the motion, where that may be in front.
+        evidence: over the fit at hand, along the motion.
+        doubtful: along the motion as good as nothing is said of it.
+    """
+
+    gone: tuple[Term, ...]
+    new: Term | None
+    hypothesis: Hypothesis
+    evidence: float
+    doubtful: bool
+
+    @property
+    def has_it(self) -> bool:
+        """Whether what is new has the one that is gone in it."""
+        (one, *more), new = self.gone, self.new
+        return new is not None and not more and one.effect in new.law.generalizes
+
+    @property
+    def comes_to(self) -> bool:
+        """Whether what is new is a special case of the one that is gone."""
+        (one, *more), new = self.gone, self.new
+        return new is not None and not more and new.effect in one.law.generalizes
+
+
+def find_exchanges(
+    problem: Problem,
+    best: ScoredModel,
+    look: LinearizedView,
+    known: Mapping[Term, Sequence[Sensitivity]],
+    name_price: float,
+) -> list[TermExchange]:
+    """Everything near that could stand in the place of a term, or of several of one joint.
+
+    Args:
+        problem: what to explain.
+        best: the fit at hand.
+        look: around it.
+        known: responses of terms that are named by now, from looks before they were.
+        name_price: evidence that a name costs.
+    """
+    terms = best.hypothesis.terms
+    singles: list[tuple[Term, ...]] = [(t,) for t in terms]
+    found = _places(problem, best, look, look.answers, singles, _RIVALS, name_price)
+    several = _together(terms) if look.linear is not None else []
+    if several:
+        again = [r for t in terms for r in known.get(t, ())]
+        answers = CandidateSensitivities([*look.answers.responses, *again])
+        more = _places(problem, best, look, answers, several, 1, name_price)
+        more = [x for x in more if x.new is not None]
+        for doubtful in (False, True):
+            alike = [x for x in more if x.doubtful == doubtful]
+            found += sorted(alike, key=lambda x: -x.evidence)[:_OF_SEVERAL]
+    if look.linear is None:
+        return found
+    near = _worth_fitting(found)
+    fitted, evidence = fit_and_score_linearized(
+        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price
+    )
+    for i, h, value in zip(near, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True):
+        found[i] = replace(found[i], hypothesis=h, evidence=float(value))
+    return found
+
+
+def better_as_addition(
+    best: ScoredModel,
+    look: LinearizedView,
+    found: Sequence[TermExchange],
+    clear: float,
+    name_price: float,
+) -> dict[Term, tuple[Hypothesis, float]]:
+    """What is clearly better in the place of something, beside everything: fitted along the motion,
+    with its evidence over the fit at hand.
+
+    What explains something else is better in every place, and a rival of nothing: it stands in a
+    place as far as it is better there than beside what is there.
+
+    Args:
+        best: the fit at hand.
+        look: around it.
+        found: what could stand in the places of its terms.
+        clear: evidence beyond which something is clearly better.
+        name_price: evidence that a name costs.
+    """
+    better: dict[Term, TermExchange] = {}
+    for x in sorted(found, key=lambda x: x.evidence):
+        if x.new is not None and not x.doubtful and x.evidence > clear:
+            better[x.new] = x
+    if look.linear is None or not better:
+        return {}
+    both = [best.hypothesis.with_term_of(x.hypothesis, new) for new, x in better.items()]
+    fitted, evidence = fit_and_score_linearized(look.linear, look.view, best, both, name_price)
+    values = np.nan_to_num(evidence, nan=-np.inf)
+    return {
+        new: (h, float(value))
+        for new, h, value in zip(better, fitted, values, strict=True)
+        if value > 0.0
+    }
+
+
+def better_than_several(
+    best: ScoredModel,
+    look: LinearizedView,
+    found: Sequence[TermExchange],
+    beside: Mapping[Term, tuple[Hypothesis, float]],
+    name_price: float,
+) -> list[TermExchange]:
+    """What is clearly better beside everything, in the place of several terms of its joint, where
+    along the motion that is better than what stands there: two wrong names may hold each other up
+    so well that neither yields to the one that is right. A grid knows little of the shape of a law
+    that bends sharply; beside everything it was fitted.
+
+    Args:
+        best: the fit at hand.
+        look: around it.
+        found: what could stand in the places of its terms.
+        beside: as :func:`better_as_addition` has it.
+        name_price: evidence that a name costs.
+
+    Returns:
+        ``found``, with these in the place of the same as they were before.
+    """
+    several = _together(best.hypothesis.terms)
+    places = [
+        (gone, new)
+        for new in beside
+        for gone in several
+        if new.joint < 0 or any(t.joint == new.joint for t in gone)
+    ]
+    if look.linear is None or not places:
+        return list(found)
+    rests = [beside[new][0].without(*gone) for gone, new in places]
+    fitted, evidence = fit_and_score_linearized(look.linear, look.view, best, rests, name_price)
+    better = {
+        place: TermExchange(*place, h, float(e), doubtful=False)
+        for place, h, e in zip(places, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True)
+        if e > 0.0
+    }
+    kept = [x for x in found if x.new is None or (x.gone, x.new) not in better]
+    return [*kept, *better.values()]
+
+
+def _worth_fitting(found: Sequence[TermExchange]) -> list[int]:
+    """Numbers of those that may be in front once they are fitted along the motion."""
+    out = []
+    for gone in dict.fromkeys(x.gone for x in found):
+        mine = [i for i, x in enumerate(found) if x.gone == gone]
+        first = max(min(found[i].evidence, 0.0) for i in mine)
+        half = _HALF * min((found[i].evidence for i in mine if found[i].new is None), default=0.0)
+        near = [i for i in mine if found[i].evidence > first - _NEAR]
+        far = [i for i in mine if found[i].new and found[i].evidence > half and i not in near]
+        out += near + sorted(far, key=lambda i: -found[i].evidence)[:_FEW]
+    return out
+
+
+def chance_gain(
+    own: Hypothesis,
+    found: Sequence[TermExchange],
+    unseen: float = 1.0,
+    simulated: Mapping[tuple[Term, ...], float] = MappingProxyType({}),
+) -> dict[Place, float]:
+    """Evidence by which each may be ahead and be no better: where it has more parameters than what
+    it stands for, for what is left is never white, and more of them follow anything a little.
+
+    Negative where it may be behind and be as good: one law that has fewer than the one it stands
+    for, or that this one has in it.
+
+    Args:
+        own: the fit at hand.
+        found: evidence along the motion, of what was fitted.
+        unseen: times as much evidence as that is of all recordings, also of what no fit sees.
+        simulated: evidence that is lost without each, where that was simulated: along the motion
+            samples hang together for longer, and evidence is less.
+    """
+    lost = {x.gone: max(-x.evidence, 0.0) for x in found if x.new is None}
+    return {
+        (x.gone, x.new): _by_chance(
+            own, x, lost.get(x.gone, 0.0), unseen, simulated.get(x.gone, lost.get(x.gone, 0.0))
+        )
+        for x in found
+    }
+
+
+def simulated_evidence(
+    found: Sequence[TermExchange], simulated: Sequence[tuple[TermExchange, float]]
+) -> dict[Place, float]:
+    """Evidence of each over the fit at hand: simulated, or along the motion less what simulation
+    took at least off those that seemed nearer in the same place.
+
+    Args:
+        found: all of them.
+        simulated: those that were, with the evidence that they came to.
+    """
+    evidence = {(x.gone, x.new): x.evidence for x in found}
+    told = [(x, e) for x, e in simulated if not x.doubtful]
+    for gone in dict.fromkeys(x.gone for x, _ in told):
+        lost = min(x.evidence - e for x, e in told if x.gone == gone)
+        for x in found:
+            if x.gone == gone and x.new is not None and not x.doubtful:
+                evidence[gone, x.new] -= max(lost, 0.0)
+    return evidence | {(x.gone, x.new): e for x, e in simulated}
+
+
+def _by_chance(
+    own: Hypothesis, exchange: TermExchange, lost: float, unseen: float, simulated: float
+) -> float:
+    if exchange.new is None:
+        return 0.0
+    # What a simulator does otherwise shows in all recordings; no fit follows what it has not seen.
+    if exchange.has_it:
+        return MORE_TO_IT * lost * unseen
+    if exchange.comes_to:
+        return -_AS_MUCH * lost * unseen
+    more = exchange.hypothesis.free - own.free
+    if more < 0 and len(exchange.gone) > 1:
+        return 0.0
+    return float(np.sign(more)) * min(AS_GOOD * simulated, _CHANCE)
+
+
+def _places(
+    problem: Problem,
+    best: ScoredModel,
+    look: LinearizedView,
+    answers: CandidateSensitivities,
+    places: Sequence[tuple[Term, ...]],
+    count: int,
+    name_price: float,
+) -> list[TermExchange]:
+    """Nothing, and the ``count`` best candidates, in each of several places, to first order."""
+    own, view = best.hypothesis, look.view
+    rests = [own.without(*gone) for gone in places]
+    gears = [any(t.law.is_elastic_transmission for t in gone) for gone in places]
+    out = []
+    lefts = _left_of(problem, look.linear, view, rests, gears)
+    for gone, rest, gear, left in zip(places, rests, gears, lefts, strict=True):
+        slope = view.jacobian[:, :, own.parameters_without(*gone)]
+        lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), answers)
+        chosen = lens.children(lens.bare, count, rest.terms)
+        structures = [lens.bare, *(lens.structure(c) for c in chosen)]
+        hypotheses = [rest.with_terms(s.starts) for s in structures]
+        seen = [LinearizedFit(h, s.residual) for h, s in zip(hypotheses, structures, strict=True)]
+        values = linearized_evidence(view, [LinearizedFit(own, view.residual), *seen], name_price)
+        values = np.nan_to_num(values, nan=-np.inf)
+        far = bool(view.above(np.mean(left**2, axis=0), _FAR_APART).any())
+        for s, h, value in zip(structures, hypotheses, values[1:] - values[0], strict=True):
+            new = next(iter(s.starts), None)
+            doubtful = far and new is not None and (gear or look.linear is None)
+            out.append(TermExchange(gone, new, h, float(value), doubtful))
+    return out
+
+
+def _left_of(
+    problem: Problem,
+    linear: Linear | None,
+    view: ResidualView,
+    rests: Sequence[Hypothesis],
+    gears: Sequence[bool],
+) -> list[FloatArray]:
+    """(bins, signals) that each of the rests leaves: simulated without gears and where nothing is
+    of first order, else along the motion.
+    """
+    simulated = [k for k, gear in enumerate(gears) if gear or linear is None]
+    along = [k for k in range(len(rests)) if k not in simulated]
+    out: dict[int, FloatArray] = {}
+    if simulated:
+        binned = bins(problem, problem.fit)
+        found = problem.residuals([rests[k] for k in simulated], problem.fit)
+        out = {k: binned.mean(np.nan_to_num(r)) for k, r in zip(simulated, found, strict=True)}
+    if along and linear is not None:
+        differences = linear.differences([rests[k] for k in along])
+        out |= {k: view.residual - d for k, d in zip(along, differences, strict=True)}
+    return [np.nan_to_num(out[k]) for k in range(len(rests))]
+
+
+def residuals_without(
+    problem: Problem,
+    linear: Linear,
+    view: ResidualView,
+    own: Hypothesis,
+    places: Sequence[tuple[Term, ...]],
+) -> list[FloatArray]:
+    """(bins, signals) that a fit leaves without each of several subsets of its terms, the others as
+    they are: simulated where a gear goes, else along the motion.
+    """
+    gears = [any(t.law.is_elastic_transmission for t in gone) for gone in places]
+    rests = [own.without(*gone) for gone in places]
+    return _left_of(problem, linear, view, rests, gears)
+
+
+def _together(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
+    """Terms of one joint that are taken away together, bodies of the whole robot with them."""
+    out: dict[tuple[Term, ...], None] = {}
+    for joint in {t.joint for t in terms if t.joint >= 0}:
+        crowd = [
+            t for t in terms
+            if t.joint == joint or (t.joint < 0 and t.law.family == "rigid_body")
+        ]  # fmt: skip
+        sizes = range(2, len(crowd) + 1) if len(crowd) <= _CROWD else (2, len(crowd))
+        for size in sizes:
+            out.update(dict.fromkeys(itertools.combinations(crowd, size)))
+    return list(out)

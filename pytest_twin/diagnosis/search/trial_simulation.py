@@ -1,0 +1,40 @@
+"""What hypotheses leave as they are, by simulation, where most is to be explained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.fit import weighted_cost
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+
+
+class TrialSimulation:
+    """A try of many hypotheses on half of what is fitted, enough to tell which are worth a fit."""
+
+    def __init__(self, problem: Problem, best: ScoredModel, left: FloatArray) -> None:
+        """Around ``best``, weighted by the (signals,) mean square ``left``."""
+        self.problem, self.weights = problem, problem.weights(left)
+        ends = np.cumsum(problem.lengths(problem.fit))[:-1]
+        parts = np.split(best.fitted.residual, ends)
+        missing = [np.nansum((part * self.weights) ** 2) for part in parts]
+        most = np.argsort(missing)[::-1][: (len(parts) + 1) // 2]
+        self.segments = problem.fit[np.sort(most)]
+
+    def costs(self, rows: Sequence[Hypothesis]) -> list[float]:
+        """What each leaves."""
+        found = self.problem.residuals(rows, self.segments)
+        return [weighted_cost(r, self.weights) for r in found]
+
+    def cheapest(self, rows: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Of each last term the row that leaves least, best first."""
+        costs = self.costs(rows)
+        found: dict[Term, Hypothesis] = {}
+        for i in np.argsort(costs):
+            if np.isfinite(costs[i]):
+                found.setdefault(rows[i].terms[-1], rows[i])
+        return list(found.values())

@@ -1,0 +1,116 @@
+"""Confidence shared among the final set of effects and its rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.equivalent_sets import ComparedSets
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.search.scored_model import Alternative, SelectedModel
+
+# Odds below which a structure says nothing of how well parameters are known.
+_NEARLY = 0.01
+
+
+def share_confidence(selected: SelectedModel, compared: ComparedSets) -> SelectedModel:
+    """The selection with confidence shared among the likeliest set and all its rivals.
+
+    The odds of a set are exp(evidence). Each effect competes with the sets that lack it:
+    its confidence is 1 / (1 + their odds), so that doubt at one joint is none at another. Rivals of
+    single effects that the search compared keep the odds that they had there, to the power by which
+    model error tempers all evidence.
+
+    Args:
+        selected: result of the search.
+        compared: the likeliest set and its rivals.
+    """
+    own = compared.best.hypothesis
+    odds = {s.terms: float(np.exp(min(s.evidence, 700.0))) for s in compared.sets}
+    structures = [
+        _Structure(s.terms, _new(s.rival.hypothesis, own), odds[s.terms], s.apart)
+        for s in compared.sets
+        if not _says_the_same(s.rival.hypothesis, own)
+    ]
+    structures += _of_the_search(selected, own, set(odds), compared.tempering)
+    confidence: dict[Term, float] = {}
+    sets: dict[Term, list[Alternative]] = {}
+    for term in own.terms:
+        rivals = [s for s in structures if term not in s.terms]
+        whole = 1.0 + sum(s.odds for s in rivals)
+        confidence[term] = 1.0 / whole
+        sets[term] = sorted(
+            (
+                Alternative(
+                    s.new, tuple(t for t in own.terms if t not in s.terms), s.odds / whole, s.apart
+                )
+                for s in rivals
+                if s.new
+            ),
+            key=lambda a: -a.confidence,
+        )
+    near = [
+        (odds[s.terms], _offsets(s.rival.hypothesis, own))
+        for s in compared.sets
+        if odds[s.terms] >= _NEARLY
+    ]
+    return replace(
+        selected, best=compared.best, confidence=confidence, alternatives={}, sets=sets, near=near
+    )
+
+
+class _Structure:
+    """A rival set: all its effects, those that the final set lacks, its odds against that."""
+
+    def __init__(
+        self, terms: frozenset[Term], new: tuple[Term, ...], odds: float, apart: float | None
+    ) -> None:
+        self.terms, self.new, self.odds, self.apart = terms, new, odds, apart
+
+
+def _says_the_same(other: Hypothesis, own: Hypothesis) -> bool:
+    """Whether a set only has general laws in the place of their special cases."""
+    new = _new(other, own)
+    gone = _new(own, other)
+    return len(new) == len(gone) > 0 and all(
+        any(special.effect in law.law.generalizes for special in gone) for law in new
+    )
+
+
+def _new(other: Hypothesis, own: Hypothesis) -> tuple[Term, ...]:
+    return tuple(t for t in other.terms if t not in own.terms)
+
+
+def _offsets(other: Hypothesis, own: Hypothesis) -> dict[Term, FloatArray]:
+    """How far the parameters of common terms lie apart."""
+    return {
+        t: other.theta[other.slice_of(t)] - own.theta[own.slice_of(t)]
+        for t in own.terms
+        if t in other.terms
+    }
+
+
+def _of_the_search(
+    selected: SelectedModel, own: Hypothesis, known: set[frozenset[Term]], tempering: float
+) -> list[_Structure]:
+    """Rivals in single places that the search compared, and nothing there: what its confidence
+    leaves beside the alternatives that it lists.
+    """
+    out: list[_Structure] = []
+    terms = frozenset(own.terms)
+    if terms != frozenset(selected.best.hypothesis.terms):
+        return out
+    for term, confidence in selected.confidence.items():
+        if term not in terms or not np.isfinite(confidence) or confidence <= 0.0:
+            continue
+        listed: Sequence[tuple[Term, float]] = selected.alternatives.get(term, [])
+        nothing = 1.0 - confidence - sum(c for _, c in listed)
+        for new, share in (*((((t,), c)) for t, c in listed), ((), nothing)):
+            there = (terms - {term}) | frozenset(new)
+            if there in known or share <= 0.0:
+                continue
+            out.append(_Structure(there, tuple(new), (share / confidence) ** tempering, None))
+    return out

@@ -1,0 +1,148 @@
+"""Detection of recordings in degrees or encoder counts, by comparison with the model.
+
+States in another unit than their commands are detected without a model. Where both have the same
+wrong unit, or commands are efforts, the model decides: it follows the recording in the right unit
+and not in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.errors import RecordingError, SpecError
+from pytest_twin.realization import Realization
+from pytest_twin.replay import Replayed, replay
+from pytest_twin.trial import Trial
+
+# rad that every moving hinge must travel before the unit of a recording is tested; rad that counts
+# as moving.
+_FAR = 2.0 * np.pi
+_MOVES = 1e-6
+# Least number of such hinges by command mode. A single wheel under a servo may turn many times, and
+# a model with a weak servo follows any small motion.
+_FEWEST = {"position": 2, "velocity": 2, "effort": 1}
+# The replay ends when a hinge has moved this part of its range, plus some s: under effort commands
+# small errors grow.
+_PART, _ON = {"position": 0.5, "velocity": 0.5, "effort": 0.05}, 0.3
+# RMS error relative to the RMS motion: at least this in rad in some recording (a servo follows slow
+# motion in any unit), at most this in the other unit, and at most this ratio of the two.
+_FAILS, _FOLLOWS, _CLOSER = 0.5, 0.3, 0.25
+# Degrees are far more common than counts: counts need an error smaller by this factor.
+_COUNTS_CLOSER = 0.5
+# Unit of the reading -> rad.
+_UNITS = {
+    "degrees": np.radians(1.0),
+    **{f"counts of {n} a turn": 2.0 * np.pi / n for n in 2 ** np.arange(10, 21)},
+}
+
+
+def drop_other_units(realization: Realization, trials: TrialSet, notes: list[str]) -> TrialSet:
+    """Trials without the recordings that are in degrees or encoder counts.
+
+    Args:
+        realization: the nominal model.
+        trials: the recordings.
+        notes: gets a line for each recording that is left out.
+
+    Raises:
+        RecordingError: no recording remains to fit.
+    """
+    everything = (*trials.fit, *trials.held_out)
+    far = [t for t in everything if _turns_far(t, _hinges(realization, t))]
+    unit = _unit_of(realization, far) if far else None
+    if unit is None:
+        return trials
+    errors = [
+        RecordingError(
+            f"{'states' if t.hardest_mode == 'effort' else 'states and commands'} seem to be in "
+            f"{unit}: in this unit the model follows them",
+            path=t.path,
+            expected="rad (m for a sliding joint); convert the recording",
+        )
+        for t in far
+    ]
+    others = {t.path for t in far}
+    fit, aside = (
+        tuple(t for t in role if t.path not in others) for role in (trials.fit, trials.held_out)
+    )
+    if not fit:
+        raise errors[0]
+    notes += [f"left out: {error}" for error in errors]
+    return replace(trials, fit=fit, held_out=aside)
+
+
+def _hinges(realization: Realization, trial: Trial) -> list[int]:
+    """Columns of a trial that belong to hinges."""
+    kind = realization.structure.joint_type
+    return [i for i, j in enumerate(trial.joints) if kind.get(j) == "hinge"]
+
+
+def _turns_far(trial: Trial, hinges: Sequence[int]) -> bool:
+    travel = np.ptp(trial.position[:, hinges], axis=0)
+    far = travel[travel > _MOVES] > _FAR
+    return bool(far.sum() >= _FEWEST[trial.hardest_mode] and far.all())
+
+
+def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
+    """The unit in which the model follows the trials, where it does not in rad; else None."""
+    scales = (1.0, *_UNITS.values())
+    angles = [_hinges(realization, t) for t in trials]
+    starts = [_beginning(t, hinges) for t, hinges in zip(trials, angles, strict=True)]
+    rows = [(t, hinges, s) for t, hinges in zip(starts, angles, strict=True) for s in scales]
+    try:
+        read = replay(realization, [_scaled(*row) for row in rows], tcp=False)
+    except SpecError:
+        return None  # the search reports a missing controller or payload
+    off = np.reshape(
+        [_error(r, hinges) for r, (_, hinges, _) in zip(read, rows, strict=True)], (-1, len(scales))
+    )
+    came, others = off[:, 0], off[:, 1:]
+    least = np.median(others, axis=0)
+    best = int(np.argmin(least * [_COUNTS_CLOSER, *[1.0] * (len(least) - 1)]))
+    closer = np.mean(others[:, best] <= _CLOSER * came) > 0.5
+    if came.max() < _FAILS or least[best] > _FOLLOWS or not closer:
+        return None
+    return list(_UNITS)[best]
+
+
+def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
+    """The beginning of a trial until it has moved; without a recorded velocity it starts at rest.
+
+    A velocity from positions carries their noise, which grows under effort commands.
+    """
+    position = trial.position[:, hinges]
+    gone = np.abs(position - position[0]) > _PART[trial.hardest_mode] * np.ptp(position, axis=0)
+    until = float(trial.time[gone.any(axis=1).argmax()]) + _ON
+    return trial.until(until)
+
+
+def _scaled(trial: Trial, hinges: Iterable[int], scale: float) -> Trial:
+    """The trial with states and commands of hinges times ``scale``."""
+    names = {trial.joints[i] for i in hinges}
+
+    def of(joints: Iterable[str], values: FloatArray) -> FloatArray:
+        scaled: FloatArray = values * [scale if j in names else 1.0 for j in joints]
+        return scaled
+
+    commanded = zip(trial.command_joints, trial.command_modes, strict=True)
+    by_angle = [scale if j in names and mode != "effort" else 1.0 for j, mode in commanded]
+    return replace(
+        trial,
+        position=of(trial.joints, trial.position),
+        velocity=None if trial.velocity is None else of(trial.joints, trial.velocity),
+        command=trial.command * by_angle,
+    )
+
+
+def _error(replayed: Replayed, hinges: Sequence[int]) -> float:
+    """RMS error of the hinges divided by their RMS motion; infinite where the model diverged."""
+    measured = replayed.trial.position[:, hinges]
+    left = replayed.position[:, hinges] - measured
+    if not np.isfinite(left).all():
+        return np.inf
+    return float(np.linalg.norm(left)) / float(np.linalg.norm(measured - measured[0]))

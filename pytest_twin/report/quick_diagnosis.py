@@ -1,0 +1,78 @@
+"""The one-line text of a quick diagnosis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from pytest_twin.report.finding_words import meaning_of, place, readable
+from pytest_twin.report.text import printable, quantity
+
+if TYPE_CHECKING:
+    from pytest_twin.diagnosis.quick_diagnosis import LikelyEffect, Place, QuickDiagnosis
+
+_MOST_PARAMETERS = 2
+_MOST_WINDOWS = 2
+
+
+def quick_diagnosis_in_words(seen: QuickDiagnosis) -> str:
+    """The most likely effects with their confidence, or where and when a force is missing."""
+    if seen.suspects:
+        parts = [_suspect(found) for found in seen.suspects]
+        if seen.unexplained:
+            parts.append(
+                f"no known effect explains the error of {_listed(seen.unexplained, 'and')}"
+            )
+        return printable("; ".join(parts))
+    when = f"{seen.where.summary}{_spans(seen)}"
+    if seen.joint is None:
+        return printable(
+            "no known effect explains the error, and no joint shows a missing force above the "
+            f"noise; the error is {seen.floors:.2g} times the noise floor; mainly {when}"
+        )
+    return printable(
+        f"no known effect explains the error; a force is missing at joint {seen.joint}, "
+        f"mainly {when}"
+    )
+
+
+def _suspect(found: LikelyEffect) -> str:
+    effect = found.place[0]
+    shown = [(name, *value) for name, value in found.values.items() if value[0] != 0.0]
+    values = ", ".join(
+        f"{meaning_of(effect, name)} about {_about(value, unit)}"
+        for name, value, unit in shown[:_MOST_PARAMETERS]
+    )
+    of = f" of {_listed(found.of, 'and')}" if found.of else ""
+    removes = f"would remove {math.floor(100 * found.removed)} % of the squared error{of}"
+    if found.rivals:
+        places = [f"{_named(found.place)} ({values})", *map(_named, found.rivals)]
+        return f"could be {_listed(places, 'or')}; correcting the first {removes}"
+    return (
+        f"probably {_named(found.place)}: {values}; confidence {math.floor(100 * found.share)} %; "
+        f"correcting it {removes}"
+    )
+
+
+def _named(where: Place) -> str:
+    effect, joints = where
+    return place({"effect": effect, "joint": _listed(joints, "and") if joints else None})
+
+
+def _listed(names: Sequence[str], word: str) -> str:
+    """``a``, ``a or b``, ``a, b or c``."""
+    *most, last = names
+    return f"{', '.join(most)} {word} {last}" if most else last
+
+
+def _about(value: float, unit: str) -> str:
+    rounded = float(f"{value:.2g}")
+    factor, unit = readable(rounded, unit)
+    return quantity(factor * rounded, unit)
+
+
+def _spans(seen: QuickDiagnosis) -> str:
+    spans = [span for windows in seen.where.windows.values() for span in windows]
+    longest = sorted(sorted(spans, key=lambda s: s[0] - s[1])[:_MOST_WINDOWS])
+    return "".join(f", {a:.4g} to {b:.4g} s" for a, b in longest)

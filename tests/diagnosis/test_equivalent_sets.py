@@ -1,0 +1,238 @@
+"""Sets of effects that are alike on the recordings share the confidence; the better set wins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.equivalent_sets import (
+    MOST_SIMULATIONS,
+    AlternativeSet,
+    ComparedSets,
+    compare_sets,
+    subsets,
+)
+from pytest_twin.diagnosis.evidence import tempered_samples
+from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
+from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.scored_model import SelectedModel
+from pytest_twin.diagnosis.shared_confidence import share_confidence
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Segment
+
+NOISE, SAMPLE, SECONDS = 2e-4, 0.01, 3.0
+ROBOT, FIRST, SECOND = -1, 0, 1
+LATE_COMMAND, LATE_SENSOR = Term("command_delay", FIRST), Term("sensor_delay", ROBOT)
+CONSTANT = Term("torque_constant", FIRST)
+LOAD, DRAG, DRY = (
+    Term("payload", ROBOT), Term("viscous_friction", FIRST), Term("coulomb_friction", FIRST),
+)  # fmt: skip
+TILT, ZERO = Term("base_tilt", ROBOT), Term("encoder_bias", FIRST)
+
+PENDULUM = """
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+<joint name="a" axis="0 1 0" damping=".2" armature=".02" frictionloss=".1"/>
+<inertial pos="0 0 -.2" mass="1" diaginertia=".01 .01 .001"/>
+</body></worldbody><actuator>{drive}</actuator></mujoco>
+"""
+SERVO, MOTOR = '<position joint="a" kp="60" kv="2"/>', '<motor joint="a"/>'
+SLIDER = """
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+<joint name="a" type="slide" axis="1 0 0" damping="20"/>
+<inertial pos=".1 .05 .02" mass="2" diaginertia=".01 .02 .03"/>
+</body></worldbody><actuator><position joint="a" kp="2000" kv="60"/></actuator></mujoco>
+"""
+PLANAR = """
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+<joint name="a" axis="0 1 0" damping=".5" armature=".05"/>
+<inertial pos="0 0 .2" mass="2" diaginertia=".03 .03 .002"/>
+<body pos="0 0 .4"><joint name="b" axis="0 1 0" damping=".3" armature=".03"/>
+<inertial pos="0 0 .15" mass="1" diaginertia=".01 .01 .001"/></body></body></worldbody>
+<actuator><position joint="a" kp="150" kv="8"/><position joint="b" kp="80" kv="4"/></actuator>
+</mujoco>
+"""
+
+
+def command(mode: str, joints: int, seed: int) -> FloatArray:
+    """(samples, joints) smooth commands that begin at rest."""
+    rng = np.random.default_rng(seed)
+    t = SAMPLE * np.arange(round(SECONDS / SAMPLE))
+    size = 0.4 if mode == "position" else 2.5
+    wave = sum(
+        np.sin(2 * np.pi * t[:, None] * rng.uniform(0.4, 1.6, joints) + rng.uniform(0, 6, joints))
+        for _ in range(3)
+    )
+    return np.asarray(size / 2 * wave * np.minimum(t / 0.4, 1.0)[:, None])
+
+
+def with_values(problem: Problem, hidden: dict[Term, dict[str, float]]) -> Hypothesis:
+    h = EMPTY
+    for term, values in hidden.items():
+        h = h.with_term(
+            term,
+            np.array([
+                values.get(p.name, p.absent * problem.scales.value(p, term.joint))
+                / problem.scales.value(p, term.joint)
+                for p in term.parameters
+            ]),
+        )  # fmt: skip
+    return h
+
+
+def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Problem:
+    """Two recordings to fit of a robot that has what is hidden, by the package's own simulation."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    joints = tuple(model.joint(i).name for i in range(model.njnt))
+    time: FloatArray = SAMPLE * np.arange(round(SECONDS / SAMPLE), dtype=np.float64)
+    still = np.zeros(len(joints))
+    segments = [
+        Segment(
+            trial=k, model=model, mode=mode, start=0.0, time=time,
+            position=command(mode, len(joints), k), velocity=None, effort=None,
+            command_time=time, command=command(mode, len(joints), k),
+            initial_position=still, initial_velocity=still,
+        )
+        for k in range(2)
+    ]  # fmt: skip
+    simulator = RowSimulator(segments, joints, threads=1)
+    scales = joint_scales(simulator, nominal_replay(simulator))
+    noise = np.full(len(joints), NOISE)
+    problem = Problem(simulator, np.arange(2), np.zeros(0, np.int64), noise, scales)
+    rng = np.random.default_rng(1)
+    values = effect_values([with_values(problem, hidden)] * 2, len(joints), scales)
+    measured = [
+        replace(s, position=p.position + NOISE * rng.standard_normal(p.position.shape))
+        for s, p in zip(segments, simulator.simulate(np.arange(2), values), strict=True)
+    ]
+    simulator = RowSimulator(measured, joints, threads=1)
+    out = Problem(simulator, np.arange(2), np.zeros(0, np.int64), noise, scales)
+    out.refine_at(EMPTY)
+    return out
+
+
+def compared(problem: Problem, start: Hypothesis) -> ComparedSets:
+    comparison = ModelComparison(problem)
+    best = comparison.settled(comparison.settled(comparison.scored_without_fit(start)))
+    return compare_sets(comparison, best.hypothesis)
+
+
+def confidences(problem: Problem, found: ComparedSets) -> SelectedModel:
+    nominal = ModelComparison(problem).nominal
+    return share_confidence(SelectedModel(found.best, nominal), found)
+
+
+@pytest.mark.parametrize(
+    ("xml", "mode"), [(PENDULUM.format(drive=SERVO), "position"), (SLIDER, "position")]
+)
+def test_a_late_command_and_a_late_sensor_of_one_joint_share_the_confidence(
+    xml: str, mode: str
+) -> None:
+    problem = problem_of(xml, mode, {LATE_COMMAND: {"delay": 0.02}})
+    found = compared(problem, with_values(problem, {LATE_SENSOR: {"delay": 0.018}}))
+    selected = confidences(problem, found)
+    (term,) = found.best.hypothesis.terms
+    (first, *_) = selected.sets[term]
+    assert {term, *first.new} == {LATE_COMMAND, LATE_SENSOR}
+    assert selected.confidence[term] == pytest.approx(0.5, abs=0.15)
+    assert first.confidence == pytest.approx(0.5, abs=0.15)
+    assert found.simulations <= MOST_SIMULATIONS
+
+
+def test_one_effect_wins_over_three_that_predict_the_same_and_they_are_its_alternative() -> None:
+    problem = problem_of(
+        PENDULUM.format(drive=MOTOR), "effort", {CONSTANT: {"relative_error": -0.14}}
+    )
+    start = with_values(
+        problem,
+        {
+            LOAD: {"mass": 0.093, "distance": 0.35, "form": 0.0},
+            DRAG: {"coefficient": 0.0326},
+            DRY: {"coulomb": 0.0163},
+        },
+    )
+    found = compared(problem, start)
+    assert found.best.hypothesis.terms == (CONSTANT,)
+    selected = confidences(problem, found)
+    assert selected.confidence[CONSTANT] > 0.9
+    assert any(set(a.new) == {LOAD, DRAG, DRY} for a in selected.sets[CONSTANT])
+
+
+def test_a_tilt_about_parallel_axes_shares_the_confidence_with_a_zero_offset() -> None:
+    problem = problem_of(PLANAR, "position", {TILT: {"pitch": 0.06}})
+    start = with_values(problem, {ZERO: {"bias": -0.06, "in_loop": 1.0}})
+    found = compared(problem, start)
+    selected = confidences(problem, found)
+    both = {found.best.hypothesis.terms, *(tuple(s.rival.hypothesis.terms) for s in found.sets)}
+    assert {(TILT,), (ZERO,)} <= both
+    assert 0.1 < selected.confidence[found.best.hypothesis.terms[0]] < 0.95
+
+
+def test_an_impossible_set_gives_way_to_the_likeliest_possible_one() -> None:
+    problem = problem_of(PENDULUM.format(drive=SERVO), "position", {LATE_COMMAND: {"delay": 0.02}})
+    comparison = ModelComparison(problem)
+    start = with_values(problem, {LATE_SENSOR: {"delay": 0.02}})
+    found = compare_sets(comparison, start, lambda h: LATE_SENSOR not in h.terms)
+    assert found.best.hypothesis.terms == (LATE_COMMAND,)
+
+
+def test_subsets_begin_with_single_effects_and_hold_whole_joints() -> None:
+    terms = (LOAD, DRAG, DRY, Term("armature", SECOND))
+    found = subsets(terms)
+    assert found[:4] == [(t,) for t in terms]
+    assert (LOAD, DRAG, DRY) in found
+    assert (DRAG, Term("armature", SECOND)) not in found
+
+
+def test_model_error_does_not_average_out_within_a_recording() -> None:
+    effective, floor = np.array([400.0]), np.array([1.0])
+    assert tempered_samples(effective, floor**2, floor, 4, 1)[0] == pytest.approx(400.0)
+    # Far above the floor each recording is one sample.
+    assert tempered_samples(effective, (100 * floor) ** 2, floor, 4, 1)[0] == pytest.approx(
+        4.0, rel=0.05
+    )
+
+
+def test_the_model_error_of_a_position_applies_to_the_effort_of_its_joint() -> None:
+    # Positions of two joints, then their efforts; only the first position is far above its floor.
+    floor, effective = np.ones(4), np.full(4, 400.0)
+    samples = tempered_samples(effective, np.array([1e4, 1.0, 1.0, 1.0]), floor, 4, 2)
+    assert samples == pytest.approx([4.0, 400.0, 4.0, 400.0], rel=0.05)
+
+
+def test_confidence_is_shared_by_the_odds_of_sets_that_lack_an_effect() -> None:
+    problem = problem_of(SLIDER, "position", {})
+    comparison = ModelComparison(problem)
+    h = EMPTY.with_term(LATE_COMMAND, grid(LATE_COMMAND)[0][0])
+    (best,) = comparison.rivals([h], comparison.weights(comparison.nominal), 0)
+    alone = ComparedSets(best, (), 1.0, 0.0)
+    known = SelectedModel(
+        best, comparison.nominal, {LATE_COMMAND: 0.8}, {LATE_COMMAND: [(DRAG, 0.2)]}
+    )
+    assert share_confidence(known, alone).confidence[LATE_COMMAND] == pytest.approx(0.8)
+    # Model error halves the evidence: odds of 1/4 become 1/2.
+    halved = share_confidence(known, replace(alone, tempering=0.5))
+    assert halved.confidence[LATE_COMMAND] == pytest.approx(2 / 3)
+    assert halved.sets[LATE_COMMAND][0].new == (DRAG,)
+
+
+def test_a_general_law_at_its_special_case_is_no_rival() -> None:
+    problem = problem_of(PENDULUM.format(drive=SERVO), "position", {})
+    comparison = ModelComparison(problem)
+    general = Term("asymmetric_friction", FIRST)
+    own = with_values(problem, {DRY: {"coulomb": 0.1}})
+    other = with_values(problem, {general: {"coulomb": 0.1}})
+    best, rival = comparison.rivals([own, other], comparison.weights(comparison.nominal), 0)
+    found = ComparedSets(best, (AlternativeSet(rival, 0.0, 0.0),), 1.0, 0.0)
+    selected = share_confidence(SelectedModel(best, comparison.nominal), found)
+    assert selected.confidence[DRY] == pytest.approx(1.0)
+    # The special case is a rival of the general law.
+    found = ComparedSets(rival, (AlternativeSet(best, 0.0, 0.0),), 1.0, 0.0)
+    assert share_confidence(SelectedModel(rival, comparison.nominal), found).confidence[
+        general
+    ] == pytest.approx(0.5)

@@ -1,0 +1,164 @@
+"""Dry friction that creeps: an arm that MuJoCo stepped is what its own model says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.friction_constraint import CREEPS, search_as_friction_acts
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.patched.write import write_realization
+from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.effects.constraint import hold, stiff
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.mcap import JointSeries, write_recording
+from pytest_twin.realization import Realization
+
+STEP, SECONDS, NOISE = 2e-4, 4.0, 2e-6
+ARM = """
+<mujoco model="arm"><compiler angle="radian"/>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body name="upper">
+    <inertial pos="0 0 -0.2" mass="2" diaginertia="0.03 0.03 0.002"/>
+    <joint name="lift" axis="0 1 0" damping="0.3" armature="0.05" frictionloss="1.2"/>
+    <body name="fore" pos="0 0 -0.4">
+      <inertial pos="0 0 -0.15" mass="1" diaginertia="0.01 0.01 0.001"/>
+      <joint name="bend" axis="0 1 0" damping="0.1" armature="0.02" frictionloss="0.5"/>
+    </body></body></worldbody>
+  <actuator><position name="lift" joint="lift" kp="60" kv="6"/>
+    <position name="bend" joint="bend" kp="20" kv="2"/></actuator>
+</mujoco>
+"""
+
+
+def recorded(folder: Path, seed: int, role: str, *, delay: float, holds: bool) -> Path:
+    """The arm as MuJoCo steps it, ten times finer."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    model.opt.timestep = STEP
+    if holds:
+        model.dof_solref[:], model.dof_solimp[:] = stiff(STEP)
+    data = mujoco.MjData(model)
+    random = np.random.default_rng(seed)
+    time = np.arange(round(SECONDS / STEP)) * STEP
+    wave = [
+        0.4 * np.sin(2 * np.pi * f * time + p) * np.minimum(time, 1.0)
+        for f, p in zip(random.uniform(0.2, 0.8, 2), random.uniform(0, 6, 2), strict=True)
+    ]
+    held = (np.arange(len(time)) // 50) * 50
+    sent = np.array(wave).T[held]
+    position = np.empty_like(sent)
+    for k, at in enumerate(time):
+        position[k] = data.qpos
+        data.ctrl[:] = sent[max(round((at - delay) / STEP), 0), 0], sent[k, 1]
+        mujoco.mj_step(model, data)
+    start = 1_700_000_000_000_000_000
+    seen, told = np.arange(0, len(time), 25), np.arange(0, len(time), 50)
+    stamps = [start + np.rint(time[k] * 1e9).astype(np.int64) for k in (seen, told)]
+    noisy = position[seen] + NOISE * random.standard_normal((len(seen), 2))
+    names = ("lift", "bend")
+    series = [
+        JointSeries("/joint_states", names, stamps[0], stamps[0], noisy, None, None),
+        JointSeries("/joint_commands", names, stamps[1], stamps[1], sent[told], None, None),
+    ]
+    path = folder / f"{role}{seed}.mcap"
+    write_recording(path, series, {"role": role})
+    return path
+
+
+def given_by(folder: Path, *, delay: float, holds: bool) -> tuple[Realization, TrialSet]:
+    (folder / "model.xml").write_text(ARM)
+    loaded = load_model(folder / "model.xml")
+    files = [
+        recorded(folder, seed, role, delay=delay, holds=holds)
+        for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
+    ]
+    return loaded.realization, read_trials(files, (), loaded.topics, loaded.realization.structure)
+
+
+def diagnosed(
+    folder: Path, *, delay: float = 0.0, holds: bool = False
+) -> tuple[Realization, Diagnosis]:
+    realization, trials = given_by(folder, delay=delay, holds=holds)
+    return realization, diagnose(realization, trials, threads=1)
+
+
+@pytest.mark.parametrize("holds", [False, True], ids=["creeps", "holds"])
+def test_an_arm_as_its_model_says_shows_nothing(tmp_path: Path, holds: bool) -> None:
+    """Whichever way its dry friction is stepped."""
+    _, found = diagnosed(tmp_path, holds=holds)
+    assert found.verdict == "no_mismatch"
+    assert (CREEPS in found.notes) is not holds
+    for error in found.errors.values():
+        assert error.before < 1.5 * error.floor
+
+
+def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: Path) -> None:
+    """The mismatch is a hundred times what creeping makes of it."""
+    realization, found = diagnosed(tmp_path, delay=0.012)
+    assert found.verdict == "explained"
+    assert [(f.effect, f.joint) for f in found.explained.findings] == [("command_delay", "lift")]
+    assert CREEPS in found.notes
+    assert found.errors["lift"].before > 50.0 * found.errors["lift"].floor
+    for error in found.errors.values():
+        assert error.after < 1.5 * error.floor
+
+    folder = tmp_path / "realization"
+    folder.mkdir()
+    problem, hypothesis = found.prepared.problem, found.explained.hypothesis
+    write_realization(folder, realization, problem, hypothesis)
+    model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    np.testing.assert_allclose(model.dof_solref, [[0.02, 1.0]] * 2)
+    again = load_model(find_model(tmp_path))
+    assert again.patched is not None
+    assert again.patched.creeps
+    (trial,) = found.roles.test
+    (predicted,) = replay_patched(again.realization, again.patched, [trial], threads=1)
+    off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
+    assert (off < 1.5 * problem.floor).all()
+
+    effects = json.loads((folder / "effects.json").read_text())
+    (folder / "effects.json").write_text(json.dumps({**effects, "dry_friction": "melts"}))
+    with pytest.raises(SpecError, match=r"dry_friction.*expected creeps"):
+        load_model(find_model(tmp_path))
+
+
+@pytest.mark.parametrize("holds", [False, True], ids=["creeps", "holds"])
+def test_a_search_goes_on_the_way_that_it_sees(tmp_path: Path, holds: bool) -> None:
+    """As soon as something was found: what creeping makes is not searched for names."""
+    realization, trials = given_by(tmp_path, delay=0.012, holds=holds)
+    given = ModelSetup.of(realization, None, threads=1)
+    prepared, trials = build_problem(given, trials, [])
+    run = Run()
+    stepped, found = search_as_friction_acts(given, prepared, trials, run, EMPTY)
+    assert stepped.creeps is not holds
+    assert [t.effect for t in found.explained.hypothesis.terms] == ["command_delay"]
+    # Nothing that was left in the one way was held against more names.
+    added = [
+        step for step in run.trace.steps if (step.move, step.decision) == ("addition", "accepted")
+    ]
+    assert len({step.stage for step in added}) == 1
+    assert len(added) == 1
+    assert found.verdict == "explained"
+
+
+def test_a_model_that_sets_its_friction_constraint_is_taken_at_its_word() -> None:
+    level = 'frictionloss="1.2"'
+    own = ARM.replace(level, f'{level} solreffriction="0.01 0.8"')
+    model = mujoco.MjModel.from_xml_string(own)
+    hold(model, [0, 1], 0.002)
+    np.testing.assert_allclose(model.dof_solref[0], [0.01, 0.8])
+    np.testing.assert_allclose(model.dof_solref[1], [0.004, 1.0])
+    # What is as stiff as a step allows is so at a finer one.
+    model.opt.timestep = 0.0005
+    hold(model, [0, 1], 0.002)
+    np.testing.assert_allclose(model.dof_solref, [[0.01, 0.8], [0.001, 1.0]])

@@ -1,0 +1,157 @@
+"""Recordings that a simulation made, with the error of its step in them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.integrator_detection import detect_integrator
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.search.scored_model import SelectedModel
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import build_problem, conclude
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.mcap import JointSeries, write_recording
+from pytest_twin.gate.diagnosis_folder import write_diagnosis
+
+STEP, SECONDS, NOISE = 0.002, 4.0, 2e-5
+BACKLASH, DAMPING = Term("backlash", 1), Term("viscous_friction", 1)
+HIDDEN = 0.8
+"""N*m*s/rad that the elbow has more than its model."""
+ARM = """
+<mujoco model="arm"><compiler angle="radian"/>
+  <option timestep="{step}"/>
+  <worldbody><body name="upper">
+    <inertial pos="0.15 0 0" mass="1.5" diaginertia="0.001 0.015 0.015"/>
+    <joint name="shoulder" axis="0 1 0" damping="0.4" armature="0.02"/>
+    <body name="fore" pos="0.3 0 0">
+      <inertial pos="0.12 0 0" mass="0.8" diaginertia="0.0005 0.005 0.005"/>
+      <joint name="elbow" axis="0 1 0" damping="{damping}" armature="0.01"/>
+    </body></body></worldbody>
+  <actuator><position name="shoulder" joint="shoulder" kp="120" kv="4"/>
+    <position name="elbow" joint="elbow" kp="60" kv="2"/></actuator>
+</mujoco>
+"""
+
+
+def recorded(folder: Path, seed: int, role: str, *, substeps: int, damping: float) -> Path:
+    """The arm as MuJoCo steps it, in so many substeps of the model's."""
+    model = mujoco.MjModel.from_xml_string(ARM.format(step=STEP / substeps, damping=damping))
+    data = mujoco.MjData(model)
+    random = np.random.default_rng(seed)
+    every = 5 * substeps
+    count = round(SECONDS / model.opt.timestep)
+    time = np.arange(count) * model.opt.timestep
+    rate, size = random.uniform(2.0, 9.0, (2, 3)), random.uniform(0.1, 0.3, (2, 3))
+    sent = (size[..., None] * np.sin(rate[..., None] * time)).sum(axis=1).T
+    sent = sent[np.arange(count) // every * every]
+    position = np.empty_like(sent)
+    for k in range(count):
+        position[k] = data.qpos
+        data.ctrl[:] = sent[k]
+        mujoco.mj_step(model, data)
+    seen = np.arange(0, count, every)
+    stamps = 1_700_000_000_000_000_000 + np.rint(time[seen] * 1e9).astype(np.int64)
+    noisy = position[seen] + NOISE * random.standard_normal((len(seen), 2))
+    names = ("shoulder", "elbow")
+    series = [
+        JointSeries("/joint_states", names, stamps, stamps, noisy, None, None),
+        JointSeries("/joint_commands", names, stamps, stamps, sent[seen], None, None),
+    ]
+    path = folder / f"{role}{seed}.mcap"
+    write_recording(path, series, {"role": role})
+    return path
+
+
+def posed(folder: Path, substeps: int, more: float) -> tuple:
+    (folder / "model.xml").write_text(ARM.format(step=STEP, damping=0.3))
+    loaded = load_model(folder / "model.xml")
+    files = [
+        recorded(folder, seed, role, substeps=substeps, damping=0.3 + more)
+        for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
+    ]
+    return loaded.realization, read_trials(files, (), loaded.topics, loaded.realization.structure)
+
+
+def said_so(found: Diagnosis) -> bool:
+    return any("the recordings come from a simulation" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 4, 5, 40])
+def test_the_model_itself_at_any_step_shows_nothing(tmp_path: Path, substeps: int) -> None:
+    """The error of its step is 80 times the noise; of a fortieth of it nothing is seen."""
+    found = diagnose(*posed(tmp_path, substeps, 0.0), threads=1)
+    assert found.verdict == "no_mismatch"
+    assert found.explained.findings == ()
+    assert said_so(found) is (substeps < 40)
+    if substeps < 40:
+        assert all(e.after < 1.2 * NOISE for e in found.errors.values())
+
+
+def test_what_is_hidden_is_found_to_the_noise_of_the_simulation(tmp_path: Path) -> None:
+    """With the step's error taken out damping and inertia would be found at the shoulder too."""
+    realization, trials = posed(tmp_path, 1, HIDDEN)
+    folder = tmp_path / "out"
+    folder.mkdir()
+    write_diagnosis(
+        folder, realization, trials, inherited=None, model="arm", progress=lambda _: None
+    )
+    said = json.loads((folder / "diagnosis.json").read_text())
+    assert said["verdict"] == "explained"
+    assert any("with a time step of 2 ms" in note for note in said["notes"])
+    (finding,) = said["findings"]
+    assert (finding["effect"], finding["joint"]) == ("viscous_friction", "elbow")
+    assert finding["parameters"]["coefficient"]["value"] == pytest.approx(HIDDEN, rel=1e-3)
+
+    again = load_model(find_model(folder))
+    assert again.patched is not None
+    assert again.patched.substeps == 1
+    (trial,) = trials.held_out
+    (predicted,) = replay_patched(again.realization, again.patched, [trial], threads=1)
+    off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
+    assert (off < 1.2 * NOISE).all()
+
+    # What was found on a simulation's recordings is held against a robot's as a robot's.
+    for substeps, simulated in ((1, True), (40, False)):
+        other = tmp_path / str(substeps)
+        other.mkdir()
+        _, trials = posed(other, substeps, HIDDEN)
+        found = diagnose(again.realization, trials, inherited=again.patched, threads=1)
+        assert found.verdict == "no_mismatch"
+        assert said_so(found) is simulated
+
+    effects = folder / "realization/effects.json"
+    kept = json.loads(effects.read_text())
+    for wrong in (-1, 1000, "one", True):
+        effects.write_text(json.dumps({**kept, "simulated_in_substeps": wrong}))
+        with pytest.raises(SpecError, match=r"simulated_in_substeps.*an integer from 0 to 100"):
+            load_model(find_model(folder))
+
+
+def test_of_a_gear_that_was_found_nothing_is_asked(tmp_path: Path) -> None:
+    """A motor apart from its link is stepped in another way than one with it."""
+    realization, trials = posed(tmp_path, 1, HIDDEN)
+    given = ModelSetup.of(realization, None, 1)
+    prepared, trials = build_problem(given, trials, [])
+    selection = StepwiseSelection(prepared.problem)
+    comparison = selection.comparison
+    damped = comparison.scored_without_fit(EMPTY.with_term(DAMPING, grid(DAMPING)[0][0]))
+    selected = SelectedModel(comparison.settled(damped), comparison.nominal)
+    found = conclude(prepared, trials, selection, selected)
+    assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
+    assert detect_integrator(found, given) == replace(given, substeps=1)
+    best = found.selected.best
+    geared = best.hypothesis.with_term(BACKLASH, grid(BACKLASH)[0][0])
+    found.selected.best = replace(best, fitted=replace(best.fitted, hypothesis=geared))
+    assert detect_integrator(found, given) is None

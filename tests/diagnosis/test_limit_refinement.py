@@ -1,0 +1,158 @@
+"""Laws that bend, at sizes of their own, and laws that come to simpler ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_first_order import ELBOW, SHOULDER, problem_of, rate
+
+from pytest_twin.diagnosis.first_order.beam_search import (
+    CandidateSensitivities,
+    NormalEquations,
+    ResidualView,
+    candidates,
+)
+from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
+from pytest_twin.diagnosis.first_order.sensitivities import linearize
+from pytest_twin.diagnosis.fit import fit, propose
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.search import drive_limits, simulation_shortlist
+from pytest_twin.diagnosis.search.linearized_shortlist import LinearizedShortlist
+from pytest_twin.diagnosis.search.linearized_view import linearize_around
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.effects import catalogue
+
+
+def test_a_limit_between_two_of_its_grid_answers_at_its_own_size() -> None:
+    """A rate that no starting size has, on a joint that is far off because of it."""
+    hidden = 1.0 / 0.75
+    problem = problem_of("position", {Term("rate_limit", ELBOW): rate(inverse_rate=hidden)})
+    linear = linearize(problem, problem.fit, EMPTY)
+    assert linear is not None
+    residual = problem.residuals([EMPTY], problem.fit)[0]
+    binned = bins(problem, problem.fit)
+    left = linear.residual(residual)
+    view = ResidualView(left, np.zeros((*left.shape, 0)), problem.signal_floor, binned.lengths)
+    found = linear.sensitivities(candidates(problem))
+    sharp = refine_limits(linear, view, CandidateSensitivities(found), EMPTY)
+    (mine,) = [r for r in sharp if r.term == Term("rate_limit", ELBOW)]
+    scale = problem.scales.value(mine.term.parameters[0], ELBOW)
+    assert mine.start[0] * scale == pytest.approx(hidden, rel=0.02)
+    grid = CandidateSensitivities([r for r in found if r.term == mine.term])
+    best = min(
+        float(np.mean(NormalEquations(view, grid).structure((i,)).residual[:, ELBOW] ** 2))
+        for i in range(len(grid.responses))
+    )
+    own = float(np.mean((left - mine.change[..., 0])[:, ELBOW] ** 2))
+    assert own < 0.2 * best
+
+
+def test_nothing_is_sharpened_where_nothing_is_far_off() -> None:
+    problem = problem_of("position", {Term("viscous_friction", SHOULDER): {"coefficient": 1e-4}})
+    linear = linearize(problem, problem.fit, EMPTY)
+    assert linear is not None
+    left = linear.residual(problem.residuals([EMPTY], problem.fit)[0])
+    lengths = bins(problem, problem.fit).lengths
+    view = ResidualView(left, np.zeros((*left.shape, 0)), problem.signal_floor, lengths)
+    assert not refine_limits(
+        linear, view, CandidateSensitivities(linear.sensitivities(candidates(problem))), EMPTY
+    )
+
+
+def test_special_cases_are_laws_of_the_catalogue_with_fewer_fitted_parameters() -> None:
+    some = 0
+    for effect in catalogue().values():
+        values = {p.name: 0.3 for p in effect.parameters}
+        for simpler, special in effect.special_cases(values).items():
+            law = catalogue()[simpler]
+            assert set(special) == {p.name for p in law.parameters}
+            fitted, more = (sum(not p.choice for p in e.parameters) for e in (law, effect))
+            assert fitted < more
+            some += 1
+    assert some >= 6
+
+
+def test_a_curve_without_a_slope_is_a_saturation() -> None:
+    """A torque-speed limit far beyond every speed takes one parameter more to say the same."""
+    problem = problem_of("position", {Term("torque_saturation", SHOULDER): {"inverse_limit": 0.25}})
+    curve, flat = Term("torque_speed_limit", SHOULDER), Term("torque_saturation", SHOULDER)
+    stall = 4.0 / problem.scales.value(curve.parameters[1], SHOULDER)
+    selection = StepwiseSelection(problem)
+    general = Hypothesis((curve,), np.array([1e-4, stall]))
+    rival = selection.comparison.rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
+    found = selection._backward(rival).hypothesis
+    assert found.terms == (flat,)
+    limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))
+    assert limit == pytest.approx(4.0, rel=0.02)
+
+
+def test_a_choice_is_no_parameter_of_a_fit() -> None:
+    term = Term("encoder_bias", SHOULDER)
+    assert term.movable(np.array([0.01, 1.0])).tolist() == [True, False]
+    problem = problem_of("position", {term: {"bias": 0.05, "in_loop": 1.0}})
+    start = EMPTY.with_term(term, np.array([0.01, 1.0]))
+    fitted = fit(problem, [start], 1.0 / problem.floor, problem.fit, iterations=6)[0]
+    assert fitted.hypothesis.theta[1] == 1.0
+    bias = fitted.hypothesis.theta[0] * problem.scales.value(term.parameters[0], SHOULDER)
+    assert bias == pytest.approx(0.05, rel=0.1)
+
+
+def test_rounding_moves_no_choice() -> None:
+    """A mass is fitted by its moment, there and back by rounded numbers, and weighs much."""
+    term = Term("encoder_bias", SHOULDER)
+    h = EMPTY.with_term(Term("payload", -1), np.array([-0.1, 0.7, 0.0, 0.0, 0.0]))
+    h = h.with_term(term, np.array([0.3, 0.5]))
+    random = np.random.default_rng(2)
+    jacobian = random.standard_normal((50, 1, 7)) * [1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    residual = 1e3 * random.standard_normal((50, 1))
+    moved = propose(h, residual, jacobian, np.ones(1), 1e-4)
+    assert moved.theta[6] == 0.5
+    assert moved.theta[5] != 0.3
+    # Nor what the form of a law lacks.
+    assert not moved.theta[2:5].any()
+
+
+@pytest.mark.parametrize(
+    ("needles", "limited", "near"),
+    [
+        pytest.param(1e9, 2, True, id="drives that are far off are scanned for limits"),
+        pytest.param(100.0, 0, True, id="everything is where so much is left"),
+        pytest.param(1e9, 0, False, id="not scanned"),
+    ],
+)
+def test_a_needle_is_found_beyond_the_grid(
+    needles: float, limited: int, near: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drive that hardly follows: twice the greatest starting size, and a few per cent decide."""
+    monkeypatch.setattr(simulation_shortlist, "_NEEDLES", needles)
+    for where in (simulation_shortlist, drive_limits):
+        monkeypatch.setattr(where, "_LIMITED", limited)
+    term = Term("rate_limit", ELBOW)
+    parameter = term.parameters[0]
+    hidden = 2.0 * parameter.starts[-1] * 1.07
+    scale = problem_of("position", {}).scales.value(parameter, ELBOW)
+    problem = problem_of("position", {term: rate(inverse_rate=hidden * scale)})
+    hidden *= scale / problem.scales.value(parameter, ELBOW)
+    rival = ModelComparison(problem).rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
+    look = linearize_around(problem, rival)
+    alone = EMPTY.with_term(term, np.array([parameter.starts[0], 0.0, 0.0]))
+    left = np.mean(rival.fitted.residual**2, axis=0)
+    starts = simulation_shortlist.simulation_shortlist(
+        problem, rival, look, LinearizedShortlist([], left, [alone])
+    )
+    (mine,) = [h for h in starts if h.terms == (term,)]
+    assert bool(abs(mine.theta[0] / hidden - 1.0) < 0.02) is near
+
+
+def test_sizes_beyond_a_grid_end_at_the_physical_bound() -> None:
+    for law in catalogue().values():
+        for size in drive_limits.sizes_up_to_bound(Term(law.id, 0)):
+            lone = Term(law.id, 0).lone(size)
+            assert lone is not None
+            assert law.parameters[lone].starts[-1] < size[lone] <= law.parameters[lone].upper
+    limit = drive_limits.sizes_up_to_bound(Term("rate_limit", 0))
+    # As many of the setpoint's rate as of the effort's.
+    assert [s[2] for s in limit] == [0.0] * (len(limit) // 2) + [1.0] * (len(limit) // 2)
+    assert len(limit) >= 12

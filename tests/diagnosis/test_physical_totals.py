@@ -1,0 +1,131 @@
+"""Model and corrections together stay possible, and shapes lie where the recordings show them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_equivalent_sets import PENDULUM, SERVO, problem_of, with_values
+
+from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.physical_totals import at_zero, impossible, totals
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded_range import RecordedRange, not_shown
+from pytest_twin.diagnosis.search.linearized_view import linearize_around
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.small_corrections import small_corrections
+
+DRAG, DRY = Term("viscous_friction", 0), Term("coulomb_friction", 0)
+ROTOR, SPRING = Term("armature", 0), Term("joint_spring", 0)
+STRIBECK, WARM_UP = Term("stribeck_friction", 0), Term("thermal_friction", 0)
+COGGING, DELAY = Term("cogging", 0), Term("command_delay", 0)
+CONSTANT = Term("torque_constant", 0)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    """A pendulum: damping 0.2, dry friction 0.1, armature 0.02, no spring; 3 s at 100 Hz."""
+    return problem_of(PENDULUM.format(drive=SERVO), "position", {DELAY: {"delay": 0.02}})
+
+
+@pytest.mark.parametrize(
+    ("term", "values", "name"),
+    [
+        (DRAG, {"coefficient": -0.25}, "viscous friction"),
+        (DRY, {"coulomb": -0.15}, "dry friction"),
+        (STRIBECK, {"coulomb": -0.15, "stiction_excess": 0.1}, "dry friction"),
+        (ROTOR, {"inertia": -0.03}, "armature"),
+        (SPRING, {"stiffness": -0.5}, "spring stiffness"),
+    ],
+)
+def test_a_correction_below_the_models_own_value_is_impossible(
+    problem: Problem, term: Term, values: dict[str, float], name: str
+) -> None:
+    (why,) = impossible(problem, with_values(problem, {term: values})).values()
+    assert name in why
+    assert "below zero" in why
+
+
+def test_a_correction_that_removes_all_of_the_models_friction_is_possible(
+    problem: Problem,
+) -> None:
+    h = with_values(problem, {DRAG: {"coefficient": -0.2005}})
+    assert not impossible(problem, h)
+    (total,) = totals(problem, h.with_theta(at_zero(problem, h)))
+    assert total.value == pytest.approx(0.0, abs=1e-12)
+
+
+def test_corrections_of_one_quantity_are_added_before_they_are_judged(problem: Problem) -> None:
+    both = with_values(problem, {DRY: {"coulomb": -0.15}, STRIBECK: {"coulomb": 0.1}})
+    assert not impossible(problem, both)
+    assert set(impossible(problem, both.without(STRIBECK))) == {DRY}
+
+
+@pytest.mark.parametrize(
+    ("term", "values", "why"),
+    [
+        (WARM_UP, {"excess": 0.1, "warm_up_time": 902.0}, "warm up time of 902 s"),
+        (STRIBECK, {"stiction_excess": 0.1, "stribeck_velocity": 50.0}, "greatest speed"),
+        (COGGING, {"sine": 0.1, "harmonic": 190.0}, "190 periods a turn"),
+    ],
+)
+def test_a_shape_that_the_recordings_cannot_show_is_refused(
+    problem: Problem, term: Term, values: dict[str, float], why: str
+) -> None:
+    h = with_values(problem, {term: values})
+    coarse = replace(RecordedRange.of(problem), step=np.array([0.05]))
+    assert why in not_shown(problem, h, coarse)[term]
+
+
+@pytest.mark.parametrize(
+    ("term", "values"),
+    [
+        (WARM_UP, {"excess": 0.1, "warm_up_time": 2.0}),
+        (STRIBECK, {"stiction_excess": 0.1, "stribeck_velocity": 0.1}),
+        (COGGING, {"sine": 0.1, "harmonic": 6.0}),
+    ],
+)
+def test_a_shape_within_the_recordings_is_not(
+    problem: Problem, term: Term, values: dict[str, float]
+) -> None:
+    assert not not_shown(problem, with_values(problem, {term: values}))
+
+
+def test_no_candidate_starts_where_the_recordings_cannot_show_it(problem: Problem) -> None:
+    look = linearize_around(problem, ModelComparison(problem).nominal)
+    p = next(p for p in WARM_UP.parameters if p.name == "warm_up_time")
+    k = WARM_UP.parameters.index(p)
+    starts = [
+        float(r.start[k]) * problem.scales.value(p, 0)
+        for r in look.answers.responses
+        if r.term == WARM_UP
+    ]
+    assert starts
+    assert max(starts) <= 9.0, "three times the 3 s of a recording"
+
+
+def test_what_is_within_the_usual_accuracy_of_a_model_is_a_small_correction(
+    problem: Problem,
+) -> None:
+    values = {
+        DELAY: {"delay": 0.0004},
+        CONSTANT: {"relative_error": 0.01},
+        DRAG: {"coefficient": 0.015},
+        DRY: {"coulomb": 0.05},
+    }
+    h = with_values(problem, values)
+    found = small_corrections(problem, h, np.full((4, 1), 0.01), np.array([0.01]))
+    assert set(found) == {DELAY, CONSTANT, DRAG}
+
+
+def test_what_changes_a_tenth_of_the_error_is_small_beside_what_explains_it(
+    problem: Problem,
+) -> None:
+    h = with_values(problem, {DELAY: {"delay": 0.02}, DRY: {"coulomb": 0.05}})
+    before = np.array([0.1])
+    slight = small_corrections(problem, h, np.array([[0.1], [0.005]]), before)
+    assert set(slight) == {DRY}
+    # Alone it is what there is to find.
+    alone = h.without(DELAY)
+    assert not small_corrections(problem, alone, np.array([[0.005]]), before)

@@ -1,0 +1,96 @@
+"""Windows under effort commands in which dry friction turns around: how far they are trusted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_floor import TICK, mjcf, prepared
+from two_pendulums import START_NS
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.search_result import _half_trusted
+from pytest_twin.diagnosis.verdict import AT_FLOOR
+from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.trial import Trial, make_trial
+
+DRY, DAMPING, INERTIA, WEIGHT = 0.3, 0.1, 0.002 + 0.04 + 0.01, 9.81 * 0.2
+FINE, NOISE = 1e-5, 5e-5
+MOTOR = '<motor name="j" joint="j"/>'
+
+
+def drive(friction: float) -> str:
+    """The pendulum with dry friction, stiff enough not to creep."""
+    stiff = 'solreffriction="0.004 1" solimpfriction="0.99 0.999 0.001"'
+    given = f'damping="{DAMPING}" frictionloss="{friction}" {stiff}'
+    return mjcf(MOTOR).replace(f'damping="{DAMPING}"', given)
+
+
+def bristles(command: FloatArray, distance: float) -> tuple[FloatArray, FloatArray]:
+    """Stamps, s, and positions, rad, of a pendulum whose dry friction is Dahl's (1968): it has all
+    of its level some ``distance``, rad, after a turn.
+    """
+    q = v = z = 0.0
+    each = round(TICK / FINE)
+    seen = []
+    for k in range(len(command) * each):
+        if k % each == each // 2:
+            seen.append((k * FINE, q))
+        z += FINE * (v - abs(v) * z / distance)
+        friction = DRY * z / distance + DAMPING * v
+        v += FINE * (command[k // each] - friction - WEIGHT * np.sin(q)) / INERTIA
+        q += FINE * v
+    time, position = np.array(seen).T
+    return time, position
+
+
+def recorded(folder: Path, friction: float, distance: float) -> Trial:
+    """Of bristles, beside a model with so much dry friction."""
+    sent = TICK * np.arange(400)
+    command = 0.9 * np.sin(2 * np.pi * 0.8 * sent) + 0.5 * np.sin(2 * np.pi * 1.7 * sent)
+    time, position = bristles(command, distance)
+    position += NOISE * np.random.default_rng(0).standard_normal(len(position))
+    (folder / "model.xml").write_text(drive(friction))
+
+    def series(topic: str, at: FloatArray, **fields: FloatArray) -> JointSeries:
+        stamps = START_NS + np.rint(at * 1e9).astype(np.int64)
+        given = {n: fields[n][:, None] if n in fields else None for n in
+                 ("position", "velocity", "effort")}  # fmt: skip
+        return JointSeries(topic, ("j",), stamps, stamps, **given)
+
+    both = [
+        series("/joint_commands", sent, effort=command),
+        series("/joint_states", time, position=position),
+    ]
+    write_recording(folder / "a.mcap", both, {})
+    return make_trial(read_recording(folder / "a.mcap"))
+
+
+def test_dry_friction_that_yields_a_little_is_no_mismatch(tmp_path: Path) -> None:
+    problem = prepared(tmp_path, recorded(tmp_path, DRY, 2e-4)).problem
+    everywhere = problem.everywhere
+    (as_it_is,), (trusted,) = (f([EMPTY], everywhere) for f in (problem.errors, problem.residuals))
+    floors = [np.sqrt(np.mean((r[:, 0] / problem.floor[0]) ** 2)) for r in (as_it_is, trusted)]
+    assert floors[0] > 2.0 * AT_FLOOR, "or there is nothing to distrust"
+    assert floors[1] < AT_FLOOR
+    assert problem.floor[0] < 3.0 * NOISE, "and not for a floor that would hide anything"
+    weights = np.array(list(problem.trust.values()))[:, 0]
+    assert np.mean(weights**2) == pytest.approx(1.0)
+    (line,) = _half_trusted(problem)
+    assert line.startswith(f"joint 'j': {(weights < 0.5 * weights.max()).sum()} of {len(weights)}")
+
+
+def test_friction_that_the_model_lacks_is_not_excused(tmp_path: Path) -> None:
+    problem = prepared(tmp_path, recorded(tmp_path, 0.0, 2e-4)).problem
+    assert problem.trust == {}
+    assert _half_trusted(problem) == []
+    (left,) = problem.residuals([EMPTY], problem.everywhere)
+    assert np.sqrt(np.mean(left[:, 0] ** 2)) > 30.0 * problem.floor[0]
+
+
+def test_much_more_yielding_than_that_stands_out(tmp_path: Path) -> None:
+    problem = prepared(tmp_path, recorded(tmp_path, DRY, 5e-3)).problem
+    (left,) = problem.residuals([EMPTY], problem.everywhere)
+    assert np.sqrt(np.mean(left[:, 0] ** 2)) > 2.0 * AT_FLOOR * problem.floor[0]

@@ -1,0 +1,112 @@
+"""Where an arm parts from its model by as much as it moves, windows are cut shorter first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
+
+from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.diagnose import _by_shorter
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import SearchResult, build_problem, search
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.diagnosis.window_length import model_follows_recordings
+
+GRAVITY, NOISE = 9.81, 1e-4
+MODEL = f"""
+<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body>
+    <inertial pos="0 0 {LENGTH}" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} 5e-4"/>
+    <joint name="arm" axis="0 1 0" damping="{DAMPING}" armature="{ARMATURE}"/>
+  </body></worldbody>
+  <actuator><motor name="arm" joint="arm"/></actuator>
+</mujoco>"""
+
+
+def upright(folder: Path, seed: int, role: str, load: float) -> Path:
+    """A recording of an arm that stands on its joint, balanced by a loop outside it, whose efforts
+    are the commands; ``load`` kg hang where its centre is.
+    """
+    wanted = reference(seed, 4.0, 1)[:, 0]
+    mass = MASS + load
+    inertia = INERTIA + mass * LENGTH**2 + ARMATURE
+    q = v = effort = 0.0
+    moved, sent = np.empty(len(wanted)), []
+    for k, w in enumerate(wanted):
+        moved[k] = q
+        if k % 100 == 0:
+            effort = 6.0 * (w - q) - 0.6 * v
+            sent.append(effort)
+        v += STEP * (effort + mass * GRAVITY * LENGTH * np.sin(q) - DAMPING * v) / inertia
+        q += STEP * v
+    seen = np.arange(0, len(wanted), 50)
+    noise = NOISE * np.random.default_rng([seed, 1]).standard_normal(len(seen))
+    path = folder / f"{role}{seed}.mcap"
+    write(
+        path, ("arm",), STEP * np.arange(0, len(wanted), 100), np.array(sent)[:, None],
+        STEP * seen, (moved[seen] + noise)[:, None], role, mode="effort",
+    )  # fmt: skip
+    return path
+
+
+def given_up(folder: Path, load: float) -> tuple[ModelSetup, SearchResult]:
+    """A search that found nothing."""
+    model = folder / "model.xml"
+    model.write_text(MODEL)
+    loaded = load_model(model)
+    files = [upright(folder, s, r, load) for s, r in ((1, "fit"), (2, "fit"), (3, "held_out"))]
+    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
+    given = ModelSetup.of(loaded.realization, None, 1)
+    prepared, trials = build_problem(given, trials, [])
+    return given, search(prepared, trials, StepwiseSelection(prepared.problem, share_left=0.0))
+
+
+def test_a_load_that_turns_the_arm_over_is_found_from_shorter_windows(tmp_path: Path) -> None:
+    given, found = given_up(tmp_path, load=1.2)
+    assert found.verdict == "unexplained"
+    assert found.leaves_recordings
+    run = Run()
+    better = _by_shorter(found, given, run)
+    assert better.verdict == "explained"
+    assert {t.law.family for t in better.explained.hypothesis.terms} == {"rigid_body"}
+    shorter = run.budget.problems[0]
+    lengths = [s.time[-1] - s.time[0] for s in shorter.simulator.segments]
+    assert max(lengths) < 0.3, "the model stays near within these"
+    usual = found.prepared.problem.simulator.segments
+    assert better.prepared.problem.simulator.segments is usual, "judged by the usual windows"
+
+
+def test_what_stays_near_is_searched_in_the_usual_windows_alone(tmp_path: Path) -> None:
+    _, found = given_up(tmp_path, load=0.02)
+    assert found.verdict == "unexplained"
+    assert not found.leaves_recordings
+
+
+def test_near_is_a_share_of_how_far_a_joint_moves(tmp_path: Path) -> None:
+    _, found = given_up(tmp_path, load=0.02)
+    problem = found.prepared.problem
+    travel = np.array([np.ptp(s.position) for s in problem.simulator.segments])
+    level = np.sqrt(np.mean(travel**2))
+    left = np.ones_like(found.before)
+    assert model_follows_recordings(problem, 0.24 * level * left)
+    assert not model_follows_recordings(problem, 0.26 * level * left)
+
+
+def test_what_shorter_windows_do_not_better_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, found = given_up(tmp_path, load=1.2)
+    from_where = []
+
+    def nothing(*problem: object) -> SearchResult:
+        from_where.append(problem[3:])
+        return found
+
+    monkeypatch.setattr("pytest_twin.diagnosis.diagnose.search", nothing)
+    assert _by_shorter(found, given, Run()) is found
+    assert from_where == [()], "what names nothing is no start"
