@@ -30,7 +30,7 @@ def test_a_look_from_nearby_is_not_taken_again(
     best = fitted(comparison, with_true(problem, DRAG, HIDDEN[DRAG]))
     fresh = linearize_around(problem, best)
     taken: list[Term] = []
-    monkeypatch.setattr(Linear, "responses", lambda self, terms: taken.extend(terms) or [])
+    monkeypatch.setattr(Linear, "sensitivities", lambda self, terms: taken.extend(terms) or [])
     served = linearize_around(problem, best, before)
     assert taken == []
     # The view is of the fit at hand, and what it has named is no candidate any more.

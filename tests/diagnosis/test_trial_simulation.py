@@ -173,7 +173,7 @@ def test_the_step_is_corrected_where_the_simplest_that_leaves_least_is(
         at.append(hypothesis)
 
     monkeypatch.setattr(Problem, "refine_at", refine_at)
-    monkeypatch.setattr(stepwise_selection, "front", lambda *_: starts)
+    monkeypatch.setattr(stepwise_selection, "simulation_shortlist", lambda *_: starts)
     nominal = selection.comparison.nominal
     assert selection._tried(nominal, linearize_for_additions(late, nominal))
     assert at[0] is right

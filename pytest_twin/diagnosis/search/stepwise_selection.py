@@ -2,8 +2,9 @@
 
 Forward: structures of one and more effects are searched to first order around the best fit so far
 (:mod:`linearized_shortlist`), and the most likely (:mod:`simulation_shortlist`) are fitted by
-simulation (:mod:`model_comparison`). Then backward: a term that no longer pays is dropped. Then sideways: each term is held against the rivals
-that could stand in its place. A crowd at one joint is grown once more from its strongest term.
+simulation (:mod:`model_comparison`). Backward: a term that no longer pays is dropped. Sideways:
+each term is compared with its alternatives. Several terms at one joint are searched once more from
+the strongest of them.
 """
 
 from __future__ import annotations
