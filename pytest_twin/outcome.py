@@ -12,7 +12,7 @@ Status = Literal["passed", "failed", "error"]
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """One number held against its tolerance.
+    """One number compared with its tolerance.
 
     Attributes:
         name: what was measured, a key of the golden's ``tolerance``.
@@ -106,7 +106,7 @@ class Outcome:
         realization: its name in ``twin.yaml``.
         criticality: ``critical`` blocks a release, ``advisory`` is reported.
         status: ``passed``, ``failed`` (a tolerance was left), ``error`` (no comparison came about).
-        measures: every number that was held against a tolerance.
+        measures: every number that was compared with a tolerance.
         error: one line, what went wrong, for ``error``.
         reasons: why it was stale.
         plot: path of the plot, relative to the twin's root, or None.

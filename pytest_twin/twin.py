@@ -803,7 +803,7 @@ def _laid_over(
     for entry in holding:
         if "joint_zeros" in entry.use:
             for joint, value in entry.record.joint_zeros.items():
-                # The zero was estimated with the sign and in the place of the stated offset.
+                # The zero was estimated with the sign and instead of the stated offset.
                 joints[joint] = replace(joints.get(joint, JointCalibration()), offset=value)
         if "base_world" in entry.use and entry.record.base_world is not None:
             (x, y, z), (w, a, b, c) = entry.record.base_world

@@ -146,7 +146,7 @@ def _repaired(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
 
 
 def _state(inertial: Node, mass: float, values: Sequence[float]) -> None:
-    """Put a mass [kg] and ixx iyy izz ixy ixz iyz [kg*m^2] in the place of what is stated."""
+    """Put a mass [kg] and ixx iyy izz ixy ixz iyz [kg*m^2] instead of what is stated."""
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     stated = {"mass": {"value": mass}, "inertia": dict(zip(keys, values, strict=True))}
     for tag, numbers in stated.items():

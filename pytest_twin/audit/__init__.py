@@ -1,1 +1,1 @@
-"""What a robot's file says, held against what a robot can be: one file per layer of the asset."""
+"""What a robot's file says, compared with what a robot can be: one file per layer of the asset."""

@@ -45,7 +45,7 @@ class Observation:
         trace: series, where the kind has them.
         reference: results of the independent computation (Pinocchio, coal), same keys as
             ``values``, where the kind has one.
-        against: series that ``trace`` is held against where that is no stored trace, such as a
+        against: series that ``trace`` is compared with where that is no stored trace, such as a
             recording; for the plot.
     """
 

@@ -47,7 +47,7 @@ _NAMES_SCHEMA: Mapping[str, Any] = {
 class CollisionDistance(Check):
     """Signed distance of pairs of bodies or geoms: positive apart, negative the depth of overlap.
 
-    MuJoCo's distance is held against the record and against coal's, which gets the same shapes at
+    MuJoCo's distance is compared with the record and against coal's, which gets the same shapes at
     the same places: primitives as they are, and of a mesh the convex hull of its vertices, built
     anew. Between bodies it is the least distance of their geoms that can collide.
 

@@ -10,7 +10,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.verdict import JointError
 
 _STANDS, _OF_IT = 2.0, 3.0
-"""Residual in floors, and ratio of integration error to residual, from which a note is made."""
+"""Least residual, in noise floors, and least ratio of integration error to residual for a note."""
 _OF_ALL = 0.5
 """Ratio of integration error to nominal error from which a finding may come from the step."""
 

@@ -21,7 +21,7 @@ class Cost:
 
     Attributes:
         wall_seconds: from reading to the last number.
-        engine_seconds: for the same number of steps of the model as it came, rolled out by MuJoCo
+        engine_seconds: for the same number of steps of the nominal model, rolled out by MuJoCo
             in batches on the same threads, with all that it does of itself and nothing of this
             package between steps.
         steps: of simulations that the search asked for, in millions.

@@ -108,7 +108,7 @@ class Diagnosis:
         trace: every step of the search.
         cost: computing time.
         settled: what the recordings are.
-        untried: what was not done for want of time or simulations, one line each.
+        untried: what was not done because time or simulations ran out, one line each.
     """
 
     verdict: Verdict
@@ -321,7 +321,7 @@ def find_structure(
         )  # fmt: skip
         likeliest, between = (sought.found, None) if fewer is None else fewer
         found, simulations = run.attempt(
-            "other sets of effects in the place of the final one",
+            "other sets of effects instead of the final one",
             lambda: with_alternative_sets(likeliest, run),
             (without_alternative_sets(likeliest), 0.0),
         )
@@ -516,7 +516,7 @@ def _from_there(found: SearchResult, start: Hypothesis, run: Run) -> SearchResul
 
 
 def _by_shorter(found: SearchResult, given: ModelSetup, run: Run) -> SearchResult:
-    """What is found from where windows lead in which the model as it came stays near what was
+    """What is found from where windows lead in which the nominal model stays near what was
     recorded, or nearer.
     """
     window = typical_window_length(found.prepared.problem)
@@ -558,7 +558,7 @@ def _windowed(
     if other.explains_more_than(found):
         notes.append(_IN_WINDOWS)
         return replace(other, whole=found.prepared.problem)
-    if other.beside(found):
+    if other.may_improve(found):
         if found.sticks_and_slips:
             with run.budget.apart():
                 whole = refit_with_full_drive(found, other, longer())

@@ -83,7 +83,7 @@ class AlternativeSet:
         rival: the whole set.
         evidence: penalized log-likelihood over the final set's, model error counted.
         apart: largest RMS difference between its prediction and the final set's on the fitted
-            recordings, in floors.
+            recordings, in noise floors.
     """
 
     rival: ScoredModel
@@ -221,7 +221,7 @@ def _near(
 
 
 def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[Structure]:
-    """The best sets of up to so many candidates in the place of what is gone."""
+    """The best sets of up to so many candidates instead of what is gone."""
     level, out = [lens.bare], list[Structure]()
     for _ in range(largest):
         chosen = {

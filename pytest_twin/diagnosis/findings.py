@@ -64,7 +64,7 @@ class Alternative:
         confidence: posterior share of the set.
         together_with: (effect, joint) of the other effects of the set.
         instead_of: (effect, joint) of the findings that it replaces, where it is more than one.
-        apart: largest RMS difference between the two predictions, in floors; None if unknown.
+        apart: largest RMS difference between the two predictions, in noise floors; None if unknown.
     """
 
     effect: str
@@ -84,9 +84,9 @@ class Finding:
         confidence: posterior share against its alternatives.
         parameters: name -> estimate.
         where: when and in which regime it shows.
-        held_out_gain: fraction of the squared held-out error, in floors, that disappears when the
+        held_out_gain: share of the squared held-out error that disappears when the
             finding is added to the others, which were refitted without it.
-        stands: largest change of a predicted position without the finding, in floors (of a
+        stands: largest change of a predicted position without the finding, in noise floors (of a
             measured effort where no position changes); findings are ordered by it.
         alternatives: other effects, most likely first.
         next_test: the experiment that separates it from the most likely alternative.
@@ -349,7 +349,7 @@ def _changes(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[_Change
 
 
 def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
-    """Largest difference of each prediction to the first, in floors."""
+    """Largest difference of each prediction to the first, in noise floors."""
     return [change.height for change in _changes(problem, hypotheses)]
 
 

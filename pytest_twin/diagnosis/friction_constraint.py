@@ -163,12 +163,12 @@ def _left_otherwise(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
 
 
 def _squares(problem: Problem, left: FloatArray) -> FloatArray:
-    """(joints,) mean squares, in floors, of the positions of (samples, signals) residuals."""
+    """(joints,) mean squares, in noise floors, of the positions of (samples, signals) residuals."""
     return in_floors(left[:, : len(problem.joints)], problem.floor) ** 2
 
 
 def _greatest(problem: Problem, left: FloatArray) -> float:
-    """Root mean square, in floors, at the joint that shows most."""
+    """Root mean square, in noise floors, at the joint that shows most."""
     return float(np.sqrt(_squares(problem, left).max()))
 
 

@@ -132,7 +132,7 @@ def describe_integrator(prepared: Prepared) -> str:
 
 
 def _substeps_of(prepared: Prepared) -> int:
-    """Steps for each of the model's with which the model as it came leaves noise alone; 0 where
+    """Steps for each of the model's with which the nominal model leaves noise alone; 0 where
     none does, or without the step's error nothing more is left.
     """
     problem, noise = prepared.problem, _noise(prepared)

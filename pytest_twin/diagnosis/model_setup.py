@@ -21,7 +21,7 @@ class ModelSetup:
     """A model, and how it is stepped.
 
     Attributes:
-        realization: the model as it came, without delay lines.
+        realization: the nominal model, without delay lines.
         beside: effects that are stepped beside it.
         coldness: of trials by their temperature as an earlier diagnosis had it; empty where the
             trials tell.

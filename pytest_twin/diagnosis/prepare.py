@@ -84,7 +84,7 @@ class Prepared:
         """Measure the error of the simulator's step where a hypothesis is, and lower the floor
         where that leaves far less.
 
-        The model as it came may run away from what was recorded (a drive that in it never
+        The nominal model may run away from what was recorded (a drive that in it never
         saturates), and its step is as far off there as it was measured; not where it stays near.
 
         Returns:
@@ -122,7 +122,7 @@ def prepare(
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
     Args:
-        realization: the model as it came.
+        realization: the nominal model.
         fit, held_out: recordings.
         threads: of the simulation; 0 for all.
         window: s, that motions are cut into, halved where they are too wild for it; by default
@@ -212,7 +212,7 @@ def prepare(
     elif simulator.models.contact.world.size:
         problem.step_left = _LEFT_OF_IMPACTS
     for _ in range(_PASSES if segments[0].mode == "effort" else 1):
-        # How far a segment is trusted is told in floors, and the floor by what is trusted.
+        # How far a segment is trusted is told in noise floors, and the floor by what is trusted.
         steps = changed if substeps else discretization(problem)
         problem.floor = _floor(noise, problem, steps)
         if segments[0].mode == "effort":

@@ -213,7 +213,7 @@ class Problem:
         return p if error is None else corrected(p, error, share)
 
     def as_it_came(self, defect: dict[int, Predicted]) -> None:
-        """Be refined at the model as it came, where the defect of its step was measured before."""
+        """Be refined at the nominal model, where the defect of its step was measured before."""
         starts = self._freed(EMPTY)
         if starts.motor_shifts:
             defect = self._defect_at(EMPTY)
@@ -321,7 +321,7 @@ class Problem:
 
     @property
     def tested(self) -> NDArray[np.int64]:
-        """Segments that a name is held against: held out, or all that was fitted."""
+        """Segments that a name is compared with: held out, or all that was fitted."""
         return self.held_out if len(self.held_out) else self.fit
 
     @property
@@ -350,7 +350,7 @@ def _key(hypothesis: Hypothesis) -> _Key:
 
 
 def nominal_replay(simulator: RowSimulator) -> list[Predicted]:
-    """Every segment under the model as it came."""
+    """Every segment under the nominal model."""
     count = len(simulator.segments)
     values = effect_values([EMPTY] * count, len(simulator.joints), Scales({}))
     return simulator.simulate(np.arange(count), values)
@@ -384,7 +384,7 @@ def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scale
     effort_rate = rms([
         _slope(p.effort, s.time) for s, p in zip(segments, nominal, strict=True)
     ])  # fmt: skip
-    # Where the model as it came diverges no sample may be known.
+    # Where the nominal model diverges no sample may be known.
     given = np.concatenate([np.abs(p.effort) for p in nominal])
     peak = np.max(np.where(np.isfinite(given), given, 0.0), axis=0)
     modes = np.array([segments[0].mode_of(j) for j in range(joints)])

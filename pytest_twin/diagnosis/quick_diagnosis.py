@@ -98,7 +98,7 @@ class QuickDiagnosis:
         unexplained: joints that left their tolerance and that no suspect explains.
         joint: whose force is missing, None where none stands out of the sensors' noise.
         where: when and in which regime.
-        floors: RMS error of the worst joint that was to be explained, in floors.
+        floors: RMS error of the worst joint that was to be explained, in noise floors.
     """
 
     suspects: tuple[LikelyEffect, ...]
@@ -117,11 +117,11 @@ def quick_diagnosis(
     """Look at one trial.
 
     Args:
-        realization: the model as it came.
+        realization: the nominal model.
         trial: what was recorded.
         patched: what stands beside the model, where a diagnosis wrote it.
         failed: joints whose errors are to be explained; all, where it names none that both have.
-            Others may have errors that somebody allowed them, and that are larger in floors.
+            Others may have errors that somebody allowed them, and that are larger in noise floors.
 
     Raises:
         RecordingError: the model and the recording share no joint.
@@ -409,10 +409,10 @@ def _weighed(
     nominal: FloatArray,
     signals: NDArray[np.int64],
 ) -> tuple[list[Fitted], FloatArray]:
-    """The candidates after a short fit, and the evidence of each over the model as it came.
+    """The candidates after a short fit, and the evidence of each over the nominal model.
 
     Args:
-        nominal: (samples, signals) residual of the model as it came.
+        nominal: (samples, signals) residual of the nominal model.
         signals: columns of those that count.
     """
     left = nominal[:, signals]
@@ -442,7 +442,7 @@ def _weighed(
 
 
 def _squared(residual: FloatArray, problem: Problem, counted: NDArray[np.bool_]) -> float:
-    """Sum of squared position errors in floors; infinite where a simulation diverged."""
+    """Sum of squared position errors in noise floors; infinite where a simulation diverged."""
     positions = residual[:, : len(problem.joints)] / problem.floor
     value = float(np.sum(positions[:, counted] ** 2))
     return value if np.isfinite(value) else float("inf")

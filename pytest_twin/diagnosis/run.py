@@ -20,7 +20,7 @@ class Run:
     Attributes:
         budget: time and simulations.
         trace: every step.
-        untried: what was not done for want of time or simulations, one line each.
+        untried: what was not done because time or simulations ran out, one line each.
     """
 
     def __init__(self, budget: Budget | None = None, trace: Trace | None = None) -> None:

@@ -1,4 +1,4 @@
-"""One search: its problem, what it came to, and whether it explains what another does not."""
+"""The result of one search, and comparisons of two results."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import joint_inputs
 from pytest_twin.trial import Trial
 
-# Share of the squared mismatch that may be left where a search explains what another does not.
+# Greatest unexplained share of the squared mismatch of a search that explains most of it.
 _MOSTLY = 0.1
-# Share that has to be left for names from windows to be sought over whole motions.
+# Least unexplained share for which effects found in windows are refitted to whole recordings.
 _SOME = 0.01
 # Confidence of an effect whose alternatives were not compared.
 _UNCOMPARED = 0.5
@@ -55,16 +55,16 @@ _UNCOMPARED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """What one search came to.
+    """The result of one search.
 
     Attributes:
-        prepared, trials: the problem and the recordings that it is of.
-        selected, pruned, explained: what was chosen, what of it stands, and as findings.
+        prepared, trials: the problem, and its recordings.
+        selected, pruned, explained: the chosen effects, those that pruning keeps, the findings.
         before, after: (samples, signals) residuals over all segments.
         errors: joint -> prediction errors on held-out recordings, or on all without any.
-        verdict: in one word.
-        likelihood: by which its parameters were fitted.
-        whole: problem over whole motions, by whose changes findings of windows are ordered.
+        verdict: of these errors.
+        likelihood: that its parameters maximize.
+        whole: problem of whole recordings, which orders the findings of windows.
     """
 
     prepared: Prepared
@@ -81,19 +81,19 @@ class SearchResult:
 
     @property
     def worst(self) -> float:
-        """Share of the squared mismatch that is left at the joint that keeps most."""
+        """Greatest unexplained share of the squared mismatch of a joint, 0 to 1."""
         return max((e.fraction for e in self.errors.values() if not e.explained), default=0.0)
 
     @property
     def worst_joint(self) -> int:
-        """Column of the joint that keeps most, in floors."""
+        """Column of the joint whose residual is the largest multiple of its noise floor."""
         joints = self.prepared.problem.joints
         levels = {j: e.after / e.floor for j, e in self.errors.items()}
         return joints.index(max(levels, key=lambda joint: levels[joint]))
 
     @property
     def sticks_and_slips(self) -> bool:
-        """Whether the joint that keeps most rubs, by what was found, and keeps a lot."""
+        """Whether a friction effect at the worst joint leaves a large residual there."""
         joint = self.worst_joint
         error = self.errors[self.prepared.problem.joints[joint]]
         rubs = any(
@@ -103,14 +103,14 @@ class SearchResult:
 
     @property
     def diverges_from_recordings(self) -> bool:
-        """Whether whole motions were simulated and did not come to what was recorded."""
+        """Whether whole recordings were simulated and are not explained."""
         whole = not all(s.amid for s in self.prepared.problem.simulator.segments)
         return whole and self.verdict in ("improved", "unexplained")
 
     @property
     def leaves_recordings(self) -> bool:
-        """Whether windows were simulated, did not come to what was recorded, and are so long that
-        the model as it came does not stay near it.
+        """Whether windows were simulated, are not explained, and are so long that the nominal
+        model departs from the recorded motion.
         """
         problem = self.prepared.problem
         amid = all(s.amid for s in problem.simulator.segments)
@@ -118,19 +118,19 @@ class SearchResult:
         return amid and lost and not model_follows_recordings(problem, self.before)
 
     def with_floor_of(self) -> SearchResult:
-        """The same, held against the floor as another search of its problem may have lowered it."""
+        """The same result with errors of the present noise floor, which a search may lower."""
         errors = joint_errors(self.prepared, self.before, self.after)
         return replace(self, errors=errors, verdict=verdict(errors, self.explained.findings))
 
     def explains_more_than(self, other: SearchResult) -> bool:
-        """Whether this explains what the other does not."""
+        """Whether this result explains most of the mismatch and the other does not."""
         if not self.explained.findings:
             return False
         return self.verdict == "explained" or self.worst <= _MOSTLY < other.worst
 
-    def beside(self, other: SearchResult) -> bool:
-        """Whether this and the other explain most, both, by names of their own, and the other
-        leaves what this may take: some of it all, or more than this by other names.
+    def may_improve(self, other: SearchResult) -> bool:
+        """Whether both results explain most of the mismatch, and this one may improve the other:
+        the other leaves some residual, or more than this one with other effects.
         """
         mine, others = ({*s.explained.hypothesis.terms} for s in (self, other))
         if not (mine and others) or max(self.worst, other.worst) > _MOSTLY:
@@ -138,13 +138,13 @@ class SearchResult:
         return other.worst > _SOME or (mine != others and self.worst < other.worst)
 
     def scores_better_than(self, other: SearchResult) -> bool:
-        """Whether what stands of this is better than what stands of the other, prices paid; both of
-        one problem.
+        """Whether the findings of this result have the higher penalized likelihood and the smaller
+        residual; both results are of one problem.
         """
         return self._evidence(other, log_likelihood) > 0.0 and self.worst < other.worst
 
     def tracks_better_than(self, other: SearchResult) -> bool:
-        """The same of whole motions that cannot be followed everywhere, by absolute deviations."""
+        """The same by absolute deviations, for whole recordings of stick-slip motion."""
         return self._evidence(other, laplace_log_likelihood) > 0.0
 
     def _evidence(self, other: SearchResult, likelihood: Likelihood) -> float:
@@ -159,18 +159,16 @@ class SearchResult:
 def search(
     prepared: Prepared, trials: TrialSet, selection: StepwiseSelection, start: Hypothesis = EMPTY
 ) -> SearchResult:
-    """Search a problem, from the model as it came or from what was found elsewhere, and judge what
-    is found.
-    """
+    """Search for effects, from the nominal model or from a given hypothesis."""
     return conclude(prepared, trials, selection, from_start(selection, start))
 
 
 def conclude(
     prepared: Prepared, trials: TrialSet, selection: StepwiseSelection, selected: SelectedModel
 ) -> SearchResult:
-    """What a search chose, gone on with where the floor falls, judged.
+    """Prune and test the chosen effects; search on first if they lower the noise floor.
 
-    The judgement uses the reserved time where the time of the search is over.
+    Pruning uses the reserved time once the time of the search is over.
     """
     run, problem = selection.diagnosis_run, prepared.problem
     goes_on = partial(_to_the_floor, prepared, selection, selected)
@@ -188,7 +186,7 @@ def conclude(
 
 
 def _weigh_untested(run: Run, selected: SelectedModel) -> None:
-    """Halve the confidence of effects whose alternatives were not compared for want of time."""
+    """Halve the confidence of effects that were not compared with alternatives in time."""
     for term in selected.best.hypothesis.terms if run.over else ():
         if term not in selected.confidence:
             selected.confidence[term] = _UNCOMPARED
@@ -198,7 +196,7 @@ def _weigh_untested(run: Run, selected: SelectedModel) -> None:
 def _to_the_floor(
     prepared: Prepared, selection: StepwiseSelection, selected: SelectedModel
 ) -> SelectedModel:
-    """What a search came to, or one that goes on from there where the floor is far lower."""
+    """Repeat the search from its own result while that lowers the noise floor."""
     while True:
         best = selected.best.hypothesis
         if not best.terms or not prepared.lowers_floor(best):
@@ -207,10 +205,10 @@ def _to_the_floor(
 
 
 def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel:
-    """What a search chooses that begins with a hypothesis, fitted; or with what the structure
-    search chooses, which needs a third of the simulations of a search from the nominal model.
+    """Select effects, starting from a hypothesis or, without one, from the structure search.
 
-    A second look, which gives up where nothing leaves less, begins with the nominal model.
+    The structure search needs a third of the simulations of a selection from the nominal model. A
+    second search, which ends early unless it explains more, starts from the nominal model.
     """
     comparison, budget = selection.comparison, selection.diagnosis_run.budget
     if start.terms:
@@ -229,7 +227,7 @@ def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel
 
 
 def _structure(selection: StepwiseSelection) -> Result:
-    """What the structure search chooses, which is left where the selection would be."""
+    """Run the structure search with the criterion of the selection for an early end."""
     problem = selection.problem
 
     def leave(model: Model) -> bool:
@@ -242,7 +240,7 @@ def _structure(selection: StepwiseSelection) -> Result:
 def confirm(
     prepared: Prepared, trials: TrialSet, other: SearchResult, run: Run
 ) -> SearchResult | None:
-    """What another search found, fitted here and held against its rivals, if it explains this."""
+    """Refit the effects of another search to this problem; None if they do not explain it."""
     start = other.explained.hypothesis
     if not start.terms:
         return None
@@ -257,11 +255,11 @@ def confirm(
 
 
 def refit_whole_motions(found: SearchResult, other: SearchResult) -> SearchResult:
-    """What another search found in windows, fitted over the whole motions of the first.
+    """Refit the effects that ``other`` found in windows to the whole recordings of ``found``.
 
-    Names stand as they were found there: where a joint sticks and slips, whole motions part
-    wherever a slide ends, and what one name changes drowns in that. What both searches named is
-    sought from the values of either.
+    No effect is added or dropped. In stick-slip motion whole simulations depart from the recording
+    at the end of each slide, and these errors hide the influence of a single effect. Effects that
+    both searches found start from the values of either.
     """
     problem, named = found.prepared.problem, other.selected
     comparison = ModelComparison(problem)
@@ -281,16 +279,15 @@ def refit_whole_motions(found: SearchResult, other: SearchResult) -> SearchResul
 def refit_with_full_drive(
     found: SearchResult, other: SearchResult, longer: Prepared
 ) -> SearchResult:
-    """What both searches named and all that every drive has, at the joint that keeps most, fitted
-    in windows, then in longer ones, then over the whole motions of the first.
+    """Fit the common effects of two searches and all drive effects of the worst joint together.
 
-    A fit that starts over whole motions from what short windows say ends in any of their valleys;
-    where it comes from longer windows they lead it to the deepest.
+    The fit starts in windows, continues in longer windows and ends with whole recordings. A fit of
+    whole recordings that starts from short windows ends in one of many local minima.
 
     Args:
-        found: by whole motions.
-        other: in windows.
-        longer: the problem in windows that are longer.
+        found: result over whole recordings.
+        other: result in windows.
+        longer: the problem in longer windows.
     """
     joint, short, whole = (
         found.worst_joint,
@@ -311,7 +308,7 @@ def refit_with_full_drive(
     pruned = keep_named(last, best)
     named = weigh_by_removal(last, best, pruned.absent)
     for term in both.terms:
-        # What a search named was held against its rivals there.
+        # The search in windows has compared these effects with alternatives.
         if term in other.selected.confidence:
             named.confidence[term] = other.selected.confidence[term]
             named.alternatives[term] = other.selected.alternatives[term]
@@ -321,7 +318,7 @@ def refit_with_full_drive(
 def _deepest(
     comparison: ModelComparison, starts: Sequence[Hypothesis], steps: FloatArray
 ) -> Hypothesis:
-    """Where an evolution from some starts ends, the simulator's step corrected for the first."""
+    """Result of an evolution from some starts; the integration error is that of the first."""
     problem = comparison.problem
     problem.refine_at(starts[0])
     return fit_by_evolution(problem, starts, comparison.weights(comparison.nominal), steps)
@@ -352,12 +349,12 @@ def build_problem(
     contact: ContactGeoms | None = None,
     scales: Scales | None = None,
 ) -> tuple[Prepared, TrialSet]:
-    """The problem, without recordings on which the model itself diverges.
+    """Build the problem; recordings on which the nominal model diverges are left out.
 
     Args:
-        given: the model, and how it is stepped.
-        trials: what was recorded.
-        notes: gets what was left out.
+        given: the model and its simulation settings.
+        trials: the recordings.
+        notes: receives a line for each recording that is left out.
         window, contact, scales: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
 
     Raises:
@@ -377,7 +374,7 @@ def build_problem(
             idle = _idle(given.realization, problem)
             notes += _taken_for_granted(prepared, everything, given.beside, idle)
             for joint in {*trials.unseen, *idle}:
-                # So far off the floor nothing stands out of it, and no fit heeds it.
+                # Under this noise floor no residual counts, and no fit depends on the joint.
                 problem.floor[problem.joints.index(joint)] = UNSEEN
             return prepared, trials
         for i in sorted(lost):
@@ -402,7 +399,7 @@ def _taken_for_granted(
     beside: Sequence[AppliedEffect],
     idle: Sequence[str],
 ) -> list[str]:
-    """What no recording says and a diagnosis assumes, a line each."""
+    """Assumptions that no recording confirms, a line each."""
     problem = prepared.problem
     notes = [
         f"{e.effect} of joint {e.joint!r} is not applied: no recording contains this joint"
@@ -431,7 +428,7 @@ def _taken_for_granted(
 
 
 def _half_trusted(problem: Problem) -> list[str]:
-    """A line for each joint of which some windows count by less than half of the others."""
+    """A line for each joint at which some windows have less than half the weight of others."""
     if not problem.trust:
         return []
     weights = np.array(list(problem.trust.values()))
@@ -445,7 +442,7 @@ def _half_trusted(problem: Problem) -> list[str]:
 
 
 def _idle(realization: Realization, problem: Problem) -> list[str]:
-    """Joints with a position servo whose setpoint nobody knows."""
+    """Joints with a position servo whose setpoint is not recorded."""
     servo = problem.simulator.layout.servo
     return [
         joint
@@ -456,7 +453,7 @@ def _idle(realization: Realization, problem: Problem) -> list[str]:
 
 
 def residuals_everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
-    """(samples, signals) that it leaves of all segments, the step's error corrected for it."""
+    """(samples, signals) residuals of all segments, corrected for the integration error."""
     problem.refine_at(hypothesis)
     return problem.residuals([hypothesis], problem.everywhere)[0]
 
@@ -464,7 +461,7 @@ def residuals_everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray
 def joint_errors(
     prepared: Prepared, before: FloatArray, after: FloatArray
 ) -> dict[str, JointError]:
-    """Joint -> RMS errors on what is held out, or on all that is fitted without any.
+    """Joint -> RMS errors on held-out recordings, or on all where none is held out.
 
     Args:
         prepared: the problem.

@@ -72,7 +72,7 @@ class _Structure:
 
 
 def _says_the_same(other: Hypothesis, own: Hypothesis) -> bool:
-    """Whether a set only has general laws in the place of their special cases."""
+    """Whether a set only has general laws instead of their special cases."""
     new = _new(other, own)
     gone = _new(own, other)
     return len(new) == len(gone) > 0 and all(

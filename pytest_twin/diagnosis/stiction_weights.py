@@ -25,9 +25,9 @@ _DISTANCE, _LEVEL = 0.05, 0.05
 def stiction_weights(problem: Problem) -> dict[int, FloatArray]:
     """Segment -> (joints,) weights of its positions, of mean square 1 at every joint.
 
-    A segment has the less the more it moves, in floors, once the model's dry friction yields a
-    little before it slides, and the more it moves in leaps where there is a little more or less of
-    it. Empty where the model has none.
+    Presliding friction and a small change of the dry friction each change the predicted motion of
+    a segment. The larger these changes are, in noise floors, the smaller is the weight of the
+    segment. Empty if the model has no dry friction.
     """
     levels = _levels(problem)
     if not levels.any():
@@ -43,14 +43,14 @@ def stiction_weights(problem: Problem) -> dict[int, FloatArray]:
 
 
 def _of_segments(problem: Problem, change: FloatArray) -> FloatArray:
-    """(segments, joints) root mean squares of (samples, signals), in floors."""
+    """(segments, joints) root mean squares of (samples, signals), in noise floors."""
     ends = np.cumsum(problem.lengths(problem.everywhere))[:-1]
     floors = change[:, : len(problem.joints)] / problem.floor
     return np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.split(floors, ends)])
 
 
 def _levels(problem: Problem) -> FloatArray:
-    """(joints,) dry friction of the model as it came, N*m or N."""
+    """(joints,) dry friction of the nominal model, N*m or N."""
     levels: FloatArray = problem.simulator.segments[0].model.dof_frictionloss[
         problem.simulator.layout.dof_index
     ]

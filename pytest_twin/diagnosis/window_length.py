@@ -1,4 +1,4 @@
-"""Windows so short that the model as it came stays near what was recorded.
+"""Windows so short that the nominal model stays near what was recorded.
 
 What a law would add is carried to positions by the equation of deviations, which holds while these
 are small. An arm that nothing holds may part from its model within half a second by as much as it

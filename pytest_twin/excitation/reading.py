@@ -1,4 +1,4 @@
-"""``excitation:`` of a twin, held against its model; nothing that is missing is made up."""
+"""``excitation:`` of a twin, compared with its model; nothing that is missing is made up."""
 
 from __future__ import annotations
 

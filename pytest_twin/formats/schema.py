@@ -1,4 +1,4 @@
-"""Documents held against a JSON Schema; the error says which field, where, and what was expected.
+"""Documents compared with a JSON Schema; the error says which field, where, and what was expected.
 
 Collecting a thousand specs must not wait for a validator: schemas are compiled once into plain
 functions that say yes or no, and only a no (or a keyword that the compiler does not know) asks

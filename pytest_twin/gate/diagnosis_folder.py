@@ -35,7 +35,7 @@ def write_diagnosis(
 
     Args:
         folder: empty.
-        realization: the model as it came.
+        realization: the nominal model.
         trials: what was recorded.
         inherited: effects beside the model, where an earlier diagnosis wrote it.
         model: what the report calls it.

@@ -1,4 +1,4 @@
-"""What all realizations of one robot have to agree on, each held against the first."""
+"""What all realizations of one robot have to agree on, each compared with the first."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _GOLDEN = 0.6180339887498949
 
 
 class Asset:
-    """Realizations of one robot; the first is what the others are held against.
+    """Realizations of one robot; the first is what the others are compared with.
 
     Attributes:
         name: as errors call it.
@@ -56,7 +56,7 @@ class Asset:
 
     @property
     def first(self) -> Form:
-        """What the others are held against."""
+        """What the others are compared with."""
         return self.forms[0]
 
     @property

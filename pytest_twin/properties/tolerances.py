@@ -20,7 +20,7 @@ class Tolerances:
         limit: of ranges, velocities, efforts, damping, friction and couplings; share of the larger
             value, or rad, m, and so on, where that is below 1. Bounds beyond 1e10 are none.
         shape: of the box that holds a collision shape, along each axis, m.
-        differences: of what is held against finite differences, share of the same scales.
+        differences: of what is compared with finite differences, share of the same scales.
         energy: growth or loss of a system that nothing damps or drives, share of the kinetic
             energy.
         single: factor on all of them for a form that holds its numbers in single precision (USD).

@@ -43,7 +43,7 @@ def authentic_now(folder: Path) -> Release:
 def lay_out(release: Release, folder: Path, root: Path, into: Path) -> Path:
     """Copy the files of a release to where its ``twin.yaml`` expects them.
 
-    Every copy is held against the signed digest. Folders under ``roots:`` that lie outside the
+    Every copy is compared with the signed digest. Folders under ``roots:`` that lie outside the
     twin are those of today.
 
     Args:

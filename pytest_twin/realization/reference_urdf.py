@@ -85,7 +85,7 @@ def build(realization: NamedModel, robot: Robot) -> RigidModel:
 
 
 def _state_inertias(found: RigidModel, realization: NamedModel, robot: Robot) -> None:
-    """Put what a patch, a payload or a noted repair states in the place of what the text says."""
+    """Put what a patch, a payload or a noted repair states instead of what the text says."""
     for link in robot.links.values():
         body = realization.spec.body(link.name)
         if body is None or link.name == "world":

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ReleaseLimits:
-    """Bounds on a release and on the keys that it is held against."""
+    """Bounds on a release and on the keys that it is compared with."""
 
     envelope_bytes: int = 256 * 2**20
     depth_levels: int = 64

@@ -48,7 +48,7 @@ def place_of(entry: FileEntry) -> str | None:
 def copy_files(release: Release, folder: Path, into: Path) -> None:
     """Copy the files of a release to where its ``twin.yaml`` expects them, below ``into``.
 
-    Every copy is held against the signed digest.
+    Every copy is compared with the signed digest.
 
     Raises:
         ReleaseError: a file is not what was signed, or there is no ``twin.yaml``.

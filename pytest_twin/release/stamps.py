@@ -1,4 +1,4 @@
-"""Stamps on the disk: written into data sets, read from them, and held against trusted keys."""
+"""Stamps on the disk: written into data sets, read from them, and compared with trusted keys."""
 
 from __future__ import annotations
 

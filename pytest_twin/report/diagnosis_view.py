@@ -79,7 +79,7 @@ class DiagnosisView:
         model: name of the diagnosed model.
         created: RFC 3339.
         said: ``diagnosis.json``.
-        joints: figures, the largest error in floors first.
+        joints: figures, the largest error in noise floors first.
         floor_parts: source -> joint -> RMS in the joint's unit.
         simulated: whether predictions contain the integration error of the time step.
         step_left: share of that error that is in the floor.
@@ -150,7 +150,7 @@ def _at(effect: AppliedEffect) -> str:
 
 
 def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
-    """Figure data of every joint, the largest error in floors first."""
+    """Figure data of every joint, the largest error in noise floors first."""
     from pytest_twin.diagnosis.locate import motions, regimes
 
     tested = found.tested

@@ -71,7 +71,7 @@ class Panel:
     Attributes:
         title, unit: what it is.
         now: what was observed now.
-        then: what it is held against, None where nothing is; ``against`` its name.
+        then: what it is compared with, None where nothing is; ``against`` its name.
         command: what was commanded, where that has the same unit.
         worst: the worst sample, None where no tolerance bounds the series.
         bound: the measure of this quantity that used most of its tolerance, such as an RMS.

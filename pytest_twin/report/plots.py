@@ -47,9 +47,9 @@ def plot(
     Args:
         kind: the check's name.
         title: the golden's title.
-        measures: what was held against tolerances.
+        measures: what was compared with tolerances.
         now: what was observed now.
-        stored: what that is held against: the golden's own series, or a recording's.
+        stored: what that is compared with: the golden's own series, or a recording's.
 
     Returns:
         SVG: with series their course, what is left between them and the worst sample; over

@@ -84,8 +84,8 @@ def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
     assert whole.prepared is prepared
     assert whole.verdict == "explained"
     # Both name what explains most; what leaves next to nothing has nothing to gain.
-    assert whole.beside(replace(other, errors=off(other.errors, times=5.0)))
-    assert not whole.beside(other)
+    assert whole.may_improve(replace(other, errors=off(other.errors, times=5.0)))
+    assert not whole.may_improve(other)
     assert not whole.scores_better_than(whole)
     nothing = replace(whole, explained=Explained((), EMPTY), errors=off(whole.errors, times=30.0))
     assert whole.scores_better_than(nothing)
@@ -93,7 +93,7 @@ def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
     assert whole.tracks_better_than(nothing)
     assert not whole.tracks_better_than(whole)
     assert not nothing.tracks_better_than(whole)
-    assert not whole.beside(nothing)
+    assert not whole.may_improve(nothing)
     once = replace(whole, errors=off(whole.errors, times=30.0), verdict="improved")
     again = once.with_floor_of()
     assert (again.errors, again.verdict) == (whole.errors, whole.verdict)

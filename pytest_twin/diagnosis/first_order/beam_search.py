@@ -3,7 +3,7 @@
 Forces add, and so do their first-order responses: a structure of several effects is a least-squares
 problem of its own, in which the parameters of effects that are already named may give way too. All
 of them are solved from inner products that are taken once (normal equations), so that many
-structures can be looked at: the best few of every size are grown, then every term is held against
+structures can be looked at: the best few of every size are grown, then every term is compared with
 one or two others in its place.
 """
 
@@ -102,7 +102,7 @@ class Structure:
     Attributes:
         starts: term -> parameters, in multiples of their scales, in the order of naming.
         residual: (bins, signals) what they leave.
-        evidence: over the structure that it was held against.
+        evidence: over the structure that it was compared with.
         chosen: responses of its terms, by their number.
     """
 

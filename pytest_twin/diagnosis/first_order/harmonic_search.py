@@ -2,7 +2,7 @@
 
 Slots, magnets and teeth come in tens to hundreds a turn. Over a way of L a wave answers only within
 pi/L of its wavenumber: no grid of starting sizes is fine enough for all ways. What is left of the
-joint that is furthest off is held against waves all along the range (a periodogram over position
+joint that is furthest off is compared with waves all along the range (a periodogram over position
 instead of time, through the equation of small deviations), and the best of each law competes.
 Deviations are small for a wave that is longer than they are: where a motion is far from followed,
 fine ones say nothing.

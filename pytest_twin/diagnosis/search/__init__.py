@@ -1,1 +1,1 @@
-"""Which effects explain the recordings: rivals, simulated and held against each other."""
+"""Which effects explain the recordings: rivals, simulated and compared with each other."""

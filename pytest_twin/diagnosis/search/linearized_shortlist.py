@@ -101,7 +101,7 @@ def linearized_shortlist(
 
 
 def _whole(comparison: ModelComparison, best: ScoredModel) -> FloatArray:
-    """(signals,) mean square that the model as it came left of what is fitted; less where what no
+    """(signals,) mean square that the nominal model left of what is fitted; less where what no
     fit has seen keeps a greater share of its own: there a name counts for more.
     """
     floor = comparison.problem.signal_floor**2
@@ -133,7 +133,7 @@ def _foremost(
             terms > set(polished[k].hypothesis.terms) and evidence[i] < evidence[k] + EARNS
             for k in order
         )
-        # Nor does another with one term in the place of one.
+        # Nor does another with one term instead of one.
         new = terms - set(best.hypothesis.terms)
         alike = any(_alike(new, set(polished[k].hypothesis.terms)) for k in front)
         if np.isfinite(evidence[i]) and not covered and not alike:

@@ -50,7 +50,7 @@ class ModelComparison:
         has_held: whether there are recordings that no fit sees.
         tried: effects at joints that compete.
         name_price: evidence that a name has to earn, drawn from so many.
-        nominal: the model as it came.
+        nominal: the nominal model.
         since: steps that were simulated before it.
         run: the diagnosis that it belongs to.
     """
@@ -164,11 +164,11 @@ class ModelComparison:
         return self.worth_a_name(left, least, self.mismatch(rival, self.nominal.left, left))
 
     def worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:
-        """Whether mean squares (signals,) fall by enough; ``whole`` of the model as it came."""
+        """Whether mean squares (signals,) fall by enough; ``whole`` of the nominal model."""
         return worth_a_name(self.problem.signal_floor, before, after, whole)
 
     def mismatch(self, rival: ScoredModel, whole: FloatArray, left: FloatArray) -> FloatArray:
-        """(signals,) of ``whole``, mean squares of the model as it came, what the laws of a rival
+        """(signals,) of ``whole``, mean squares of the nominal model, what the laws of a rival
         may have left a part of, of which ``left`` is left.
         """
         acting = self.problem.acted_on(rival.hypothesis.terms)

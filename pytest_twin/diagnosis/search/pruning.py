@@ -83,7 +83,7 @@ class _Tested:
         problem: what is explained.
         fitted: with all terms.
         confidence: of each term in its place.
-        before: (signals,) floors that the model as it came leaves.
+        before: (signals,) floors that the nominal model leaves.
         base: (signals,) floors that the fit leaves.
         refitted: without each term.
         levels: (signals,) floors that each of those leaves.
@@ -106,7 +106,7 @@ class _Tested:
 
     @cached_property
     def errors(self) -> list[JointError]:
-        """Of each joint, in floors: as the model came, and with the fit."""
+        """Of each joint, in noise floors: as the model came, and with the fit."""
         pairs = zip(self.before, self.base, strict=True)
         each = [JointError(float(before), float(after), 1.0, "") for before, after in pairs]
         return each[: len(self.problem.joints)]
@@ -418,9 +418,9 @@ def _far_from_explained(tested: _Tested) -> _Gone:
 
 
 def _shown(tested: _Tested, term: Term) -> tuple[FloatArray, FloatArray]:
-    """(signals,) floors that the model as it came leaves and that the fit does, of recordings that
+    """(signals,) floors that the nominal model leaves and that the fit does, of recordings that
     show the mismatch where a term acts: of all, where those that no fit has seen are at the floor
-    with the model as it came. What they leave of so little is no share to judge by.
+    with the nominal model. What they leave of so little is no share to judge by.
     """
     problem = tested.problem
     hardly = tested.before[_columns(problem, term)].max() <= AT_FLOOR
@@ -461,7 +461,7 @@ def keep_named(comparison: ModelComparison, best: ScoredModel) -> PrunedModel:
 def _levels(
     problem: Problem, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
 ) -> list[FloatArray]:
-    """What each leaves of some recordings, (signals,) in floors."""
+    """What each leaves of some recordings, (signals,) in noise floors."""
     residuals = problem.residuals(hypotheses, segments)
     return [in_floors(residual, problem.signal_floor) for residual in residuals]
 

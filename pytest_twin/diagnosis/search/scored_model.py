@@ -56,13 +56,13 @@ class ScoredModel:
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """Another set of effects in the place of some of those that were found.
+    """Another set of effects instead of some of those that were found.
 
     Attributes:
         new: effects that it has instead.
         gone: effects that it lacks.
         confidence: posterior share.
-        apart: largest RMS difference between the two predictions, in floors; None if unknown.
+        apart: largest RMS difference between the two predictions, in noise floors; None if unknown.
     """
 
     new: tuple[Term, ...]
@@ -77,7 +77,7 @@ class SelectedModel:
 
     Attributes:
         best: the chosen rival.
-        nominal: the model as it came.
+        nominal: the nominal model.
         confidence: term -> share of the evidence against the rivals in its place.
         alternatives: term -> rivals in its place with their share, best first.
         sets: term -> alternatives to it, sets of effects among them, most likely first; empty

@@ -51,7 +51,7 @@ def merge_joints(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def _mean(problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: Term) -> FloatArray:
-    """Where a term starts in the place of several: at their mean in parameters of one name."""
+    """Where a term starts instead of several: at their mean in parameters of one name."""
     (start, _), *_ = grid(new)
     each_has = [_values(problem, hypothesis, t) for t in each]
     for k, p in enumerate(new.parameters):

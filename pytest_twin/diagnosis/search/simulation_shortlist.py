@@ -128,7 +128,7 @@ def _scanned(
     terms += [t for t in _gears(problem, look, found.left, FAR_OFF) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start in starts_in_first_form(t)]
     whole = look.view.mean_square
-    # Once, around the model as it came: they are many replays, and what is left later is less far.
+    # Once, around the nominal model: they are many replays, and what is left later is less far.
     limited = [] if best.hypothesis.terms else limits_of_large_residuals(problem, whole)
     limits = [t for t in limited if t not in look.failed]
     unseen = [t for t in limits if t not in seen]

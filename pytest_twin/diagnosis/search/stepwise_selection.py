@@ -1,4 +1,4 @@
-"""Choose the structure: which effects earn their place.
+"""Stepwise selection of effects: forward, backward and by exchange.
 
 Forward: structures of one and more effects are searched to first order around the best fit so far
 (:mod:`linearized_shortlist`), and the most likely (:mod:`simulation_shortlist`) are fitted by
@@ -84,7 +84,7 @@ _MOST_CLOSE = 2
 _ALONG = 0.8
 # Structures that are simulated once where the time is over before they are fitted.
 _MOST_HURRIED = 4
-# Terms that act on one joint and may be a crowd in the place of fewer.
+# Terms that act on one joint and may be a crowd instead of fewer.
 _CROWD = 3
 
 
@@ -127,7 +127,7 @@ class StepwiseSelection:
         """Evidence of what the best fit was simulated without: its terms, over it."""
 
     def run(self, start: ScoredModel | None = None) -> SelectedModel:
-        """Search forward, backward and sideways, from the model as it came or from a fit of it.
+        """Search forward, backward and sideways, from the nominal model or from a fit of it.
 
         Where time runs out, the best so far is the result.
         """
@@ -197,7 +197,7 @@ class StepwiseSelection:
                 selected.alternatives[t] = [(a, rest * c) for a, c in selected.alternatives[t]]
 
     def _end(self, best: ScoredModel) -> None:
-        """Say that the search ended for want of time."""
+        """Say that the search ended because time ran out."""
         stage = self.diagnosis_run.trace.stage
         self.diagnosis_run.skip(f"the search over {stage} (begun, not finished)")
         self._step("search", "ended", "the time is over", None, best)
@@ -253,8 +253,9 @@ class StepwiseSelection:
                 break
 
     def _limited_otherwise(self, best: ScoredModel) -> ScoredModel | None:
-        """Another limit in the place of one of a drive's, where that is clearly better. Each is
-        asked about once.
+        """Another limit of a drive instead of the chosen one, if it is clearly better.
+
+        Each limit is tested once.
         """
         limits = doubtful_limits(self.problem, best)
         new = [t for t in limits if t not in self.limits_known]
@@ -269,10 +270,10 @@ class StepwiseSelection:
         return self.comparison.settled(top)
 
     def _regrown(self, selected: SelectedModel) -> SelectedModel:
-        """What is found once more from its strongest term, if that comes to something better.
+        """The result of a second search from the strongest term, if that is better.
 
-        Several terms at one joint may hold each other up, and no exchange of one of them leads to
-        the fewer that are right. Such a crowd leaves something above the floor.
+        Several wrong terms at one joint may compensate for each other's errors, so that no exchange
+        of a single one is better. They leave a residual above the noise floor.
         """
         best = selected.best
         terms = best.hypothesis.terms
@@ -305,8 +306,8 @@ class StepwiseSelection:
         return other if better else selected
 
     def _strained(self, rival: ScoredModel) -> list[Term]:
-        """Laws that stand at a physical bound and leave their joint far from explained, and those
-        that are beyond physics or beyond what recordings show: something else is at work there.
+        """Terms at a physical bound whose joint stays unexplained, and terms with values that are
+        impossible or outside the range of the recordings: they compensate for another effect.
         """
         problem, hypothesis = self.problem, rival.hypothesis
         refused = {**impossible(problem, hypothesis), **not_shown(problem, hypothesis)}
@@ -382,7 +383,7 @@ class StepwiseSelection:
                 "among the best of the linearized comparison: simulated next", h,
                 best=best.hypothesis,
             )  # fmt: skip
-        # What the step costs differs between the model as it came and what explains the rest; of
+        # What the step costs differs between the nominal model and what explains the rest; of
         # that, the simplest is the least to be wrong.
         fewest = min(len(h.terms) for h in starts)
         simple = [h for h in starts if len(h.terms) == fewest]
@@ -494,7 +495,7 @@ class StepwiseSelection:
         return untold + told
 
     def _of_the_robot(self, best: ScoredModel) -> list[ScoredModel]:
-        """What is the whole robot's in the place of the same at several joints, fitted; each with
+        """What is the whole robot's instead of the same at several joints, fitted; each with
         the error of the step as it is there, for their motions lie apart in time.
         """
         return [self._at_its_own(h, best) for h in merge_joints(self.problem, best.hypothesis)]
@@ -516,7 +517,7 @@ class StepwiseSelection:
 
         Once the replays are spent, what seems better, for no name would be sure of what was not
         seen, what may stand for several where nothing is said of it, and the nearest of those that
-        are not far behind in the place of several. Never what is better ``beside`` what stands
+        are not far behind instead of several. Never what is better ``beside`` what stands
         there.
         """
         spent = self._spent(best)
@@ -548,7 +549,7 @@ class StepwiseSelection:
         return list(zip([*near, *doubtful], rivals, strict=True))
 
     def _beside(self, best: ScoredModel, top: ScoredModel) -> ScoredModel:
-        """What is better in the place of one term, or better still beside it."""
+        """What is better instead of one term, or better still beside it."""
         own, terms = best.hypothesis, top.hypothesis.terms
         gone = [t for t in own.terms if t not in terms]
         if len(gone) != 1 or len(terms) != len(own.terms):

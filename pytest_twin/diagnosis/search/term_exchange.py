@@ -1,10 +1,10 @@
-"""What could stand in the place of what was named, along the measured motion.
+"""What could stand instead of what was named, along the measured motion.
 
-With a term taken away, every candidate is held against what is missing then, to first order; those
+With a term taken away, every candidate is compared with what is missing then, to first order; those
 in front are fitted along the motion as deviations from the fit at hand. There the term itself is
 exact and what is alike differs by little, however much both do. Where it is a gear, which along the
 motion says little of what it does, what is missing is simulated. Several terms of one joint are
-taken away together, too: two wrong ones may hold each other up in the place of one.
+taken away together, too: two wrong ones may hold each other up instead of one.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pytest_twin.diagnosis.search.linearized_shortlist import (
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.search.scored_model import AS_GOOD, Place, ScoredModel
 
-# Rivals in a place that are looked at, and those in the place of several terms, of all such places.
+# Rivals in a place that are looked at, and those instead of several terms, of all such places.
 _RIVALS, _OF_SEVERAL = 6, 4
 # Rivals are fitted along the motion that are not further than this evidence behind the fit at hand,
 # or behind the first in their place: laws do not add up where a joint sticks; and the first few
@@ -55,7 +55,7 @@ _CROWD = 4
 
 @dataclass(frozen=True, slots=True)
 class TermExchange:
-    """Something else in the place of one or more terms.
+    """Something else instead of one or more terms.
 
     Attributes:
         gone: what was taken away.
@@ -91,7 +91,7 @@ def find_exchanges(
     known: Mapping[Term, Sequence[Sensitivity]],
     name_price: float,
 ) -> list[TermExchange]:
-    """Everything near that could stand in the place of a term, or of several of one joint.
+    """Everything near that could stand instead of a term, or of several of one joint.
 
     Args:
         problem: what to explain.
@@ -130,7 +130,7 @@ def better_as_addition(
     clear: float,
     name_price: float,
 ) -> dict[Term, tuple[Hypothesis, float]]:
-    """What is clearly better in the place of something, beside everything: fitted along the motion,
+    """What is clearly better instead of something, beside everything: fitted along the motion,
     with its evidence over the fit at hand.
 
     What explains something else is better in every place, and a rival of nothing: it stands in a
@@ -166,7 +166,7 @@ def better_than_several(
     beside: Mapping[Term, tuple[Hypothesis, float]],
     name_price: float,
 ) -> list[TermExchange]:
-    """What is clearly better beside everything, in the place of several terms of its joint, where
+    """What is clearly better beside everything, instead of several terms of its joint, where
     along the motion that is better than what stands there: two wrong names may hold each other up
     so well that neither yields to the one that is right. A grid knows little of the shape of a law
     that bends sharply; beside everything it was fitted.
@@ -179,7 +179,7 @@ def better_than_several(
         name_price: evidence that a name costs.
 
     Returns:
-        ``found``, with these in the place of the same as they were before.
+        ``found``, with these instead of the same as they were before.
     """
     several = _together(best.hypothesis.terms)
     places = [

@@ -163,7 +163,7 @@ class StructureSearch:
         """Effects that are not of first order, each at the best size of its grid.
 
         Transmissions read the motion back, and limits change the motion in leaps: the linearized
-        motion says little of either. They are simulated beside all effects and in the place of
+        motion says little of either. They are simulated beside all effects and instead of
         those of their joint, on the recording that shows most of the residual.
         """
         scorer, own = self.scorer, incumbent.hypothesis

@@ -53,7 +53,7 @@ def with_tables(
     tables: Sequence[Covariate],
     coefficients: FloatArray,
 ) -> Hypothesis:
-    """A hypothesis with tables, in the place of those that it has at the joint."""
+    """A hypothesis with tables, instead of those that it has at the joint."""
     gone = [t for t in hypothesis.terms if t.joint == joint and not t.law.candidate]
     out = hypothesis.without(*gone)
     for table, values in zip(tables, np.split(coefficients, len(tables)), strict=True):

@@ -145,7 +145,7 @@ def _with(named: Hypothesis, laws: Hypothesis, terms: Mapping[Term, Term]) -> Hy
 
 
 def _squared(problem: Problem, residual: FloatArray) -> float:
-    """Squared error of the test recordings, in floors."""
+    """Squared error of the test recordings, in noise floors."""
     return float(np.sum((residual[problem.in_test] / problem.signal_floor) ** 2))
 
 

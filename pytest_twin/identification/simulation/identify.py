@@ -242,7 +242,7 @@ def _with_slopes(problem: Problem, hypothesis: Hypothesis) -> Fitted:
 
 
 def _error(problem: Problem, hypothesis: Hypothesis) -> float:
-    """Root mean square of all position errors in floors, on what is held out."""
+    """Root mean square of all position errors in noise floors, on what is held out."""
     residual: FloatArray = problem.residuals([hypothesis], problem.tested)[0]
     count = len(problem.joints)
     value = float(np.sqrt(np.mean((residual[:, :count] / problem.floor) ** 2)))
