@@ -32,6 +32,7 @@ RESULTS = {
     "calibrate": "`calibration.json` and `calibrate --json -`",
     "identify": "`identification.json` and `identify --json -`",
     "budget": "`budget.json` and `budget --json -`",
+    "randomize": "`ranges.json` and `randomize --json -`",
     "excite": "`excitation.json` and `excite --json -`",
     "replay": "the JSON file beside a prediction, and `replay --json -`",
     "audit": "`NAME.audit.json` and `audit --json -`",

@@ -25,6 +25,7 @@ COMMANDS: tuple[str, ...] = (
     "excite",
     "identify",
     "budget",
+    "randomize",
     "convert",
     "show",
     "effects",

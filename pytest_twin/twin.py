@@ -23,6 +23,7 @@ from pytest_twin.formats.identification_record import (
 )
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
+from pytest_twin.ranges_spec import RangesSpec, TrialGroup
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.signals import NO_SIGNALS, Signals
 
@@ -310,6 +311,7 @@ class Twin:
         residual, update: what is declared beside the base model, or None.
         shadow: what a candidate is judged by.
         budget: what the error budget is about.
+        ranges: what randomization ranges are made from and checked with.
         lines: dotted field -> 1-based line in ``path``.
     """
 
@@ -338,6 +340,7 @@ class Twin:
     update: UpdateSpec | None = None
     shadow: ShadowPolicy = field(default_factory=ShadowPolicy)
     budget: BudgetSpec = field(default_factory=BudgetSpec)
+    ranges: RangesSpec = field(default_factory=RangesSpec)
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
     @property
@@ -487,6 +490,7 @@ class _Reader:
             update=UpdateSpec.from_json(data["update"]) if "update" in data else None,
             shadow=ShadowPolicy.from_json(data.get("shadow", {})),
             budget=self._budget(),
+            ranges=self._ranges(),
             fresh=FreshPolicy(**{k: float(v) for k, v in data.get("fresh", {}).items()}),
             excitation=data.get("excitation"),
             lines=self.lines,
@@ -732,6 +736,24 @@ class _Reader:
         files = enumerate(data.get("recordings", ()))
         found = tuple(self._recording(name, f"budget.recordings.{at}") for at, name in files)
         return BudgetSpec.from_json(data, found)
+
+    def _ranges(self) -> RangesSpec:
+        data = self.data.get("ranges", {})
+        final, held_out = (
+            tuple(
+                self._recording(name, f"ranges.{key}.{at}")
+                for at, name in enumerate(data.get(key, ()))
+            )
+            for key in ("final", "held_out")
+        )
+        trials = tuple(
+            TrialGroup(
+                read_identification_record(self._file(one["file"], f"ranges.trials.{at}.file")),
+                {key: float(value) for key, value in one.items() if key != "file"},
+            )
+            for at, one in enumerate(data.get("trials", ()))
+        )
+        return RangesSpec.from_json(data, final, held_out, trials)
 
     def _recording(self, reference: str, where: str) -> Path:
         """A file, or a folder that is one recording."""

@@ -146,8 +146,8 @@ JSON_COMMANDS = {
 }
 """What each command is called with, and a field of its result."""
 TESTED_ELSEWHERE = (
-    "diagnose", "calibrate", "excite", "identify", "budget", "verify", "stamp", "fresh", "shadow",
-    "rollback", "completion",
+    "diagnose", "calibrate", "excite", "identify", "budget", "randomize", "verify",
+    "stamp", "fresh", "shadow", "rollback", "completion",
 )  # fmt: skip
 """Commands with tests of their JSON beside the others of the command."""
 

@@ -28,6 +28,7 @@ from pytest_twin.realization import Realization, load
 from pytest_twin.replay import Replayed, replay, row_of
 from pytest_twin.trial import Trial, make_trials
 from pytest_twin.trial.read import recordings_at
+from pytest_twin.trial.roles import refuse_final
 from pytest_twin.twin import Twin, load_twin
 
 ERRORS = ("position_rms", "velocity_rms", "position_max")
@@ -69,10 +70,16 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
         TwinError: a twin does not load, a recording cannot be used, or a simulation diverges.
     """
     base, other = Side.of(released), Side.of(candidate)
-    trials = [
-        trial
+    read = [
+        recording
         for path in recordings
         for recording in recordings_at(Path(path), base.twin.topics, base.twin.recordings)
+    ]
+    for recording in read:
+        refuse_final(recording.metadata, recording.path, "the choice of a candidate")
+    trials = [
+        trial
+        for recording in read
         for trial in make_trials(recording, base.realization.structure, base.twin.recordings)
     ]
     policy = base.twin.shadow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,23 +63,12 @@ class Identified:
 def identified(entry: FitEntry, task: Task, realization: Realization) -> Identified:
     """The parameters of an identification that move a task's frame."""
     record = entry.record
-    structure = realization.structure
-    joints = [name for name in _joints_of(record) if name in structure.joint_type]
-    signals = NO_SIGNALS if realization.twin is None else realization.twin.signals
-    shared = [
-        SharedMotor(joint, own.joint, own.ratio)
-        for joint in joints
-        if (own := signals.of(joint).shared) is not None
-    ]
-    regressor = Regressor(realization, joints or task.chain.joints, shared)
-    by_name = {column.name: at for at, column in enumerate(regressor.columns)}
-    # Symbols count the joints of the record; with one left out they would count others.
-    counted = not record.without_effort and len(joints) == len(_joints_of(record))
-    by_symbol = {column.symbol: at for at, column in enumerate(regressor.columns) if counted}
+    regressor = regressor_of(record, realization, task.chain.joints)
+    column_of = columns_of(record, regressor)
     kept, columns, shifting, shifts, left_out = [], [], [], [], []
     for at, name in enumerate(record.covariance_names):
         joint, _, effect = name.partition(".")
-        column = by_name.get(name, by_symbol.get(name.split(" ")[0]))
+        column = column_of.get(name)
         if name not in record.values:
             left_out.append(f"{name}: the twin does not use it (its stage is not accepted)")
         elif column is not None:
@@ -111,6 +101,39 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
         tuple(shifts),
         tuple(left_out),
     )
+
+
+def regressor_of(
+    record: IdentificationRecord, realization: Realization, otherwise: Sequence[str]
+) -> Regressor:
+    """The regressor of the joints that a record identified; of ``otherwise`` where it has none."""
+    structure = realization.structure
+    joints = [name for name in _joints_of(record) if name in structure.joint_type]
+    signals = NO_SIGNALS if realization.twin is None else realization.twin.signals
+    shared = [
+        SharedMotor(joint, own.joint, own.ratio)
+        for joint in joints
+        if (own := signals.of(joint).shared) is not None
+    ]
+    return Regressor(realization, joints or otherwise, shared)
+
+
+def columns_of(record: IdentificationRecord, regressor: Regressor) -> dict[str, int]:
+    """Parameter of a record -> the column of the regressor that it multiplies.
+
+    A base parameter multiplies the column of its first term; those of the other terms depend on it.
+    """
+    by_name = {column.name: at for at, column in enumerate(regressor.columns)}
+    # Symbols count the joints of the record; with one left out they would count others.
+    own = _joints_of(record)
+    counted = not record.without_effort and len(own) in (0, len(regressor.joints))
+    by_symbol = {column.symbol: at for at, column in enumerate(regressor.columns) if counted}
+    found = {}
+    for name in record.covariance_names:
+        column = by_name.get(name, by_symbol.get(name.split(" ")[0]))
+        if column is not None:
+            found[name] = column
+    return found
 
 
 def _joints_of(record: IdentificationRecord) -> list[str]:

@@ -31,10 +31,13 @@ def recording_of(golden: Golden, twin: Twin) -> Recording:
         TwinError: it cannot be read.
     """
     from pytest_twin.trial import recordings_at
+    from pytest_twin.trial.roles import refuse_final
 
     reference = golden.target["recording"]
     path = find_file(golden, "target.recording", reference, twin)
     found = recordings_at(path, twin.topics, twin.recordings)
+    for one in found:
+        refuse_final(one.metadata, path, "a golden")
     episode: int | None = golden.target.get("episode")
     last = len(found) - 1
     if episode is None:

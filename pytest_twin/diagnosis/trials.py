@@ -14,6 +14,7 @@ from pytest_twin.formats.recording import Recording
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.one_base import on_one_base
+from pytest_twin.trial.roles import refuse_final
 
 # Of this many whole recordings one is held out where nobody says which.
 _ONE_HELD_OUT_OF = 4
@@ -94,6 +95,7 @@ def read_trials(
             try:
                 if isinstance(read, TwinError):
                     raise read
+                refuse_final(read.metadata, read.path, "a diagnosis")
                 parts = [on_one_base(t) for t in make_trials(read, structure, options)]
             except TwinError as error:
                 first_error = first_error or error

@@ -18,6 +18,7 @@ from pytest_twin.signals import ANGLES, Signals
 from pytest_twin.trial import recordings_at
 from pytest_twin.trial.command_field import commanded_fields
 from pytest_twin.trial.joints import in_model_names
+from pytest_twin.trial.roles import refuse_final
 from pytest_twin.trial.table import kept_commands, sorted_rows
 
 _FEWEST = 50
@@ -97,6 +98,7 @@ def read_measured(
     """
     found = []
     for recording in recordings_at(path, topics, options):
+        refuse_final(recording.metadata, path, "an identification")
         series = _named(recording, "state", realization, topics, options)
         commanded = _commanded_effort(recording, series, realization, topics, options)
         found += _stretches(_at_joints(series, commanded, recording, signals))

@@ -13,6 +13,7 @@ from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.gate.specs import UNWRITTEN
 from pytest_twin.realization import Realization, load
 from pytest_twin.trial import Trial, make_trials, recordings_at
+from pytest_twin.trial.roles import refuse_final
 from pytest_twin.twin import load_twin
 
 # A data set may have hundreds of episodes, and each golden is a simulation of one.
@@ -53,6 +54,7 @@ def first_replays(
             episode = number if len(found) > 1 else None
             end = "" if episode is None else f" episode {episode}"
             try:
+                refuse_final(read.metadata, path, "a golden")
                 trials = make_trials(read, realization.structure, loaded.recordings)
             except TwinError as error:
                 silent[f"{recording}{end}"] = str(error)

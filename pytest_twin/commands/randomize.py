@@ -1,0 +1,118 @@
+"""``pytest-twin randomize``: ranges of what a twin's records leave uncertain, and their check."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands import folders, json_output
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.recording_arguments import (
+    RECORDING_HELP,
+    add_recording_arguments,
+    recording_options,
+)
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import PathError
+from pytest_twin.formats import atomic
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report import ranges
+from pytest_twin.report.text import printable
+from pytest_twin.twin import FILE_NAME
+
+HELP = "write randomization ranges of a twin from its records, and check them on final recordings"
+EXAMPLES = (
+    "pytest-twin randomize twin.yaml --out ranges/",
+    "pytest-twin randomize cell/ --final final_1.mcap final_2.mcap --out ranges/",
+)
+EXIT_STATUS = {
+    0: "the final recordings lie in the predicted envelope at the stated share, and it is no wider "
+    "than it need be",
+    1: "they do not, it is too wide, or there are no final recordings",
+}
+JSON_NAME, PAGE_NAME = "ranges.json", "ranges.html"
+SECONDS = 3600.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "twin", metavar="TWIN", type=Path, help=f"a {FILE_NAME}, or the folder that holds it"
+    )
+    parser.add_argument(
+        "--final",
+        metavar="RECORDING",
+        type=Path,
+        nargs="+",
+        default=[],
+        help=f"recordings that guided nothing, which check the ranges: {RECORDING_HELP} (default: "
+        "ranges: final: of twin.yaml, else those in recordings/ with the role final)",
+    )
+    parser.add_argument(
+        "--held-out",
+        metavar="RECORDING",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="recordings that nothing was fitted on: where they deviate more than the ranges "
+        "predict, the ranges are widened",
+    )
+    parser.add_argument(
+        "--draws", metavar="N", type=int, help="robots to simulate (default: twin.yaml's, else 256)"
+    )
+    parser.add_argument(
+        "--share",
+        metavar="P",
+        type=float,
+        help="share of the samples that should lie in the envelope (default: twin.yaml's, else "
+        "0.95)",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"{JSON_NAME} and {PAGE_NAME} are written here",
+    )
+    add_recording_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 if the final recordings lie in a useful envelope, else 1.
+
+    Raises:
+        TwinError: a twin, a record or a recording that cannot be used.
+    """
+    twin: Path = args.twin / FILE_NAME if args.twin.is_dir() else args.twin
+    if not twin.is_file():
+        raise PathError("no such file", path=twin, expected=f"a {FILE_NAME}, or its folder")
+    with Sandbox(seconds=SECONDS) as sandbox, Progress("simulating") as progress:
+        document = sandbox.call(
+            "pytest_twin.ranges.run:ranges_of_file",
+            {
+                "path": str(twin.absolute()),
+                "final": [str(path.absolute()) for path in args.final],
+                "held_out": [str(path.absolute()) for path in args.held_out],
+                "draws": args.draws,
+                "share": args.share,
+                "options": recording_options(args),
+                "topics": args.topics,
+            },
+            progress=progress,
+        )
+    out = folders.make(args.out)
+    atomic.write_text(out / JSON_NAME, json.dumps(document, indent=2) + "\n")
+    atomic.write_text(out / PAGE_NAME, ranges.render(document))
+    json_output.give(args, document)
+    show("\n".join(printable(line) for line in _words(document)))
+    show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")
+    return 0 if document["verdict"] == "useful" else 1
+
+
+def _words(document: dict[str, Any]) -> list[str]:
+    """What people read."""
+    lines = [f"randomization ranges of {document['twin']!r}"]
+    lines += [f"  {line}" for line in document["words"]]
+    return [*lines, *(f"  note: {note}" for note in document["notes"])]

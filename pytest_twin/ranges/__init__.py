@@ -1,0 +1,1 @@
+"""Randomization ranges of a twin: what its records leave uncertain, checked by simulation."""

@@ -1,0 +1,50 @@
+"""What calibrations leave uncertain of the joints' zeros, as coordinates of a randomization."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pytest_twin.budget.propagate import root_of
+from pytest_twin.dependency import Structure
+from pytest_twin.effects.sensing import EncoderBias
+from pytest_twin.ranges.distribution import Coordinate
+from pytest_twin.ranges.identified import Gathered
+from pytest_twin.twin import CalibrationEntry
+
+_PREFIX = "joint_zeros."
+
+
+def zeros_of(entry: CalibrationEntry, structure: Structure, taken: set[str]) -> Gathered:
+    """Zeros of the encoders about the calibrated ones; those in ``taken`` are a later record's.
+
+    Raises:
+        FormatError: the covariance is none.
+    """
+    record = entry.record
+    names = record.covariance_names
+    matrix = np.reshape(record.covariance, (len(names),) * 2)
+    root_of(matrix, record.path)
+    found = Gathered(record.id, [], np.zeros((0, 0)))
+    kept = []
+    for at, name in enumerate(names):
+        joint = name.removeprefix(_PREFIX)
+        if not name.startswith(_PREFIX):
+            found.left_out.append(
+                f"{name}: moves no joint; pytest-twin budget carries it to a frame"
+            )
+        elif "joint_zeros" not in entry.use or joint not in structure.joint_type:
+            found.left_out.append(f"{name}: the twin does not use it")
+        elif joint not in taken:
+            kept.append(at)
+            found.coordinates.append(encoder_zero(joint, structure))
+    found.covariance = matrix[np.ix_(kept, kept)]
+    return found
+
+
+def encoder_zero(joint: str, structure: Structure) -> Coordinate:
+    """What an encoder reads where the joint is at its zero, as the model counts it."""
+    unit = "m" if structure.joint_type[joint] == "slide" else "rad"
+    return Coordinate(
+        f"{joint}.{EncoderBias.id}", unit, 0.0, 0.0, joint=joint, effect=EncoderBias.id,
+        parameter="bias",
+    )  # fmt: skip

@@ -1,0 +1,226 @@
+"""What identifications leave uncertain, as coordinates of a randomization."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.budget.identified import columns_of, regressor_of
+from pytest_twin.budget.propagate import root_of
+from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.effects import catalogue
+from pytest_twin.errors import FormatError
+from pytest_twin.formats.identification_record import IdentificationRecord
+from pytest_twin.identification.regressor import Regressor
+from pytest_twin.ranges.bodies import Body, bodies_of
+from pytest_twin.ranges.distribution import Coordinate
+from pytest_twin.realization import Realization
+from pytest_twin.realization.inverse_dynamics import INERTIAL
+from pytest_twin.realization.log_cholesky import AXES, COUNT
+
+FIELDS: Mapping[str, str] = {
+    "viscous_friction": "damping",
+    "coulomb_friction": "frictionloss",
+    "armature": "armature",
+}
+"""Parameter of a joint -> attribute of the model's joint."""
+_INSTANTS = 60
+_RANK = 1e-8
+"""Share of the largest singular value below which a motion does not show a combination."""
+_SEED = 57
+
+
+@dataclass
+class Gathered:
+    """Coordinates that one record leaves uncertain.
+
+    Attributes:
+        name: of the record.
+        coordinates: (p,) with standard deviation 0; the covariance has them.
+        covariance: (p, p).
+        bodies: those whose inertia varies.
+        left_out: parameters that vary nothing here, and why.
+    """
+
+    name: str
+    coordinates: list[Coordinate]
+    covariance: FloatArray
+    bodies: list[Body] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+
+
+def gathered(
+    record: IdentificationRecord, realization: Realization, patched: Patched | None
+) -> Gathered:
+    """The coordinates of an identification, about what the twin's model has.
+
+    Friction and armature vary as they are. Inertial base parameters are combinations of several
+    bodies' parameters: the bodies vary by the smallest change of their log-Cholesky coordinates
+    that gives the same efforts in every motion, so that what no motion shows stays as it is.
+
+    Raises:
+        FormatError: the covariance is missing, zero, or none.
+    """
+    names = record.covariance_names
+    matrix = np.reshape(record.covariance, (len(names),) * 2)
+    _refuse_unusable(record, matrix)
+    joints = list(realization.structure.joint_type)
+    regressor = regressor_of(record, realization, joints)
+    columns = columns_of(record, regressor)
+    found = Gathered(record.id, [], np.zeros((0, 0)))
+    rows: list[FloatArray] = []
+    inertial: list[int] = []
+    for at, name in enumerate(names):
+        if name not in record.values:
+            found.left_out.append(f"{name}: its stage is not accepted")
+            continue
+        column = columns.get(name)
+        if column is not None and regressor.columns[column].inertial:
+            inertial.append(at)
+            continue
+        coordinate = _coordinate(record, name, column, regressor, realization, patched, found)
+        if coordinate is not None:
+            found.coordinates.append(coordinate)
+            rows.append(np.eye(len(names))[at])
+    if inertial:
+        bodies, change = _bodies_for(
+            realization, regressor, [columns[names[at]] for at in inertial]
+        )
+        found.bodies = bodies
+        for k, body in enumerate(bodies):
+            for index in range(COUNT):
+                own = change[COUNT * k + index]
+                row = np.zeros(len(names))
+                row[inertial] = own
+                rows.append(row)
+                found.coordinates.append(
+                    Coordinate(
+                        f"{body.name}.inertia.{AXES[index]}", "1", 0.0, 0.0,
+                        joint=body.joint, body=body.name, index=index,
+                    )
+                )  # fmt: skip
+    whole = np.array(rows).reshape(len(rows), len(names))
+    found.covariance = whole @ matrix @ whole.T
+    return found
+
+
+def _refuse_unusable(record: IdentificationRecord, matrix: FloatArray) -> None:
+    if not len(matrix):
+        raise FormatError(
+            "it holds no covariance",
+            path=record.path,
+            where="covariance",
+            expected="a record of pytest-twin identify, which states one",
+        )
+    root_of(matrix, record.path)
+
+
+def _coordinate(
+    record: IdentificationRecord,
+    name: str,
+    column: int | None,
+    regressor: Regressor,
+    realization: Realization,
+    patched: Patched | None,
+    found: Gathered,
+) -> Coordinate | None:
+    """The coordinate of a drive's parameter or of an effect; None where it varies nothing."""
+    if column is not None:
+        own = regressor.columns[column]
+        if record.units.get(name, own.unit) != own.unit:
+            found.left_out.append(f"{name}: in {record.units[name]}, of which no torque is known")
+            return None
+        return _of_joint(realization, own.joint, own.kind, own.unit, name, found)
+    place, _, rest = name.partition(".")
+    effect, _, parameter = rest.partition(".")
+    joint = None if place == "robot" else place
+    if effect not in catalogue():
+        found.left_out.append(f"{name}: no rule of the simulation takes it")
+        return None
+    law = {p.name: p for p in catalogue()[effect].parameters}
+    # A record does not name the only parameter of an effect that a fit moves.
+    known = [p for p in law.values() if p.name == parameter or not (parameter or p.choice)]
+    stated = None
+    if known and patched is not None:
+        stated = _stated(patched, effect, joint, known[0].name)
+    if stated is None:
+        found.left_out.append(f"{name}: the twin's first realization does not have this effect")
+        return None
+    own_law = known[0]
+    relative = own_law.relation == "relative"
+    return Coordinate(
+        name,
+        record.units.get(name, "1"),
+        1.0 + stated if relative else stated,
+        0.0,
+        "positive" if relative or own_law.lower >= 0.0 else "any",
+        joint=joint,
+        effect=effect,
+        parameter=own_law.name,
+        relative=relative,
+    )
+
+
+def _of_joint(
+    realization: Realization, joint: str, kind: str, unit: str, name: str, found: Gathered
+) -> Coordinate | None:
+    if kind not in FIELDS:
+        found.left_out.append(f"{name}: the twin's model has no such parameter")
+        return None
+    return joint_coordinate(realization, joint, kind, unit)
+
+
+def joint_coordinate(realization: Realization, joint: str, kind: str, unit: str) -> Coordinate:
+    """Friction or armature of a joint, at what the model has.
+
+    Args:
+        kind: one of ``FIELDS``.
+    """
+    dof = realization.joint_dof_index(joint)
+    stated = float(getattr(realization.model, f"dof_{FIELDS[kind]}")[dof])
+    return Coordinate(
+        f"{joint}.{kind}", unit, stated, 0.0, "positive", joint=joint, field=FIELDS[kind]
+    )
+
+
+def _stated(patched: Patched, effect: str, joint: str | None, parameter: str) -> float | None:
+    """The value that the twin's realization has, SI."""
+    for one in patched.effects:
+        if one.effect == effect and one.joint == joint and parameter in one.values:
+            return one.values[parameter]
+    return None
+
+
+def _bodies_for(
+    realization: Realization, regressor: Regressor, columns: Sequence[int]
+) -> tuple[list[Body], FloatArray]:
+    """Bodies, and (10 bodies, k) how their coordinates change by a unit of each column."""
+    bodies = bodies_of(realization, regressor.joints)
+    inertial = [at for at, one in enumerate(regressor.columns) if one.inertial]
+    place = {(regressor.columns[at].joint, regressor.columns[at].kind): k
+             for k, at in enumerate(inertial)}  # fmt: skip
+    efforts = _efforts(realization, regressor)[:, inertial]
+    change = np.zeros((len(inertial), COUNT * len(bodies)))
+    for k, body in enumerate(bodies):
+        rows = [place[body.joint, kind] for kind in INERTIAL]
+        change[rows, COUNT * k : COUNT * (k + 1)] = body.slope()
+    unit = np.zeros((len(inertial), len(columns)))
+    for k, column in enumerate(columns):
+        unit[inertial.index(column), k] = 1.0
+    # Rows of the motion in as many combinations as it shows.
+    _, values, vectors = np.linalg.svd(efforts, full_matrices=False)
+    shown = (values[:, None] * vectors)[values > _RANK * values[0]]
+    found = np.linalg.pinv(shown @ change, rcond=_RANK) @ (shown @ unit)
+    return bodies, np.asarray(found)
+
+
+def _efforts(realization: Realization, regressor: Regressor) -> FloatArray:
+    """(rows, p) of the regressor at random states of the joints, which show all combinations."""
+    random = np.random.default_rng(_SEED)
+    count = len(regressor.joints)
+    position, velocity, acceleration = random.uniform(-1.0, 1.0, (3, _INSTANTS, count))
+    matrix = regressor.matrix(np.pi * position, 2.0 * velocity, 10.0 * acceleration)
+    return np.asarray(matrix.reshape(-1, matrix.shape[2]))

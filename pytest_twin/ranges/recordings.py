@@ -1,0 +1,159 @@
+"""Recordings that check ranges, or widen them, and that nothing was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.realization import Realization
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.trial import Trial, make_trials, recordings_at
+from pytest_twin.trial.roles import FINAL, HELD_OUT
+from pytest_twin.twin import Twin
+
+FOLDER = "recordings"
+"""In a twin's folder: where recordings are looked for if nobody names any."""
+_FEWEST = 8
+_SHORTEST_S = 0.2
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Recordings by role.
+
+    Attributes:
+        final: parts of recordings that check the ranges.
+        held_out: parts of recordings that may widen them.
+        notes: what was left out, one line each.
+    """
+
+    final: tuple[Trial, ...]
+    held_out: tuple[Trial, ...]
+    notes: tuple[str, ...]
+
+
+def checked_recordings(
+    twin: Twin,
+    realization: Realization,
+    final: Sequence[Path],
+    held_out: Sequence[Path],
+    options: RecordingOptions,
+    topics: Mapping[str, str],
+) -> Checked:
+    """Read the final and the held-out recordings of a twin.
+
+    Those that are named count; else those that ``ranges:`` of ``twin.yaml`` names; else what lies
+    in ``recordings/`` beside it and has the role in its metadata.
+
+    Args:
+        twin: whose records name the files that they were made from.
+        realization: the model.
+        final, held_out: named by the user.
+        options: how recordings are read.
+        topics: role -> topic.
+
+    Raises:
+        RecordingError: a final recording that a record was made from, that is held out as well, or
+            that has another role.
+        TwinError: a recording that cannot be read.
+    """
+    notes: list[str] = []
+    named = {
+        FINAL: list(final or twin.ranges.final),
+        HELD_OUT: list(held_out or twin.ranges.held_out),
+    }
+    found: dict[str, list[Trial]] = {FINAL: [], HELD_OUT: []}
+    for role, paths in named.items():
+        for path in paths:
+            trials = _trials(path, realization, options, topics, notes)
+            _refuse_other_role(trials, role)
+            found[role] += trials
+    for path in _beside(twin):
+        if all(named.values()):
+            break
+        for trial in _trials(path, realization, options, topics, notes):
+            role = trial.metadata.get("role", "")
+            if role in found and not named[role]:
+                found[role].append(trial)
+    _refuse_used(found[FINAL], found[HELD_OUT], twin)
+    return Checked(tuple(found[FINAL]), tuple(found[HELD_OUT]), tuple(dict.fromkeys(notes)))
+
+
+def _beside(twin: Twin) -> list[Path]:
+    folder = twin.root / FOLDER
+    return sorted(folder.glob("*.mcap")) if folder.is_dir() else []
+
+
+def _trials(
+    path: Path,
+    realization: Realization,
+    options: RecordingOptions,
+    topics: Mapping[str, str],
+    notes: list[str],
+) -> list[Trial]:
+    found = []
+    for recording in recordings_at(path, topics, options):
+        for trial in make_trials(recording, realization.structure, options):
+            if len(trial.time) < _FEWEST or trial.duration < _SHORTEST_S:
+                notes.append(
+                    f"left out: {trial.name}: {len(trial.time)} states over {trial.duration:.2g} s "
+                    "show nothing"
+                )
+                continue
+            notes += [f"{path.name}: {note}" for note in trial.notes]
+            found.append(_dense(trial))
+    return found
+
+
+def _dense(trial: Trial) -> Trial:
+    """Positions at every stamp: joints in messages of their own are interpolated."""
+    if trial.dense:
+        return trial
+    position = trial.position.copy()
+    for column in position.T:
+        known = np.isfinite(column)
+        column[:] = np.interp(trial.time, trial.time[known], column[known])
+    return replace(trial, position=position)
+
+
+def _refuse_other_role(trials: Iterable[Trial], role: str) -> None:
+    for trial in trials:
+        own = trial.metadata.get("role")
+        if own not in (None, role):
+            raise RecordingError(
+                f"its own metadata give it another role than {role!r}",
+                path=trial.path,
+                where="metadata 'trial': role",
+                value=own,
+                expected=f"{role}, or no role",
+            )
+
+
+def _refuse_used(final: Sequence[Trial], held_out: Sequence[Trial], twin: Twin) -> None:
+    """A final recording has guided nothing: no record was made from its bytes."""
+    records = [
+        *(entry.record for entry in twin.calibrations),
+        *(fit.record for fit in twin.fits),
+        *(group.record for group in twin.ranges.trials),
+    ]
+    used = {
+        sha256: f"{record.id!r} was made from it ({name})"
+        for record in records
+        for name, sha256 in record.inputs.items()
+    }
+    for trial in held_out:
+        if trial.path.is_file():
+            used.setdefault(file_sha256(trial.path), "it is held out too, and may widen the ranges")
+    for path in dict.fromkeys(trial.path for trial in final):
+        why = used.get(file_sha256(path)) if path.is_file() else None
+        if why is not None:
+            raise RecordingError(
+                f"a final recording that guided something: {why}",
+                path=path,
+                expected="recordings that no fit, calibration, or range was made from",
+            )

@@ -1,0 +1,227 @@
+"""``ranges.json``: what varies, how, and whether final recordings lie in what it predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin import __version__
+from pytest_twin.diagnosis.noise import sensor_noise
+from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.ranges.bodies import Body
+from pytest_twin.ranges.check import assessed, plotted, predicted
+from pytest_twin.ranges.distribution import Distribution
+from pytest_twin.ranges.gather import Uncertain, uncertain
+from pytest_twin.ranges.quantities import quantities
+from pytest_twin.ranges.recordings import Checked, checked_recordings
+from pytest_twin.ranges.simulate import Fleet, Traces
+from pytest_twin.ranges.widening import widened
+from pytest_twin.ranges.words import words_of
+from pytest_twin.realization import Realization, load
+from pytest_twin.realization.sandbox import MEMORY_BYTES
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.twin import Twin, load_twin
+
+_SEED = 57
+_WIDENING_SEED = 58
+_WIDENING_DRAWS = 128
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for, beside the twin.
+
+    Attributes:
+        final, held_out: recordings, before those of the twin.
+        draws: robots, or None for the twin's.
+        share: of the envelope, or None for the twin's.
+        options: how recordings are read, before what the twin says.
+        topics: role -> topic, before those of the twin.
+    """
+
+    final: Sequence[Path] = ()
+    held_out: Sequence[Path] = ()
+    draws: int | None = None
+    share: float | None = None
+    options: Mapping[str, Any] | None = None
+    topics: Mapping[str, str] | None = None
+
+
+def ranges_of_file(
+    path: str,
+    final: Sequence[str] = (),
+    held_out: Sequence[str] = (),
+    draws: int | None = None,
+    share: float | None = None,
+    options: Mapping[str, Any] | None = None,
+    topics: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """The content of ``ranges.json`` for a ``twin.yaml``; see :class:`Request`.
+
+    Raises:
+        TwinError: a twin, a record or a recording that cannot be used.
+    """
+    twin = load_twin(Path(path))
+    first = twin.first_realization
+    realization = load(first.file, twin=twin, name=first.name)
+    request = Request(
+        [Path(one) for one in final], [Path(one) for one in held_out], draws, share, options, topics
+    )
+    return ranges(twin, realization, request, progress or (lambda done: None))
+
+
+def ranges(
+    twin: Twin,
+    realization: Realization,
+    request: Request,
+    progress: Callable[[float], None] = lambda done: None,
+) -> dict[str, Any]:
+    """The randomization ranges of a twin that is loaded, and their check."""
+    patched = patched_of(realization)
+    share = request.share or twin.ranges.share
+    count = request.draws or twin.ranges.draws
+    found = uncertain(twin, realization, patched)
+    options = RecordingOptions.from_json(request.options or {}).over(twin.recordings)
+    checked = checked_recordings(
+        twin, realization, request.final, request.held_out, options,
+        {**twin.topics, **(request.topics or {})},
+    )  # fmt: skip
+    fleet = Fleet(realization, patched, found.distribution.coordinates, found.bodies, MEMORY_BYTES)
+    if checked.final:
+        fleet.refuse_too_many(checked.final, count)
+    noise = _noise(fleet, checked)
+    distribution, widening = _widened(found, checked, fleet, noise, count, progress)
+    document = _document(twin, realization, found, distribution, share, noise, checked)
+    document["widening"] = widening
+    if checked.final:
+        draws = distribution.draws(count, _SEED)
+        before = fleet.steps, fleet.seconds
+        traces = fleet.simulate(checked.final, draws, lambda done: progress(0.3 + 0.6 * done))
+        steps, seconds = fleet.steps - before[0], fleet.seconds - before[1]
+        envelopes = predicted(traces, noise, share, _SEED)
+        document["check"] = assessed(envelopes, share)
+        document["envelopes"] = plotted(envelopes)
+        document["throughput"] = {
+            "robots": count, "simulated": steps * float(realization.model.opt.timestep),
+            "steps": steps, "seconds": seconds, "steps_per_second": steps / max(seconds, 1e-9),
+        }  # fmt: skip
+        document["verdict"] = document["check"]["verdict"]
+    document["words"] = words_of(document)
+    progress(1.0)
+    return document
+
+
+def _noise(fleet: Fleet, checked: Checked) -> dict[str, float]:
+    """Joint -> standard deviation of an encoder's reading; of held-out recordings if there are
+    any."""
+    found: dict[str, list[float]] = {}
+    for trial in checked.held_out or checked.final:
+        own = sensor_noise(trial.time, trial.position)
+        for joint in fleet.joints_of(trial):
+            found.setdefault(joint, []).append(float(own[trial.joints.index(joint)]))
+    return {joint: float(np.median(values)) for joint, values in found.items()}
+
+
+def _widened(
+    found: Uncertain,
+    checked: Checked,
+    fleet: Fleet,
+    noise: Mapping[str, float],
+    count: int,
+    progress: Callable[[float], None],
+) -> tuple[Distribution, dict[str, Any] | None]:
+    if not checked.held_out:
+        return found.distribution, None
+
+    def simulate(distribution: Distribution) -> list[Traces]:
+        progress(0.1)
+        draws = distribution.draws(min(count, _WIDENING_DRAWS), _WIDENING_SEED)
+        return fleet.simulate(checked.held_out, draws)
+
+    return widened(found.distribution, simulate, noise)
+
+
+def _document(
+    twin: Twin,
+    realization: Realization,
+    found: Uncertain,
+    distribution: Distribution,
+    share: float,
+    noise: Mapping[str, float],
+    checked: Checked,
+) -> dict[str, Any]:
+    """Everything that does not need the final recordings."""
+    notes = [*found.notes, *checked.notes]
+    if not checked.held_out:
+        notes.append(
+            "no held-out recording: whether the ranges are too narrow for recordings that nothing "
+            "was fitted on is not known before the final ones"
+        )
+    if not checked.final:
+        notes.append(
+            "no final recording: the ranges are not checked; record some that guide nothing, with "
+            "the role final in their metadata, and name them with --final"
+        )
+    return {
+        "schema": 1,
+        "twin": twin.name,
+        "verdict": "not_checked",
+        "words": [],
+        "share": share,
+        "records": list(found.records),
+        "coordinates": [
+            {
+                "name": one.name,
+                "unit": one.unit,
+                "mean": one.mean,
+                "std": one.std,
+                "law": "normal" if one.support == "any" else "normal cut off at zero",
+                "varies": "with the trial" if one.condition else "per episode",
+                "joint": one.joint,
+                "body": one.body,
+                "sources": [source.to_json() for source in one.sources],
+            }
+            for one in distribution.coordinates
+        ],
+        "correlation": distribution.correlation.tolist(),
+        "bodies": [_body(body, distribution, realization) for body in found.bodies],
+        "noise": [
+            {"name": f"{joint}.position_noise", "joint": joint, "std": std,
+             "unit": "m" if realization.structure.joint_type[joint] == "slide" else "rad",
+             "varies": "per sample"}
+            for joint, std in noise.items()
+        ],
+        "quantities": quantities(distribution, found.bodies, share, noise),
+        "places": _places(realization, distribution, found.bodies),
+        "widening": None,
+        "check": None,
+        "envelopes": [],
+        "throughput": None,
+        "against": None,
+        "left_out": list(found.left_out),
+        "notes": notes,
+        "software": {"pytest-twin": __version__},
+    }  # fmt: skip
+
+
+def _body(body: Body, distribution: Distribution, realization: Realization) -> dict[str, Any]:
+    names = [one.name for one in distribution.coordinates if one.body == body.name]
+    index = [one.index for one in distribution.coordinates if one.body == body.name]
+    return {"name": body.name, "joint": body.joint, "root": body.root.tolist(),
+            "coordinates": names, "index": index}  # fmt: skip
+
+
+def _places(
+    realization: Realization, distribution: Distribution, bodies: Sequence[Body]
+) -> dict[str, Any]:
+    """Where a simulator of this model has what varies: ids of MuJoCo."""
+    joints = {one.joint for one in distribution.coordinates if one.joint is not None}
+    return {
+        "joints": {joint: realization.joint_dof_index(joint) for joint in sorted(joints)},
+        "bodies": {body.name: int(realization.model.body(body.name).id) for body in bodies},
+    }

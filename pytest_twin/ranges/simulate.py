@@ -1,0 +1,257 @@
+"""Recordings as many robots would have moved under their commands."""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.replay import fixed_values, whole_segment
+from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
+from pytest_twin.diagnosis.temperature import coldness_in
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.segment import Predicted, Segment
+from pytest_twin.effects.sensing import EncoderBias
+from pytest_twin.errors import LimitError
+from pytest_twin.ranges.bodies import Body, write_bodies
+from pytest_twin.ranges.distribution import Coordinate
+from pytest_twin.realization import Realization
+from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.trial import Trial
+
+ROWS = 256
+"""Robots that are simulated side by side: records of more than these no longer fit a cache."""
+_MEMORY_SHARE = 0.25
+"""Of the child process's memory, for the traces of all robots; quantiles need a copy."""
+
+Values = dict[str, dict[str, FloatArray]]
+
+
+@dataclass(frozen=True)
+class Traces:
+    """One recording, measured and as all robots would have moved.
+
+    Attributes:
+        trial: the recording.
+        joints: (j,).
+        time: (n,) s.
+        measured: (n, j) rad or m.
+        robots: (robots, n, j) without sensor noise, single precision; NaN where it diverged.
+        slides: joints that slide, in m.
+    """
+
+    trial: Trial
+    joints: tuple[str, ...]
+    time: FloatArray
+    measured: FloatArray
+    robots: NDArray[np.float32]
+    slides: frozenset[str] = frozenset()
+
+
+class Fleet:
+    """Simulates robots that differ in some coordinates.
+
+    Args:
+        realization: of the twin.
+        patched: effects beside it, where a diagnosis or an identification wrote it.
+        coordinates: (p,) in which robots differ.
+        bodies: whose inertia they are.
+        memory_bytes: for the traces of all robots.
+    """
+
+    def __init__(
+        self,
+        realization: Realization,
+        patched: Patched | None,
+        coordinates: Sequence[Coordinate],
+        bodies: Sequence[Body],
+        memory_bytes: int,
+    ) -> None:
+        self.realization, self.patched = realization, patched
+        self._stepped = without_delays(realization)
+        self._beside = stepped_beside(realization, patched)
+        self.coordinates, self.bodies = tuple(coordinates), tuple(bodies)
+        self._room = _MEMORY_SHARE * memory_bytes
+        self.steps = 0
+        """Steps of the engine so far, over all robots."""
+        self.seconds = 0.0
+        """Time that they took, s."""
+
+    def joints_of(self, trial: Trial) -> tuple[str, ...]:
+        """Joints whose motion is predicted."""
+        return trial.joints if self.patched is None else self.patched.joints
+
+    def simulate(
+        self,
+        trials: Sequence[Trial],
+        draws: FloatArray,
+        progress: Callable[[float], None] = lambda done: None,
+    ) -> list[Traces]:
+        """Every trial as every robot would have moved.
+
+        Args:
+            trials: commands and first states are read to predict.
+            draws: (robots, p) values of the coordinates.
+            progress: told the fraction done.
+
+        Raises:
+            LimitError: the traces would not fit in memory.
+        """
+        self.refuse_too_many(trials, len(draws))
+        found = []
+        for done, trial in enumerate(trials):
+
+            def told(fraction: float, done: int = done) -> None:
+                progress((done + fraction) / len(trials))
+
+            found.append(self._one(trial, draws, told))
+        return found
+
+    def refuse_too_many(self, trials: Sequence[Trial], robots: int) -> None:
+        """Refuse what would not fit in memory, before anything is drawn.
+
+        Raises:
+            LimitError: the traces of so many robots do not fit.
+        """
+        samples = sum(len(t.time) * len(self.joints_of(t)) for t in trials)
+        needed = 4 * samples * robots
+        if needed > self._room:
+            raise LimitError(
+                "the traces of so many robots do not fit in memory",
+                path=trials[0].path,
+                where="draws",
+                value=robots,
+                expected=f"at most {int(self._room // (4 * samples))} for {len(trials)} recordings "
+                f"({needed / 2**30:.1f} GiB needed, {self._room / 2**30:.1f} GiB allowed)",
+            )
+
+    def _one(self, trial: Trial, draws: FloatArray, progress: Callable[[float], None]) -> Traces:
+        joints = self.joints_of(trial)
+        cold = 1.0 if self.patched is None else coldness_in(self.patched.coldness, trial)
+        creeps = self.patched is None or self.patched.creeps
+        segment = whole_segment(self._stepped, trial, joints, cold, creeps=creeps)
+        encoders = Encoders.of(calibration_of(self.realization), joints)
+        shift = self._correction(segment, joints)
+        count = len(segment.time)
+        robots = np.empty((len(draws), count, len(joints)), dtype=np.float32)
+        started = time.perf_counter()
+        for rows, predicted in self._chunks(segment, joints, draws):
+            for row, one in zip(rows, predicted, strict=True):
+                robots[row] = encoders.read_position(one.position + shift)
+            progress((rows.stop) / len(draws))
+        self.seconds += time.perf_counter() - started
+        measured = encoders.read_position(segment.position)
+        kinds = self.realization.structure.joint_type
+        slides = frozenset(joint for joint in joints if kinds[joint] == "slide")
+        return Traces(trial, joints, segment.time, measured, robots, slides)
+
+    def _chunks(
+        self, segment: Segment, joints: Sequence[str], draws: FloatArray
+    ) -> Iterator[tuple[range, list[Predicted]]]:
+        refine = self.patched.substeps if self.patched is not None and self.patched.substeps else 1
+        for begin in range(0, len(draws), ROWS):
+            rows = range(begin, min(begin + ROWS, len(draws)))
+            own = draws[rows.start : rows.stop]
+            models = self._models(segment.model, own)
+            segments = [replace(segment, model=model) for model in models]
+            simulator = RowSimulator(segments, joints, refine=refine)
+            predicted = simulator.simulate(np.arange(len(own)), self._values(own, joints))
+            self.steps += simulator.stepped
+            yield rows, predicted
+
+    def _correction(self, segment: Segment, joints: Sequence[str]) -> FloatArray:
+        """(n, j) what a replay of a patched model takes off for the size of its step."""
+        if self.patched is None or self.patched.substeps:
+            return np.zeros_like(segment.position)
+        values = fixed_values(self._beside, joints, 1)
+        coarse, fine = (
+            RowSimulator([segment], joints, refine=refine).simulate(np.zeros(1, dtype=int), values)[
+                0
+            ]
+            for refine in (1, REFINE)
+        )
+        if not (np.isfinite(fine.position).all() and np.isfinite(coarse.position).all()):
+            return np.zeros_like(segment.position)
+        return corrected(coarse, step_error(coarse, fine)).position - coarse.position
+
+    def _models(self, model: mujoco.MjModel, draws: FloatArray) -> list[mujoco.MjModel]:
+        """A model for each robot; the batch works out what follows from their inertias."""
+        models = [copy.copy(model) for _ in draws]
+        for column, one in enumerate(self.coordinates):
+            if one.field is not None and one.joint is not None:
+                dof = self.realization.joint_dof_index(one.joint)
+                for changed, value in zip(models, draws[:, column], strict=True):
+                    getattr(changed, f"dof_{one.field}")[dof] = value
+        for body in self.bodies:
+            columns = [k for k, c in enumerate(self.coordinates) if c.body == body.name]
+            x = np.zeros((len(draws), 10))
+            x[:, [self.coordinates[k].index for k in columns]] = draws[:, columns]
+            write_bodies(models, body, x)
+        return models
+
+    def _values(self, draws: FloatArray, joints: Sequence[str]) -> Values:
+        """Parameters of effects, (robots, joints) each: those of the twin, and what differs."""
+        rows = len(draws)
+        values: Values = {
+            effect: {name: np.array(v) for name, v in own.items()}
+            for effect, own in fixed_values(self._beside, joints, rows).items()
+        }
+        for column, one in enumerate(self.coordinates):
+            if one.effect is None or one.parameter is None:
+                continue
+            place: slice | list[int] = slice(None)
+            if one.joint is not None:
+                if one.joint not in joints:
+                    continue
+                place = [list(joints).index(one.joint)]
+            self._put(values, one, draws[:, column], place, len(joints))
+        return values
+
+    def _put(
+        self,
+        values: Values,
+        one: Coordinate,
+        drawn: FloatArray,
+        place: slice | list[int],
+        joints: int,
+    ) -> None:
+        assert one.effect is not None
+        assert one.parameter is not None
+        law = catalogue()[one.effect]
+        rows = len(drawn)
+        if one.effect not in values:
+            values[one.effect] = {p.name: np.full((rows, joints), p.absent) for p in law.parameters}
+            if one.effect == EncoderBias.id:
+                # The servo regulates what the encoder reads.
+                values[one.effect]["in_loop"][:] = 1.0
+        array = values[one.effect][one.parameter]
+        written = self._written(one)
+        if one.relative:
+            array[:, place] = (drawn / (1.0 + written.values[one.parameter]) - 1.0
+                               if written else drawn - 1.0)[:, None]  # fmt: skip
+        elif written is not None:
+            # The model has the twin's value; the effect adds the difference.
+            array[:, place] = (drawn - written.values[one.parameter])[:, None]
+        elif one.effect == EncoderBias.id:
+            array[:, place] += drawn[:, None]
+        else:
+            array[:, place] = drawn[:, None]
+
+    def _written(self, one: Coordinate) -> AppliedEffect | None:
+        """The effect where the stepped model has it in its fields."""
+        if self.patched is None:
+            return None
+        beside = {(e.effect, e.joint) for e in self._beside}
+        for effect in self.patched.effects:
+            if (effect.effect, effect.joint) == (one.effect, one.joint) and effect.in_model:
+                return None if (one.effect, one.joint) in beside else effect
+        return None

@@ -1,0 +1,156 @@
+"""Manufacturing tolerances that a twin declares: what one measured robot cannot show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import si_unit
+from pytest_twin.effects.sensing import EncoderBias
+from pytest_twin.effects.timing import CommandDelay
+from pytest_twin.ranges.bodies import Body, bodies_of
+from pytest_twin.ranges.calibrated import encoder_zero
+from pytest_twin.ranges.distribution import Coordinate, Source
+from pytest_twin.ranges.identified import FIELDS, Gathered, joint_coordinate
+from pytest_twin.ranges_spec import Tolerance
+from pytest_twin.realization import Realization
+from pytest_twin.realization.log_cholesky import AXES
+from pytest_twin.realization.patch import suggest
+from pytest_twin.twin import Twin
+
+_UNIFORM = np.sqrt(3.0)
+"""Half width of a uniform distribution over its standard deviation."""
+_SCALE = 4
+"""Coordinates that together scale a body's mass and inertia: all of the diagonal."""
+_QUANTITY = {"viscous_friction": "damping", "coulomb_friction": "effort", "armature": "inertia"}
+
+
+def with_tolerances(found: Gathered, twin: Twin, realization: Realization) -> Gathered:
+    """What is gathered, with declared tolerances added to the covariance.
+
+    A tolerance is a uniform distribution of the stated half width; its variance is added. A
+    tolerance of a mass scales the body: its inertia grows with it.
+
+    Raises:
+        SpecError: a parameter that the model lacks, or a share of nothing.
+    """
+    for at, tolerance in enumerate(twin.ranges.tolerances):
+        where = f"ranges.tolerance.{at}"
+        if tolerance.parameter.endswith(".mass"):
+            found = _of_mass(found, tolerance, where, twin, realization)
+        else:
+            found = _of_parameter(found, tolerance, where, twin, realization)
+    return found
+
+
+def _of_mass(
+    found: Gathered, tolerance: Tolerance, where: str, twin: Twin, realization: Realization
+) -> Gathered:
+    name = tolerance.parameter.removesuffix(".mass")
+    bodies = {body.name: body for body in bodies_of(realization, _joints(realization))}
+    if name not in bodies:
+        raise twin.error(
+            f"{where}.parameter",
+            "no body of this name has a mass that a joint carries",
+            value=name,
+            expected=suggest(name, tuple(bodies)),
+        )
+    body = bodies[name]
+    share = tolerance.half_width
+    if not tolerance.relative:
+        share /= float(body.rigid(np.zeros((1, len(AXES))))[0][0])
+    std = share / _UNIFORM
+    known = [one.name for one in found.coordinates]
+    missing = [
+        Coordinate(f"{name}.inertia.{axis}", "1", 0.0, 0.0, joint=body.joint, body=name, index=k)
+        for k, axis in enumerate(AXES)
+        if f"{name}.inertia.{axis}" not in known
+    ]
+    grown = _grown(found, missing, body if name not in {b.name for b in found.bodies} else None)
+    places = [one.name for one in grown.coordinates]
+    # The mass is the square of the scale of U.
+    step = np.zeros(len(places))
+    for axis in AXES[:_SCALE]:
+        step[places.index(f"{name}.inertia.{axis}")] = 0.5 * std
+    return _added(grown, np.outer(step, step), tolerance.parameter)
+
+
+def _of_parameter(
+    found: Gathered, tolerance: Tolerance, where: str, twin: Twin, realization: Realization
+) -> Gathered:
+    names = [one.name for one in found.coordinates]
+    if tolerance.parameter not in names:
+        found = _grown(found, [_declared(tolerance, where, twin, realization)], None)
+        names.append(tolerance.parameter)
+    place = names.index(tolerance.parameter)
+    std = tolerance.half_width / _UNIFORM
+    if tolerance.relative:
+        mean = found.coordinates[place].mean
+        if mean == 0.0:
+            raise twin.error(
+                f"{where}.relative",
+                "a share of a value that is zero",
+                value=tolerance.parameter,
+                expected=f"absolute: half width in {found.coordinates[place].unit}",
+            )
+        std *= abs(mean)
+    step = np.zeros(len(names))
+    step[place] = std
+    return _added(found, np.outer(step, step), tolerance.parameter)
+
+
+def _declared(tolerance: Tolerance, where: str, twin: Twin, realization: Realization) -> Coordinate:
+    """The coordinate of a parameter that no record has."""
+    joint, _, kind = tolerance.parameter.rpartition(".")
+    structure = realization.structure
+    kinds = (*FIELDS, CommandDelay.id, EncoderBias.id)
+    if joint not in _joints(realization) or kind not in kinds:
+        raise twin.error(
+            f"{where}.parameter",
+            "no such parameter",
+            value=tolerance.parameter,
+            expected=f"JOINT.KIND with a joint of the model and one of {', '.join(kinds)}, or "
+            "BODY.mass",
+        )
+    slide = structure.joint_type[joint] == "slide"
+    if kind in FIELDS:
+        return joint_coordinate(realization, joint, kind, si_unit(_QUANTITY[kind], slide))  # type: ignore[arg-type]
+    if kind == EncoderBias.id:
+        return encoder_zero(joint, structure)
+    return Coordinate(
+        tolerance.parameter, "s", 0.0, 0.0, "positive", joint=joint, effect=kind, parameter="delay"
+    )
+
+
+def _joints(realization: Realization) -> list[str]:
+    return [name for name, kind in realization.structure.joint_type.items()
+            if kind in ("hinge", "slide")]  # fmt: skip
+
+
+def _grown(found: Gathered, more: Sequence[Coordinate], body: Body | None) -> Gathered:
+    before = len(found.coordinates)
+    covariance: FloatArray = np.zeros((before + len(more),) * 2)
+    covariance[:before, :before] = found.covariance
+    return replace(
+        found,
+        coordinates=[*found.coordinates, *more],
+        covariance=covariance,
+        bodies=[*found.bodies, *([] if body is None else [body])],
+    )
+
+
+def _added(found: Gathered, covariance: FloatArray, name: str) -> Gathered:
+    std = np.sqrt(np.diag(covariance))
+    return replace(
+        found,
+        coordinates=[
+            one
+            if own == 0.0
+            else replace(one, sources=(*one.sources, Source("tolerance", name, float(own))))
+            for one, own in zip(found.coordinates, std, strict=True)
+        ],
+        covariance=found.covariance + covariance,
+    )

@@ -1,0 +1,81 @@
+"""Recordings with the role ``final`` guide nothing."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parent))
+
+from ranges_files import MEANS, make_twin, record_motion, true_arm
+
+from pytest_twin import cli
+from pytest_twin.checks.episode import recording_of
+from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.errors import RecordingError
+from pytest_twin.golden import Golden
+from pytest_twin.identification.roles import read_by_role
+from pytest_twin.realization import load
+from pytest_twin.recording_options import NO_OPTIONS
+from pytest_twin.signals import NO_SIGNALS
+from pytest_twin.twin import DEFAULT_TOPICS, load_twin
+
+WORDS = "a final recording guides nothing: it is not used for {}"
+
+
+@pytest.fixture
+def recordings(tmp_path: Path) -> list[Path]:
+    make_twin(tmp_path, [])
+    rng, arm = np.random.default_rng(0), true_arm(MEANS)
+    return [
+        record_motion(tmp_path / f"{name}.mcap", arm, rng, seconds=1.0, role=role)
+        for name, role in (("a", "fit"), ("b", "held_out"), ("c", "final"))
+    ]
+
+
+def test_a_diagnosis_leaves_them_out_and_says_so(recordings: list[Path]) -> None:
+    structure = load(recordings[0].parent / "arm.xml").structure
+    found = read_trials(recordings, [], DEFAULT_TOPICS, structure)
+    assert {t.path.name for t in (*found.fit, *found.held_out)} == {"a.mcap", "b.mcap"}
+    (said,) = [note for note in found.notes if "c.mcap" in note]
+    assert said.startswith("left out: ")
+    assert WORDS.format("a diagnosis") in said
+    with pytest.raises(RecordingError, match="a final recording guides nothing"):
+        read_trials(recordings[2:], [], DEFAULT_TOPICS, structure)
+
+
+def test_an_identification_leaves_them_out_even_where_they_are_named_as_held_out(
+    recordings: list[Path],
+) -> None:
+    robot = load(recordings[0].parent / "arm.xml")
+    found = read_by_role(
+        recordings[:1], recordings[2:], robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS
+    )
+    assert not found.held_out
+    assert any(WORDS.format("an identification") in note for note in found.notes)
+
+
+def test_no_golden_replays_them(recordings: list[Path]) -> None:
+    twin = load_twin(recordings[0].parent / "twin.yaml")
+    golden = Golden(
+        "golden/replay/final",
+        twin.root / "golden" / "final.yaml",
+        "replay",
+        title="a replay",
+        realizations=("mujoco",),
+        criticality="critical",
+        target={"recording": "c.mcap"},
+        stimulus={},
+        tolerance={},
+    )
+    with pytest.raises(RecordingError, match="it is not used for a golden"):
+        recording_of(golden, twin)
+
+
+def test_show_and_replay_still_read_them(recordings: list[Path]) -> None:
+    folder = recordings[0].parent
+    out = str(folder / "predicted.mcap")
+    assert cli.main(["replay", str(folder / "twin.yaml"), str(recordings[2]), "--out", out]) == 0

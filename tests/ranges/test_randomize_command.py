@@ -1,0 +1,159 @@
+"""``pytest-twin randomize``: files, exit status, and the words of errors."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+
+from in_process import InProcess
+from ranges_files import MEANS, covariance, make_twin, record, record_motion, true_arm
+
+from pytest_twin import cli
+from pytest_twin.commands import randomize as command
+from pytest_twin.formats.schema import load_schema
+
+
+@pytest.fixture(autouse=True)
+def in_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One test starts the child process; the others are spared its start."""
+    if request.function is not test_final_recordings_in_the_folder_are_found_and_checked:
+        monkeypatch.setattr(command, "Sandbox", InProcess)
+
+
+def run(twin: Path, status: int, *words: str) -> Path:
+    out = twin.parent / "out"
+    assert cli.main(["randomize", str(twin), "--out", str(out), *words]) == status
+    return out
+
+
+def final(twin: Path, values: np.ndarray, name: str = "final.mcap", **changes: float) -> Path:
+    folder = twin.parent / "recordings"
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(3)
+    return record_motion(folder / name, true_arm(values), rng, seconds=2.0, **changes)
+
+
+def test_final_recordings_in_the_folder_are_found_and_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    final(twin, np.random.default_rng(1).multivariate_normal(MEANS, covariance()))
+    out = run(twin, 0, "--draws", "64")
+    document = json.loads((out / "ranges.json").read_text())
+    jsonschema.validate(document, load_schema("results/randomize.schema.json"))
+    assert document["check"]["recordings"] == ["final.mcap"]
+    said = capsys.readouterr().out
+    assert "the final recordings lie in the predicted envelope" in said
+    assert "elbow: coverage " in said
+
+
+def test_without_final_recordings_nothing_is_claimed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = run(make_twin(tmp_path, [record(covariance())]), 1)
+    assert json.loads((out / "ranges.json").read_text())["verdict"] == "not_checked"
+    assert "to do: record motions of the task that guide nothing" in capsys.readouterr().out
+
+
+def test_a_robot_that_the_ranges_exclude_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    final(twin, MEANS, bias=2.0)
+    run(twin, 1, "--draws", "64")
+    assert "the final recordings leave the predicted envelope" in capsys.readouterr().out
+
+
+def test_ranges_far_wider_than_the_deviations_are_not_useful(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    final(twin, MEANS)
+    run(twin, 1, "--draws", "128")
+    assert "wider than the final recordings need" in capsys.readouterr().out
+
+
+def refused(twin: Path, capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    run(twin, 2, *words)
+    (said,) = capsys.readouterr().err.strip().splitlines()
+    assert not (twin.parent / "out").exists()
+    return said
+
+
+def test_a_twin_without_records_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(make_twin(tmp_path, []), capsys)
+    assert "fit: no record says how uncertain this twin is (expected identification.json" in said
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (np.diag([-1e-3] + [1e-4] * 7), "its covariance has a negative eigenvalue"),
+        (np.ones((8, 8)) + np.triu(np.ones((8, 8)), 1), "its covariance is not symmetric"),
+        (np.full((8, 8), np.nan), "not JSON"),
+        (np.zeros((8, 8)), "nothing of this twin's records varies: their covariances are zero"),
+        (np.zeros((7, 8)), "covariance: not 8 rows"),
+    ],
+)
+def test_a_covariance_that_is_none_is_refused(
+    tmp_path: Path, matrix: np.ndarray, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = record(covariance())
+    one["covariance"]["matrix"] = matrix.tolist()
+    assert words in refused(make_twin(tmp_path, [one]), capsys)
+
+
+def test_a_record_without_covariance_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = record(covariance())
+    one["covariance"] = {"names": [], "matrix": []}
+    said = refused(make_twin(tmp_path, [one]), capsys)
+    assert "covariance: it holds no covariance (expected a record of pytest-twin identify" in said
+
+
+def test_a_singular_covariance_is_none_the_worse(tmp_path: Path) -> None:
+    direction = np.sqrt(np.diag(covariance()))
+    out = run(make_twin(tmp_path, [record(np.outer(direction, direction))]), 1)
+    document = json.loads((out / "ranges.json").read_text())
+    assert np.linalg.matrix_rank(np.array(document["correlation"]), tol=1e-9) == 1
+
+
+def test_a_final_recording_that_a_record_was_made_from_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    path = final(twin, MEANS)
+    from pytest_twin.formats.digest import file_sha256
+
+    used = {"fit_7.mcap": {"sha256": file_sha256(path)}}
+    make_twin(tmp_path, [record(covariance(), inputs=used)])
+    said = refused(twin, capsys)
+    assert f"{path}: a final recording that guided something: 'fitted' was made from it" in said
+
+
+def test_a_recording_of_another_role_is_not_final(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    path = final(twin, MEANS, role="fit")  # type: ignore[arg-type]
+    said = refused(twin, capsys, "--final", str(path))
+    assert "role: its own metadata give it another role than 'final' (got 'fit'" in said
+
+
+def test_more_robots_than_memory_holds_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    final(twin, MEANS)
+    said = refused(twin, capsys, "--draws", "100000000")
+    assert "draws: the traces of so many robots do not fit in memory" in said
