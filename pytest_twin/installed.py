@@ -2,11 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from importlib.metadata import EntryPoint
+import functools
+from collections.abc import Iterable, Mapping
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from pytest_twin.errors import SpecError
+
+
+@functools.cache
+def points_by_name(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Name -> entry points of this name in a group: one, or several that contradict one another."""
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for point in entry_points(group=group):
+        found[point.name] = (*found.get(point.name, ()), point)
+    return found
+
+
+def only_one(points: tuple[EntryPoint, ...], noun: str) -> EntryPoint:
+    """The single entry point of a name.
+
+    Args:
+        points: at least one, all of the same name.
+        noun: what they bring, for the error.
+
+    Raises:
+        SpecError: several packages bring the same name.
+    """
+    if len(points) > 1:
+        packages = " and ".join(package_of(point) for point in points)
+        raise SpecError(
+            f"{packages} both bring this {noun}",
+            where=noun,
+            value=points[0].name,
+            expected="one of them; uninstall the other",
+        )
+    return points[0]
 
 
 def is_own(point: EntryPoint) -> bool:

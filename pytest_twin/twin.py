@@ -23,6 +23,7 @@ from pytest_twin.formats.identification_record import (
 )
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
+from pytest_twin.installed import points_by_name
 from pytest_twin.ranges_spec import RangesSpec, TrialGroup
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.signals import NO_SIGNALS, Signals
@@ -34,6 +35,8 @@ EFFECTS_FILE = "effects.json"
 _IN_DIAGNOSIS = ("realization/model.xml", "model.xml")
 DEFAULT_TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
+MODEL_FORMATS = "pytest_twin.model_formats"
+"""Entry points of packages that read other formats; the name is the suffix without its dot."""
 
 FIT_FAMILIES = ("joint", "actuator", "body", "geom")
 
@@ -412,6 +415,11 @@ class Twin:
         return section.error(where, problem, value=value, unit=unit, expected=expected)
 
 
+def model_suffixes() -> tuple[str, ...]:
+    """Suffixes of model files, lower case: MJCF, URDF, and what installed packages read."""
+    return (*MODEL_SUFFIXES, *(f".{name}" for name in points_by_name(MODEL_FORMATS)))
+
+
 def find_twin(start: Path) -> Path | None:
     """The ``twin.yaml`` in ``start`` or the nearest folder above it."""
     start = start.absolute()
@@ -539,7 +547,7 @@ class _Reader:
         return found
 
     def _model(self, reference: str, where: str) -> Path:
-        if Path(reference).suffix.lower() not in MODEL_SUFFIXES:
+        if Path(reference).suffix.lower() not in model_suffixes():
             for name in _IN_DIAGNOSIS:
                 if (self.path.parent / reference / name).is_file():
                     return self._file(f"{reference}/{name}", where)

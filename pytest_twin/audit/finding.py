@@ -25,6 +25,7 @@ LAYERS: tuple[str, ...] = (
 )
 PLANNING = "planning"
 """The layer of an SRDF, which is audited alone."""
+_LAYER_RANKS = {layer: rank for rank, layer in enumerate((*LAYERS, PLANNING))}
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +126,8 @@ def to_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
         findings,
         key=lambda f: (
             SEVERITIES.index(f.severity),
-            (*LAYERS, PLANNING).index(f.layer),
+            _LAYER_RANKS.get(f.layer, len(_LAYER_RANKS)),
+            f.layer,
             f.code,
             -1 if f.place is None or f.place.line is None else f.place.line,
             f.element,

@@ -18,6 +18,7 @@ from pytest_twin.audit import (
     finding,
     frames,
     inertia,
+    installed_layers,
     joints,
     meshes,
     render,
@@ -41,7 +42,7 @@ _MOST_PICTURES = 6
 
 
 def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
-    """Every finding of the layers that need no simulator."""
+    """Every finding of the layers that need no simulator, those of installed packages last."""
     return [
         *asset.faults,
         *(_unseen(asset, layer, why) for layer, why in asset.unseen.items()),
@@ -56,6 +57,7 @@ def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
         *commands.check(asset, known),
         *controllers.check(asset),
         *elements.check(asset),
+        *installed_layers.check(asset, known, geometry),
     ]
 
 
@@ -179,7 +181,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             layer: {
                 s: sum(r["layer"] == layer and r["severity"] == s for r in rows) for s in SEVERITIES
             }
-            for layer in LAYERS
+            for layer in (*LAYERS, *installed_layers.names())
         },
         "facts": {
             "bodies": len(asset.bodies),

@@ -27,7 +27,7 @@ from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.trial import at_command_stamps, make_trials, recording_at
-from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES, Twin, load_twin
+from pytest_twin.twin import FILE_NAME, Twin, load_twin, model_suffixes
 
 if TYPE_CHECKING:
     from pytest_twin.diagnosis.patched.model import Patched
@@ -114,7 +114,7 @@ def find_model(given: Path) -> Path:
         raise SpecError("no model in this folder", path=given, expected=" or ".join(_IN_FOLDER))
     if not given.exists():
         raise SpecError("no such model", path=given, expected="a file or a folder")
-    if given.suffix.lower() not in (*MODEL_SUFFIXES, ".yaml", ".yml"):
+    if given.suffix.lower() not in (*model_suffixes(), ".yaml", ".yml"):
         raise SpecError(
             "no model that can be replayed",
             path=given,

@@ -15,10 +15,11 @@ from pytest_twin.formats.digest import bytes_sha256, file_sha256
 from pytest_twin.gate.promoted import unpromoted
 from pytest_twin.gate.source import changed_sources
 from pytest_twin.golden import Golden
+from pytest_twin.installed import package_of, points_by_name
 from pytest_twin.realization.features.cache import Features, features_of
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.staleness import Model, Stock, Surroundings, rule_problems, take_stock
-from pytest_twin.twin import Twin
+from pytest_twin.twin import MODEL_FORMATS, Twin
 
 _VERSIONED = ("simulator:", "library:")
 
@@ -146,12 +147,19 @@ def installed_version(distribution: str) -> str:
         return "absent"
 
 
+def _converter(model: Path) -> dict[str, str]:
+    """Version of each package that reads a model file of this suffix, where MJCF is not it."""
+    points = points_by_name(MODEL_FORMATS).get(model.suffix.lower().removeprefix("."), ())
+    return {point.value: package_of(point) for point in points}
+
+
 def _features(twin: Twin, name: str, child: Sandbox, *, fresh: bool) -> Features:
     arguments = {"twin": str(twin.path), "realization": name}
     return features_of(
         twin,
         name,
         lambda: child.call("pytest_twin.gate.worker:features", arguments),
-        {library: installed_version(library) for library in ("mujoco", "trimesh")},
+        {library: installed_version(library) for library in ("mujoco", "trimesh")}
+        | _converter(twin.realizations[name].file),
         fresh=fresh,
     )

@@ -17,6 +17,7 @@ from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.model import Realization
+from pytest_twin.realization.model_formats import as_mjcf
 from pytest_twin.realization.source import Source
 from pytest_twin.twin import Fit, Twin, effects_beside
 
@@ -33,7 +34,7 @@ def load(
     shapes: bool = True,
     limits: ModelLimits = LIMITS,
 ) -> Realization:
-    """Load an MJCF or URDF file.
+    """Load an MJCF or URDF file, or one of a format that an installed package turns into MJCF.
 
     Args:
         path: the file; what it is, its root element says.
@@ -60,12 +61,16 @@ def load(
     path = path.parent.resolve() / path.name
     effects = effects_beside(path)
     fit = None if twin is None or effects is not None else twin.fit
-    tag = xml.parse(path).tag
+    text = as_mjcf(path)
+    tag = xml.parse(path).tag if text is None else "mujoco"
     if tag not in ("mujoco", "robot"):
         raise ModelError("not a robot model", path=path, value=tag, expected="<mujoco> or <robot>")
+    if text is not None and twin is None:
+        # Its root cannot be chosen by the files that it names: only the package knows its syntax.
+        roots = roots or Roots(path.parent)
     located = located or locate(path, search=search, twin=twin, roots=roots, limits=limits)
     if tag == "mujoco":
-        document = mjcf.read(path, located.roots, limits=limits)
+        document = mjcf.read(path, located.roots, text=text, limits=limits)
         source = Source(
             "mjcf", document.root, dict(document.asset_paths), read=frozenset(document.files)
         )

@@ -66,15 +66,23 @@ def _write(node: Node, lines: list[str], places: list[tuple[Path, int]]) -> None
         places.append((node.path, node.line))
 
 
-def read(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Document:
+def read(
+    path: Path, roots: Roots, *, text: bytes | None = None, limits: ModelLimits = LIMITS
+) -> Document:
     """Read an MJCF file and everything that it refers to.
+
+    Args:
+        path: the file.
+        roots: folders that references may lead into.
+        text: the MJCF that stands for the file, where that is of another format.
+        limits: bounds on what may be read.
 
     Raises:
         FormatError: not well-formed, or beyond a bound.
         PathError: a reference that leaves the roots or leads nowhere.
         ModelError: a value that no model may have, or two assets of one name.
     """
-    return _Reader(roots, limits).document(path, depth=0)
+    return _Reader(roots, limits).document(path, depth=0, text=text)
 
 
 def read_tree(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Node:
@@ -280,15 +288,15 @@ class _Reader:
         self.bytes = 0
         self.faces = 0
 
-    def tree(self, path: Path) -> Node:
+    def tree(self, path: Path, text: bytes | None = None) -> Node:
         """The elements of a file, includes spliced in."""
-        root = self._tree(path, path.parent, (path,))
+        root = self._tree(path, path.parent, (path,), text)
         if root.tag != "mujoco":
             raise root.error("not an MJCF model", value=root.tag, expected="the root <mujoco>")
         return root
 
-    def document(self, path: Path, depth: int) -> Document:
-        root = self.tree(path)
+    def document(self, path: Path, depth: int, text: bytes | None = None) -> Document:
+        root = self.tree(path, text)
         document = Document(root)
         self.check(root, 1.0)
         self._check_asset_names(root)
@@ -298,7 +306,9 @@ class _Reader:
 
     # -- includes
 
-    def _tree(self, path: Path, main: Path, chain: tuple[Path, ...]) -> Node:
+    def _tree(
+        self, path: Path, main: Path, chain: tuple[Path, ...], text: bytes | None = None
+    ) -> Node:
         self.files += 1
         if self.files > self.limits.include_files or len(chain) > self.limits.include_depth:
             raise LimitError(
@@ -307,7 +317,8 @@ class _Reader:
                 expected=f"at most {self.limits.include_files}, {self.limits.include_depth} deep",
             )
         self.read.add(path)
-        return self._splice(xml.parse(path), path, main, chain)
+        element = xml.parse(path) if text is None else xml.parse_bytes(text, path)
+        return self._splice(element, path, main, chain)
 
     def _splice(self, element: Any, path: Path, main: Path, chain: tuple[Path, ...]) -> Node:
         node = Node(element.tag, dict(element.attrib), path, element.sourceline or 1)

@@ -211,7 +211,7 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
         good=not audit["counts"]["critical"],
         style=style.text,
         style_hash=style.sha256,
-        layers=[(name, _TITLES[name]) for name in audit["layers"]],
+        layers=[(name, _TITLES.get(name) or _title(name)) for name in audit["layers"]],
         faults=[kind for kind in kinds if kind.severity in ("critical", "warning")],
         sources=sources,
         facts=[kind for kind in kinds if kind.severity == "info"],
@@ -221,6 +221,11 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
         summary=summary(audit),
         max_rows=MAX_ROWS,
     )
+
+
+def _title(layer: str) -> str:
+    """The heading of a layer that an installed package adds."""
+    return layer.replace("_", " ").capitalize()
 
 
 @cache

@@ -1,11 +1,11 @@
-"""An effect from someone else's package, as the docs show it: one class and one entry point."""
+"""An effect from someone else's package, ``examples/magnet``: one class and one entry point."""
 
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -14,23 +14,19 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "diagnosis"))
 
 from two_pendulums import MAGNET_AT, MAGNET_WIDTH, case
 
-DOCS = Path(__file__).parents[2] / "docs" / "effects.md"
+MAGNET = Path(__file__).parents[2] / "examples" / "magnet"
 
 
 @pytest.fixture
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of packages in which the docs' own is installed."""
-    text = DOCS.read_text()
-    module = re.search(r"<!-- own effect -->\n```python\n(.*?)```", text, re.DOTALL)
-    entry_points = re.search(r'```toml\n\[project\.entry-points\."(.*?)"\]\n(.*?) = "(.*?)"', text)
-    assert module
-    assert entry_points
+    """A folder of packages in which the example is installed."""
+    points = tomllib.loads((MAGNET / "pyproject.toml").read_text())["project"]["entry-points"]
+    ((group, ((name, target),)),) = [(group, one.items()) for group, one in points.items()]
     site = tmp_path / "site"
     told = site / "my_effects-1.0.dist-info"
     told.mkdir(parents=True)
-    (site / "my_effects.py").write_text(module[1])
+    (site / "magnet.py").write_text((MAGNET / "magnet.py").read_text())
     (told / "METADATA").write_text("Metadata-Version: 2.1\nName: my-effects\nVersion: 1.0\n")
-    group, name, target = entry_points.groups()
     (told / "entry_points.txt").write_text(f"[{group}]\n{name} = {target}\n")
     monkeypatch.setenv("PYTHONPATH", str(site))
     return site
@@ -92,7 +88,7 @@ def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
 def test_what_does_not_hold_together_is_one_line(
     site: Path, written: str, instead: str, told: str
 ) -> None:
-    module = site / "my_effects.py"
+    module = site / "magnet.py"
     text = module.read_text()
     assert written in text
     module.write_text(text.replace(written, instead))
@@ -104,8 +100,8 @@ def test_what_does_not_hold_together_is_one_line(
 
 def test_an_effect_is_brought_once(site: Path) -> None:
     told = site / "my_effects-1.0.dist-info" / "entry_points.txt"
-    told.write_text("[pytest_twin.effects]\ncogging = my_effects:Magnet\n")
-    module = site / "my_effects.py"
+    told.write_text("[pytest_twin.effects]\ncogging = magnet:Magnet\n")
+    module = site / "magnet.py"
     module.write_text(module.read_text().replace('id = "magnet"', 'id = "cogging"'))
     done = pytest_twin("effects")
     assert done.returncode == 2

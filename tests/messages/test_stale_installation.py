@@ -9,14 +9,14 @@ from types import ModuleType
 
 import pytest
 
-from pytest_twin import checks, effects
+from pytest_twin import checks, effects, installed
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import recordings
 
 THEIRS = EntryPoint("theirs", "pathlib:Path", "")
 
 
-@pytest.mark.parametrize("installed", [(), (THEIRS,)], ids=["nothing", "another package"])
+@pytest.mark.parametrize("registered", [(), (THEIRS,)], ids=["nothing", "another package"])
 @pytest.mark.parametrize(
     ("module", "kept", "ask", "group"),
     [
@@ -28,7 +28,7 @@ THEIRS = EntryPoint("theirs", "pathlib:Path", "")
         ),
         (
             checks,
-            (checks._entry_points, checks.check_of),
+            (installed.points_by_name, checks.check_of),
             lambda file: checks.check_of("fk"),
             "pytest_twin.checks",
         ),
@@ -41,7 +41,7 @@ def test_a_stale_installation_is_named_with_what_to_do(
     kept: tuple[Callable[..., object], ...],
     ask: Callable[[Path], object],
     group: str,
-    installed: tuple[EntryPoint, ...],
+    registered: tuple[EntryPoint, ...],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -49,7 +49,8 @@ def test_a_stale_installation_is_named_with_what_to_do(
     file.write_text("time,a.position\n0.0,1\n")
     if module is recordings:
         monkeypatch.setattr(recordings, "brought", lambda point, noun: NoReader())
-    monkeypatch.setattr(module, "entry_points", lambda group: installed)
+    asked = installed if module is checks else module
+    monkeypatch.setattr(asked, "entry_points", lambda group: registered)
     forget(kept)
     try:
         with pytest.raises(SpecError, match="installation of pytest-twin is stale") as caught:

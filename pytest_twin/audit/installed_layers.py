@@ -1,0 +1,83 @@
+"""Layers of the audit that installed packages add.
+
+A layer is a class under the entry points ``pytest_twin.audit_layers``. The entry point's name is
+the layer's, with which the codes of its findings begin: ``cell_speed.too_fast``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Protocol
+
+from pytest_twin.audit.asset import Asset
+from pytest_twin.audit.evidence import Evidence
+from pytest_twin.audit.finding import LAYERS, PLANNING, SEVERITIES, Finding
+from pytest_twin.audit.geometry import Geometry
+from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.installed import brought, only_one, package_of, points_by_name
+
+_GROUP = "pytest_twin.audit_layers"
+
+
+class Layer(Protocol):
+    """One layer of the audit."""
+
+    def check(self, asset: Asset, known: Evidence, geometry: Geometry) -> Iterable[Finding]:
+        """Findings of this layer.
+
+        Args:
+            asset: the robot as its file states it, faults included.
+            known: values from data sheets and measurements (``--evidence``).
+            geometry: solids of the shapes of each body.
+        """
+        ...
+
+
+def names() -> tuple[str, ...]:
+    """Layers of installed packages, sorted."""
+    return tuple(sorted(points_by_name(_GROUP)))
+
+
+def check(asset: Asset, known: Evidence, geometry: Geometry) -> Iterator[Finding]:
+    """Findings of all installed layers.
+
+    Raises:
+        SpecError: a layer cannot be loaded, fails, has the name of another, or returns a finding
+            that cannot be reported.
+    """
+    for name in names():
+        yield from _findings(name, asset, known, geometry)
+
+
+def _findings(name: str, asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
+    point = only_one(points_by_name(_GROUP)[name], "audit layer")
+    if name in (*LAYERS, PLANNING):
+        raise SpecError(
+            f"{package_of(point)} brings an audit layer with the name of a built-in layer",
+            where="audit layer",
+            value=name,
+            expected="another name of the entry point",
+        )
+    layer: Layer = brought(point, "audit layer")
+    try:
+        found = list(layer.check(asset, known, geometry))
+        wrong = [f for f in found if f.layer != name or f.severity not in SEVERITIES]
+    except TwinError:
+        raise
+    except Exception as error:  # an installed package's own code
+        raise SpecError(
+            f"the audit layer of {package_of(point)} fails: {type(error).__name__}: {error}",
+            path=asset.path,
+            where="audit layer",
+            value=name,
+            expected=f"{point.value} to return findings; repair or uninstall the package",
+        ) from error
+    if wrong:
+        raise SpecError(
+            f"the audit layer of {package_of(point)} returns a finding that cannot be reported",
+            path=asset.path,
+            where="audit layer",
+            value=f"{wrong[0].code}, {wrong[0].severity}",
+            expected=f"a code {name}.WHAT and a severity of {', '.join(SEVERITIES)}",
+        )
+    return found
