@@ -17,6 +17,7 @@ from pytest_twin.commands.recording_arguments import (
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic
+from pytest_twin.ranges.files import write_files
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import ranges
 from pytest_twin.report.text import printable
@@ -26,6 +27,7 @@ HELP = "write randomization ranges of a twin from its records, and check them on
 EXAMPLES = (
     "pytest-twin randomize twin.yaml --out ranges/",
     "pytest-twin randomize cell/ --final final_1.mcap final_2.mcap --out ranges/",
+    "pytest-twin randomize cell/ --against events_cfg.py --out ranges/",
 )
 EXIT_STATUS = {
     0: "the final recordings lie in the predicted envelope at the stated share, and it is no wider "
@@ -70,11 +72,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "0.95)",
     )
     parser.add_argument(
+        "--against",
+        metavar="FILE",
+        type=Path,
+        help="ranges to compare: a ranges.json, a table NAME: [low, high], or events of Isaac Lab "
+        "or mjlab as .yaml or .py, which is read and never run",
+    )
+    parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         required=True,
-        help=f"{JSON_NAME} and {PAGE_NAME} are written here",
+        help=f"{JSON_NAME}, {PAGE_NAME}, a sampler and simulators' configurations are written here",
     )
     add_recording_arguments(parser)
 
@@ -99,12 +108,14 @@ def run(args: argparse.Namespace) -> int:
                 "share": args.share,
                 "options": recording_options(args),
                 "topics": args.topics,
+                "against": None if args.against is None else str(args.against.absolute()),
             },
             progress=progress,
         )
     out = folders.make(args.out)
     atomic.write_text(out / JSON_NAME, json.dumps(document, indent=2) + "\n")
     atomic.write_text(out / PAGE_NAME, ranges.render(document))
+    write_files(out)
     json_output.give(args, document)
     show("\n".join(printable(line) for line in _words(document)))
     show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,79 +13,99 @@ from pytest_twin.ranges.bodies import Body, principal
 from pytest_twin.ranges.distribution import Distribution
 
 _DRAWS = 4096
-"""Of which ranges of inertias are quantiles: an end of a 95 % range is then known to a tenth of a
-standard deviation."""
+"""Of which ranges are quantiles: an end of a 95 % range is then known to a tenth of a standard
+deviation."""
 _SEED = 59
 _ROUNDING = 1e-9
 _SMALL = {"kg": 1e-6, "m": 1e-3, "kg*m^2": 1e-9}
 """What is no size for a robot's body: variation below ``_ROUNDING`` of it is that of digits."""
 
 
-def quantities(
-    distribution: Distribution,
-    bodies: Sequence[Body],
-    share: float,
-    noise: Mapping[str, float],
-) -> list[dict[str, Any]]:
-    """Name, unit, middle and central range of each quantity; a range holds a share of the robots.
+@dataclass(frozen=True)
+class Quantity:
+    """One number of a robot, and how it varies.
+
+    Attributes:
+        name: such as ``elbow.coulomb_friction`` or ``fore.mass``.
+        unit: SI.
+        nominal: what the twin has.
+        range: that holds the stated share of the robots.
+        draws: (n,) values.
+        joint: whose motion it moves first, or None.
+        body: that it belongs to, or None.
+        condition: whether it is a condition of the trials.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    range: tuple[float, float]
+    draws: FloatArray
+    joint: str | None
+    body: str | None = None
+    condition: bool = False
+
+    @property
+    def owner(self) -> str:
+        """The body or joint in front of the name's last part."""
+        return self.name.rpartition(".")[0]
+
+    @property
+    def kind(self) -> str:
+        """Such as ``coulomb_friction``."""
+        return self.name.rpartition(".")[2]
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able fields."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "nominal": self.nominal,
+            "range": list(self.range),
+            "std": float(self.draws.std()),
+            "joint": self.joint,
+            "body": self.body,
+            "varies": "with the trial" if self.condition else "per episode",
+        }
+
+
+def quantities(distribution: Distribution, bodies: Sequence[Body], share: float) -> list[Quantity]:
+    """Every quantity that varies.
 
     Args:
         distribution: of the coordinates.
         bodies: whose inertia varies.
-        share: that a range holds.
-        noise: joint -> standard deviation of a reading, rad or m.
+        share: of the robots that a range holds.
     """
-    found = []
-    for one in distribution.coordinates:
-        if one.body is None:
-            varies = "with the trial" if one.condition else "per episode"
-            ends = one.interval(share)
-            found.append(_quantity(one.name, one.unit, one.mean, *ends, one.std, one.joint, varies))
     draws = distribution.draws(_DRAWS, _SEED)
+    found = [
+        Quantity(one.name, one.unit, one.mean, one.interval(share), draws[:, column], one.joint,
+                 condition=one.condition)
+        for column, one in enumerate(distribution.coordinates)
+        if one.body is None
+    ]  # fmt: skip
+    tails = 0.5 - 0.5 * share, 0.5 + 0.5 * share
     for body in bodies:
         for name, unit, values, nominal in _of_body(body, distribution, draws):
-            if values.std() <= _ROUNDING * (np.abs(values).max() + _SMALL[unit]):
-                continue
-            low, high = np.quantile(values, (0.5 - 0.5 * share, 0.5 + 0.5 * share))
-            found.append(
-                _quantity(name, unit, nominal, float(low), float(high), float(values.std()),
-                          body.joint, "per episode", body.name)
-            )  # fmt: skip
+            if values.std() > _ROUNDING * (np.abs(values).max() + _SMALL[unit]):
+                low, high = np.quantile(values, tails).tolist()
+                found.append(
+                    Quantity(name, unit, nominal, (low, high), values, body.joint, body.name)
+                )
     return found
-
-
-def body_coordinates(body: Body, distribution: Distribution, draws: FloatArray) -> FloatArray:
-    """(n, 10) log-Cholesky coordinates of a body in (n, p) draws."""
-    x = np.zeros((len(draws), 10))
-    for column, one in enumerate(distribution.coordinates):
-        if one.body == body.name:
-            x[:, one.index] = draws[:, column]
-    return x
 
 
 def _of_body(
     body: Body, distribution: Distribution, draws: FloatArray
 ) -> list[tuple[str, str, FloatArray, float]]:
-    """Name, unit, drawn values and the value of the model: mass, centre, largest moment."""
-    x = np.concatenate([np.zeros((1, 10)), body_coordinates(body, distribution, draws)])
+    """Name, unit, drawn values and the value of the model: mass, centre, moments of inertia."""
+    x = np.zeros((len(draws) + 1, 10))
+    for column, one in enumerate(distribution.coordinates):
+        if one.body == body.name:
+            x[1:, one.index] = draws[:, column]
     mass, com, second = body.rigid(x)
     moments, _ = principal(second)
     columns = [("mass", "kg", mass)]
     columns += [(f"com_{axis}", "m", com[:, k]) for k, axis in enumerate("xyz")]
     columns += [(f"inertia_{k + 1}", "kg*m^2", moments[:, k]) for k in range(3)]
     return [(f"{body.name}.{name}", unit, v[1:], float(v[0])) for name, unit, v in columns]
-
-
-def _quantity(
-    name: str,
-    unit: str,
-    nominal: float,
-    low: float,
-    high: float,
-    std: float,
-    joint: str | None,
-    varies: str,
-    body: str | None = None,
-) -> dict[str, Any]:
-    return {"name": name, "unit": unit, "nominal": nominal, "range": [low, high], "std": std,
-            "joint": joint, "body": body, "varies": varies}  # fmt: skip

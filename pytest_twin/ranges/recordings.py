@@ -136,15 +136,15 @@ def _refuse_other_role(trials: Iterable[Trial], role: str) -> None:
 
 def _refuse_used(final: Sequence[Trial], held_out: Sequence[Trial], twin: Twin) -> None:
     """A final recording has guided nothing: no record was made from its bytes."""
-    records = [
-        *(entry.record for entry in twin.calibrations),
-        *(fit.record for fit in twin.fits),
-        *(group.record for group in twin.ranges.trials),
+    made_from = [
+        *((entry.record.id, entry.record.inputs) for entry in twin.calibrations),
+        *((fit.record.id, fit.record.inputs) for fit in twin.fits),
+        *((group.record.id, group.record.inputs) for group in twin.ranges.trials),
     ]
     used = {
-        sha256: f"{record.id!r} was made from it ({name})"
-        for record in records
-        for name, sha256 in record.inputs.items()
+        sha256: f"{ident!r} was made from it ({name})"
+        for ident, inputs in made_from
+        for name, sha256 in inputs.items()
     }
     for trial in held_out:
         if trial.path.is_file():

@@ -12,10 +12,12 @@ import numpy as np
 from pytest_twin import __version__
 from pytest_twin.diagnosis.noise import sensor_noise
 from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.ranges.against import compared
 from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.check import assessed, plotted, predicted
 from pytest_twin.ranges.distribution import Distribution
 from pytest_twin.ranges.gather import Uncertain, uncertain
+from pytest_twin.ranges.given import read_given
 from pytest_twin.ranges.quantities import quantities
 from pytest_twin.ranges.recordings import Checked, checked_recordings
 from pytest_twin.ranges.simulate import Fleet, Traces
@@ -41,6 +43,7 @@ class Request:
         share: of the envelope, or None for the twin's.
         options: how recordings are read, before what the twin says.
         topics: role -> topic, before those of the twin.
+        against: a configuration whose ranges are compared, or None.
     """
 
     final: Sequence[Path] = ()
@@ -49,6 +52,7 @@ class Request:
     share: float | None = None
     options: Mapping[str, Any] | None = None
     topics: Mapping[str, str] | None = None
+    against: Path | None = None
 
 
 def ranges_of_file(
@@ -59,6 +63,7 @@ def ranges_of_file(
     share: float | None = None,
     options: Mapping[str, Any] | None = None,
     topics: Mapping[str, str] | None = None,
+    against: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """The content of ``ranges.json`` for a ``twin.yaml``; see :class:`Request`.
@@ -70,8 +75,9 @@ def ranges_of_file(
     first = twin.first_realization
     realization = load(first.file, twin=twin, name=first.name)
     request = Request(
-        [Path(one) for one in final], [Path(one) for one in held_out], draws, share, options, topics
-    )
+        [Path(one) for one in final], [Path(one) for one in held_out], draws, share, options,
+        topics, None if against is None else Path(against),
+    )  # fmt: skip
     return ranges(twin, realization, request, progress or (lambda done: None))
 
 
@@ -82,6 +88,7 @@ def ranges(
     progress: Callable[[float], None] = lambda done: None,
 ) -> dict[str, Any]:
     """The randomization ranges of a twin that is loaded, and their check."""
+    given = None if request.against is None else (request.against, *read_given(request.against))
     patched = patched_of(realization)
     share = request.share or twin.ranges.share
     count = request.draws or twin.ranges.draws
@@ -98,6 +105,9 @@ def ranges(
     distribution, widening = _widened(found, checked, fleet, noise, count, progress)
     document = _document(twin, realization, found, distribution, share, noise, checked)
     document["widening"] = widening
+    if given is not None:
+        own = quantities(distribution, found.bodies, share)
+        document["against"] = compared(*given, own, twin.ranges.trials, share)
     if checked.final:
         draws = distribution.draws(count, _SEED)
         before = fleet.steps, fleet.seconds
@@ -196,7 +206,7 @@ def _document(
              "varies": "per sample"}
             for joint, std in noise.items()
         ],
-        "quantities": quantities(distribution, found.bodies, share, noise),
+        "quantities": [one.to_json() for one in quantities(distribution, found.bodies, share)],
         "places": _places(realization, distribution, found.bodies),
         "widening": None,
         "check": None,

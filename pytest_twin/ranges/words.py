@@ -35,6 +35,10 @@ def words_of(document: Mapping[str, Any]) -> list[str]:
         if check["diverged"]:
             lines.append(f"{check['diverged']} robots diverged and were left out")
     lines += _widening(document["widening"])
+    if document["against"] is not None:
+        lines += [f"against {document['against']['file']}:"]
+        lines += [one["words"] for one in document["against"]["entries"]]
+        lines += [f"it leaves as it is: {one}" for one in document["against"]["not_given"]]
     return [*lines, *_advice(document)]
 
 

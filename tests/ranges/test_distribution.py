@@ -1,0 +1,178 @@
+"""Draws: laws, correlation, sources; spread over trials; widening; agreement with the replay."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import stats
+
+sys.path.append(str(Path(__file__).parent))
+
+from ranges_files import (
+    ARM,
+    MEANS,
+    NAMES,
+    STD,
+    covariance,
+    make_twin,
+    record,
+    record_motion,
+    true_arm,
+)
+
+from pytest_twin.metrics.envelope import coverage_interval, envelope, inside
+from pytest_twin.ranges.distribution import Coordinate
+from pytest_twin.ranges.gather import uncertain
+from pytest_twin.ranges.recordings import checked_recordings
+from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.simulate import Fleet
+from pytest_twin.realization import load
+from pytest_twin.replay import replay
+from pytest_twin.twin import load_twin
+
+
+@pytest.mark.parametrize(("mean", "std"), [(1.0, 0.1), (0.3, 0.3), (-0.2, 0.4), (0.0, 1.0)])
+def test_a_positive_coordinate_has_the_truncated_normal_law(mean: float, std: float) -> None:
+    one = Coordinate("x", "N*m", mean, std, "positive")
+    drawn = one.values(np.random.default_rng(0).standard_normal(20_000))
+    law = stats.truncnorm(-mean / std, np.inf, loc=mean, scale=std)
+    assert stats.kstest(drawn, law.cdf).pvalue > 0.01
+    assert drawn.min() > 0.0
+    assert one.interval(0.95) == pytest.approx(law.ppf([0.025, 0.975]), rel=1e-6)
+
+
+def test_the_envelope_holds_the_share_of_further_traces_that_it_states() -> None:
+    rng = np.random.default_rng(0)
+    found = envelope(rng.standard_normal((63, 400, 2)), 0.9)
+    assert inside(rng.standard_normal((200, 400, 2)), found).mean() == pytest.approx(0.9, abs=0.005)
+    assert coverage_interval(0.9, 1e9) == pytest.approx((0.9, 0.9), abs=1e-3)
+    assert coverage_interval(1.0, 10.0)[0] == pytest.approx(0.025 ** (1 / 10), abs=1e-6)
+
+
+def test_a_robot_at_the_means_moves_as_the_replay_of_the_twin(tmp_path: Path) -> None:
+    twin = load_twin(make_twin(tmp_path, [record(covariance())]))
+    record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
+    robot = load(twin.first_realization.file, twin=twin)
+    found = uncertain(twin, robot, None)
+    final = [tmp_path / "a.mcap"]
+    trial = checked_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
+    fleet = Fleet(robot, None, found.distribution.coordinates, found.bodies, 2**32)
+    means = np.array([[one.mean for one in found.distribution.coordinates]])
+    (traces,) = fleet.simulate([trial], means)
+    replayed = replay(robot, [trial])[0].position
+    assert np.abs(traces.robots[0] - replayed).max() < 2e-6
+
+
+def test_a_drawn_robot_moves_as_the_model_with_its_values(tmp_path: Path) -> None:
+    """Of another model, compiled from its own file: mass, centre, inertia, friction, armature."""
+    twin = load_twin(make_twin(tmp_path, [record(covariance())]))
+    record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
+    robot = load(twin.first_realization.file, twin=twin)
+    found = uncertain(twin, robot, None)
+    final = [tmp_path / "a.mcap"]
+    trial = checked_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
+    fleet = Fleet(robot, None, found.distribution.coordinates, found.bodies, 2**32)
+    draws = found.distribution.draws(3, 5)
+    (traces,) = fleet.simulate([trial], draws)
+    spec = mujoco.MjSpec.from_string(ARM)
+    columns = {one.name: k for k, one in enumerate(found.distribution.coordinates)}
+    for joint in spec.joints:
+        own = {k: draws[2, columns[f"{joint.name}.{k}"]] for k in
+               ("viscous_friction", "coulomb_friction", "armature")}  # fmt: skip
+        joint.damping[0] = own["viscous_friction"]
+        joint.frictionloss, joint.armature = own["coulomb_friction"], own["armature"]
+    for body in found.bodies:
+        x = np.zeros((1, 10))
+        for one in found.distribution.coordinates:
+            if one.body == body.name:
+                x[0, one.index] = draws[2, columns[one.name]]
+        mass, com, second = (part[0] for part in body.rigid(x))
+        tensor = np.trace(second) * np.eye(3) - second
+        element = spec.body(body.name)
+        element.mass, element.ipos, element.inertia = mass, com, [0.0, 0.0, 0.0]
+        element.fullinertia = [tensor[i, k] for i, k in
+                               ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]  # fmt: skip
+    (tmp_path / "drawn.xml").write_text(spec.to_xml())
+    other = replay(load(tmp_path / "drawn.xml"), [trial])[0].position
+    assert np.abs(traces.robots[2] - other).max() < 2e-6
+    assert np.abs(traces.robots[0] - other).max() > 1e-3
+
+
+def test_spread_over_trials_keeps_friction_with_temperature(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    more = "ranges:\n  trials:\n"
+    for k in range(8):
+        one = record(covariance(0.05), f"trial{k}")
+        warm = float(20 + 3 * k)
+        value = 0.2 + 0.01 * (warm - 30.0) + 0.002 * rng.standard_normal()
+        one["parameters"]["elbow.coulomb_friction"]["value"] = value
+        (tmp_path / f"trial{k}.json").write_text(json.dumps(one))
+        more += f"  - {{file: trial{k}.json, temperature: {warm}}}\n"
+    twin = load_twin(make_twin(tmp_path, [record(covariance(0.05))], more))
+    found = uncertain(twin, load(twin.first_realization.file, twin=twin), None)
+    names = [one.name for one in found.distribution.coordinates]
+    friction, temperature = names.index("elbow.coulomb_friction"), names.index("trials.temperature")
+    assert found.distribution.correlation[friction, temperature] > 0.97
+    kinds = [s.kind for s in found.distribution.coordinates[friction].sources]
+    assert kinds == ["covariance", "trials"]
+    # Student's t of eight groups, and the spread of 0.01 N*m a degree over 21 degrees.
+    spread = np.std(0.01 * 3 * np.arange(8), ddof=1)
+    factor = stats.t.ppf(0.975, 7) / 1.96 * np.sqrt(1 + 1 / 8)
+    assert found.distribution.std[friction] == pytest.approx(spread * factor, rel=0.05)
+
+
+def test_held_out_recordings_widen_the_ranges_and_say_so(tmp_path: Path) -> None:
+    """A record that claims a fifth of the true deviation, and a robot two deviations off."""
+    twin = make_twin(tmp_path, [record(covariance(0.2))])
+    (tmp_path / "recordings").mkdir()
+    rng = np.random.default_rng(4)
+    robot = true_arm(MEANS + np.array([2.0, 2.0, 0, 2.0, 2.0, 0, 0, 0]) * STD)
+    for name, role in (("a", "held_out"), ("b", "held_out"), ("c", "final")):
+        record_motion(tmp_path / f"recordings/{name}.mcap", robot, rng, role=role)
+    found = ranges_of_file(str(twin))
+    assert found["widening"]["factors"]["elbow"] > 2.0
+    assert any(line.startswith("widened: elbow: standard deviations") for line in found["words"])
+    widened = [one for one in found["coordinates"] if one["name"] == "elbow.viscous_friction"]
+    assert [source["kind"] for source in widened[0]["sources"]] == ["covariance", "widening"]
+    assert found["verdict"] == "useful"
+
+
+def test_tolerances_add_to_the_record_and_scale_a_whole_body(tmp_path: Path) -> None:
+    more = "ranges:\n  tolerance:\n  - {parameter: elbow.armature, absolute: 0.03}\n"
+    more += "  - {parameter: fore.mass, relative: 0.1}\n"
+    twin = load_twin(make_twin(tmp_path, [record(covariance())], more))
+    found = uncertain(twin, load(twin.first_realization.file, twin=twin), None)
+    std = {one.name: one.std for one in found.distribution.coordinates}
+    armature = STD[NAMES.index("elbow.armature")]
+    assert std["elbow.armature"] == pytest.approx(np.hypot(armature, 0.03 / np.sqrt(3)))
+    draws = found.distribution.draws(4000, 0)
+    (fore,) = [body for body in found.bodies if body.name == "fore"]
+    x = np.zeros((len(draws), 10))
+    for column, one in enumerate(found.distribution.coordinates):
+        if one.body == "fore":
+            x[:, one.index] = draws[:, column]
+    mass, _, second = fore.rigid(x)
+    assert mass.std() >= 0.95 * 0.1 / np.sqrt(3)
+    assert np.corrcoef(mass, second[:, 1, 1])[0, 1] > 0.9
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("{parameter: elbo.armature, relative: 0.1}", "no such parameter"),
+        ("{parameter: elbow.colour, relative: 0.1}", "no such parameter"),
+        ("{parameter: hand.mass, relative: 0.1}", "no body of this name"),
+        ("{parameter: elbow.command_delay, relative: 0.1}", "a share of a value that is zero"),
+    ],
+)
+def test_a_tolerance_of_nothing_is_refused(tmp_path: Path, line: str, words: str) -> None:
+    more = f"ranges:\n  tolerance:\n  - {line}\n"
+    twin = load_twin(make_twin(tmp_path, [record(covariance())], more))
+    with pytest.raises(Exception, match=words) as error:
+        uncertain(twin, load(twin.first_realization.file, twin=twin), None)
+    assert "ranges.tolerance.0" in str(error.value)
