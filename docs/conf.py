@@ -12,7 +12,7 @@ HERE = Path(__file__).parent
 project = "pytest-twin"
 copyright = "the pytest-twin maintainers, Apache-2.0"
 version = release = __version__
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["README.md"]
 html_theme = "furo"
@@ -24,6 +24,11 @@ templates_path: list[str] = []
 myst_enable_extensions = ["colon_fence", "deflist"]
 # Links of the form page.md#heading are checked: a wrong one fails the build.
 myst_heading_anchors = 4
+autodoc_member_order = "bysource"
+# Attributes stand in the class's own docstring.
+napoleon_use_ivar = True
+napoleon_attr_annotations = False
+napoleon_custom_sections = [("Class attributes", "Attributes"), ("Traits", "Attributes")]
 # Terminal output is no language, and a lexer's guess colours it at random.
 highlight_language = "none"
 

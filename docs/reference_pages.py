@@ -153,7 +153,46 @@ def error_types() -> str:
     )
 
 
+API = {
+    "pytest_twin.checks": "A kind of golden",
+    "pytest_twin.dependency": "",
+    "pytest_twin.effects": "An effect",
+    "pytest_twin.audit.installed_layers": "An audit layer",
+    "pytest_twin.audit.finding": "",
+    "pytest_twin.audit.asset": "",
+    "pytest_twin.formats.recordings": "Recordings",
+    "pytest_twin.formats.recording": "",
+    "pytest_twin.realization.model_formats": "Models",
+    "pytest_twin.realization.loading": "",
+    "pytest_twin.realization.named_model": "",
+    "pytest_twin.realization.model": "",
+    "pytest_twin.realization.reference": "",
+    "pytest_twin.properties": "Property tests",
+    "pytest_twin.strategies": "",
+}
+"""Module that other packages import -> title of the section that begins with it."""
+
+
+def api() -> str:
+    """What packages and tests of users import, from the docstrings."""
+    lines = [
+        "# Python API",
+        "",
+        "What your own packages and tests import. [Add your own](../../how-to/add_your_own.md)",
+        "shows how the parts belong together. Names with a leading underscore, and modules that",
+        "are not on this page, may change between versions.",
+        "",
+    ]
+    for module, title in API.items():
+        if title:
+            lines += [f"## {title}", ""]
+        lines += [f"### {module}", "", "```{eval-rst}", f".. automodule:: {module}"]
+        lines += ["   :members:", "```", ""]
+    return "\n".join(lines)
+
+
 PAGES = {
+    "api.md": api,
     "commands.md": commands,
     "golden_kinds.md": golden_kinds,
     "files.md": files,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
+import inspect
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -54,6 +58,46 @@ def test_the_reference_has_every_command_kind_file_and_error_of_the_code(site: P
         for name, value in vars(errors).items()
         if isinstance(value, type) and issubclass(value, Exception)
     )
+
+
+def test_the_reference_has_what_packages_of_users_import(site: Path) -> None:
+    page = (site / "reference" / "generated" / "api.html").read_text()
+    for module in ("pytest_twin.checks", "pytest_twin.effects", "pytest_twin.properties"):
+        exported = importlib.import_module(module)
+        for name in exported.__all__:
+            if inspect.isclass(one := getattr(exported, name)) or inspect.isfunction(one):
+                assert re.search(rf'id="[\w.]*\.{name}"', page), f"{module}.{name}"
+    for protocol in ("ModelFormat.mjcf", "Layer.check", "Reader.reads", "Reader.read"):
+        assert f'.{protocol}"' in page
+
+
+def test_every_module_of_the_page_how_it_works_exists() -> None:
+    page = (DOCS / "explanation" / "how-it-works.md").read_text()
+    named = {
+        name for name in re.findall(r"`([a-z_.]+)`", page) if not name.endswith((".yaml", ".json"))
+    }
+    named |= set(ways().modules())
+    assert len(named) > 40
+    missing = [
+        name
+        for name in sorted(named)
+        if not ((place := ROOT / "pytest_twin" / name.replace(".", "/")).is_dir())
+        and not place.with_suffix(".py").is_file()
+    ]
+    assert missing == []
+
+
+def test_the_picture_of_how_it_works_is_the_one_that_the_script_draws() -> None:
+    assert ways().PICTURE.read_text("utf-8") == ways().picture()
+
+
+def ways() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("draw_ways", DOCS / "draw_ways.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_links_of_the_readme_lead_somewhere() -> None:

@@ -285,6 +285,9 @@ class Effect:
     ``sample_time`` and ``sense`` run on whole trajectories. A hook must change nothing where every
     parameter is neutral. A hook that is not overridden costs no time.
 
+    The search of a diagnosis treats an effect as its traits say, whatever its id. Traits are class
+    attributes too.
+
     Class attributes:
         id: name in ``diagnosis.json``; equals the entry point's.
         family: ``timing``, ``sensing``, ``actuation``, ``friction``, ``transmission``,
@@ -305,8 +308,7 @@ class Effect:
         hook_order: order in which effects run in each hook, smaller first. The encoder's
             eccentricity comes before its scale, and that before its zero.
 
-    Traits, also class attributes. The search of a diagnosis treats an effect as its traits say,
-    whatever its id:
+    Traits:
         is_limit: whether it limits what the drive does. Recordings then determine the size only
             within a narrow range, so the search also tries many sizes between and beyond the
             ``starts`` of a parameter, which increase.

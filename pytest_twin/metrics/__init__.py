@@ -1,1 +1,1 @@
-"""TODO."""
+"""Metrics of time, frequency and pose: pure functions of arrays."""
