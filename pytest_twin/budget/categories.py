@@ -94,7 +94,7 @@ CATEGORIES: tuple[Category, ...] = (
     Category(
         "contact_and_material",
         "friction, stiffness and damping of contacts",
-        f"{_DIAGNOSE}, with recordings that touch something",
+        f"{_IDENTIFY} with tosses of an object, or {_DIAGNOSE} with recordings that touch something",
         "touch, press and slide at two speeds and two loads",
         ("contact",),
     ),
@@ -149,6 +149,8 @@ _OF_EFFECT = {
     "contact_stiffness": "contact_and_material",
     "contact_damping": "contact_and_material",
     "contact_friction": "contact_and_material",
+    "contact_torsional_friction": "contact_and_material",
+    "contact_rolling_friction": "contact_and_material",
     "external_force": "environment_and_object",
     "armature": "rigid_body_dynamics",
     "payload": "rigid_body_dynamics",

@@ -25,6 +25,7 @@ from pytest_twin.report.text import printable
 HELP = "identify weights, inertia, friction and drives in stages, each tested on held-out motion"
 EXAMPLES = (
     "pytest-twin identify twin.yaml fourier.mcap --held-out check.mcap --out identified",
+    "pytest-twin identify cube.xml tosses.npz --out cube_contact",
     "pytest-twin replay identified check.mcap --out predicted.mcap",
 )
 EXIT_STATUS = {
@@ -72,8 +73,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="id of the record, by which fit: of twin.yaml and goldens name it (default: the name "
         "of DIR)",
     )
+    _add_toss_arguments(parser)
     add_recording_arguments(parser)
     model_files.add_arguments(parser)
+
+
+def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "tosses of a free object",
+        "an .npz file with one array of poses and velocities for each toss, or bags with poses; "
+        "the contact of the model's free body is identified from them",
+    )
+    group.add_argument(
+        "--pose-topic",
+        metavar="TOPIC",
+        help="topic of the object's geometry_msgs/PoseStamped: the bags are tosses of an object",
+    )
+    group.add_argument(
+        "--body", metavar="NAME", help="the body that was tossed, where the model has several free"
+    )
+    group.add_argument(
+        "--length-unit",
+        metavar="M",
+        type=positive,
+        help="m for one unit of length of an .npz file (default: found from the fall at the start "
+        "of the tosses, and reported)",
+    )
+    group.add_argument(
+        "--rate",
+        metavar="HZ",
+        type=positive,
+        help="sample rate of an .npz file (default: found from displacements and velocities, and "
+        "reported)",
+    )
+
+
+def positive(text: str) -> float:
+    """A finite number of more than 0 of a command line."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number of more than 0")
+    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -102,6 +145,12 @@ def run(args: argparse.Namespace) -> int:
                     "name": args.id or out.name,
                     "topics": args.topics,
                     "options": recording_options(args),
+                    "tosses": {
+                        "length": args.length_unit,
+                        "rate": args.rate,
+                        "body": args.body,
+                        "topic": args.pose_topic,
+                    },
                     **model_files.search_folders(args),
                 },
                 progress=progress,

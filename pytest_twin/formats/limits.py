@@ -103,6 +103,16 @@ class ObservationLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class TossLimits:
+    """Bounds on tosses in a NumPy archive: ten thousand tosses of a second at 1 kHz fit."""
+
+    file_bytes: int = 512 * 2**20
+    unpacked_bytes: int = 2 * 2**30
+    tosses_count: int = 20_000
+    least_rows: int = 8
+
+
+@dataclass(frozen=True, slots=True)
 class StampLimits:
     """Bounds on stamped files, and on the stamp, most of which is a signed release."""
 
@@ -147,3 +157,4 @@ PARQUET = ParquetLimits()
 IMAGES = ImageLimits()
 HASH = HashLimits()
 STAMPS = StampLimits()
+TOSSES = TossLimits()

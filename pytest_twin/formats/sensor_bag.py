@@ -1,4 +1,4 @@
-"""Joint states, poses and images of a bag: MCAP, a rosbag2 folder or a bare ``.db3``."""
+"""Poses, wrenches, inertial measurements and images of a bag, beside its joint states."""
 
 from __future__ import annotations
 
@@ -27,7 +27,17 @@ from pytest_twin.formats.sensor_messages import (
     stamp_of,
 )
 from pytest_twin.formats.serialized import Encoding, Integers, MessageError
+from pytest_twin.formats.stamped_readings import (
+    READINGS,
+    Reading,
+    pose_of_json,
+    reading_of,
+    reading_of_json,
+)
 from pytest_twin.formats.topic_reader import TopicReader
+
+_KINDS = (*POSES, *TRANSFORMS, *IMAGES, *READINGS)
+_IN_JSON = ("geometry_msgs/msg/PoseStamped", *READINGS)
 
 
 @dataclass
@@ -36,6 +46,8 @@ class SensorGatherer(Gatherer):
 
     Attributes:
         poses: topic -> poses in the order of the file; of ``/tf`` and ``/tf_static`` those too.
+        readings: topic -> wrenches or inertial measurements in the order of the file.
+        reading_type: topic of readings -> their message type.
         stamps: topic of images -> stamp of each, ns.
         picture: called with topic, number and image of those that ``wanted`` names.
         wanted: topic -> numbers of the images to decode.
@@ -46,6 +58,8 @@ class SensorGatherer(Gatherer):
     wanted: Mapping[str, frozenset[int]] = field(default_factory=dict)
     picture: Callable[[str, int, Picture], None] | None = None
     poses: dict[str, list[Stamped]] = field(default_factory=dict)
+    readings: dict[str, list[Reading]] = field(default_factory=dict)
+    reading_type: dict[str, str] = field(default_factory=dict)
     stamps: dict[str, list[int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -53,7 +67,7 @@ class SensorGatherer(Gatherer):
 
     def wants(self, topic: str, schema: str) -> bool:
         """Whether messages of a topic are to be read."""
-        known = long_name(schema) in (*POSES, *TRANSFORMS, *IMAGES)
+        known = long_name(schema) in _KINDS
         return known or Gatherer.wants(self, topic, schema)
 
     def take(self, region: Region, contents: Contents) -> None:
@@ -65,14 +79,16 @@ class SensorGatherer(Gatherer):
             if channel is None or declared is None:
                 continue
             kind = long_name(declared.name)
-            if kind in (*POSES, *TRANSFORMS, *IMAGES):
+            if kind in _KINDS:
                 self._sensed(region, np.flatnonzero(region.channel == number), channel, kind)
 
     def _sensed(self, region: Region, rows: Integers, channel: Channel, kind: str) -> None:
-        if channel.encoding not in ("cdr", "ros1"):
+        known = ("cdr", "ros1", "json") if kind in _IN_JSON else ("cdr", "ros1")
+        if channel.encoding not in known:
             raise RecordingError(
-                "poses and images are read from CDR only",
-                path=self.path, where=channel.topic, value=channel.encoding, expected="cdr, ros1",
+                f"messages of type {kind} are not read from this encoding",
+                path=self.path, where=channel.topic, value=channel.encoding,
+                expected=", ".join(known),
             )  # fmt: skip
         encoding: Encoding = "ros1" if channel.encoding == "ros1" else "cdr"
         if TopicReader.packed(region, rows):
@@ -85,6 +101,17 @@ class SensorGatherer(Gatherer):
             try:
                 if kind in IMAGES:
                     self._image(message, channel.topic, kind, encoding)
+                elif kind in READINGS:
+                    json = channel.encoding == "json"
+                    one = (
+                        reading_of_json(message, kind)
+                        if json
+                        else reading_of(message, kind, encoding)
+                    )
+                    self.reading_type[channel.topic] = kind
+                    self.readings.setdefault(channel.topic, []).append(one)
+                elif channel.encoding == "json":
+                    self.poses.setdefault(channel.topic, []).append(pose_of_json(message))
                 else:
                     found = poses_of(message, kind, encoding)
                     self.poses.setdefault(channel.topic, []).extend(found)

@@ -10,6 +10,11 @@ from pytest_twin.diagnosis.patched.model import MODEL_FILE
 from pytest_twin.errors import PathError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.identification.closed_loop import simulated
+from pytest_twin.identification.contact.identify import (
+    TossOptions,
+    are_tosses,
+    identify_contact,
+)
 from pytest_twin.identification.effort.identify import has_effort, identify_effort
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.measured import Measured
@@ -35,6 +40,7 @@ def identify_files(
     options: Mapping[str, Any],
     packages: Mapping[str, str] | None = None,
     roots: Sequence[str] = (),
+    tosses: Mapping[str, Any] | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Load, identify, write the fitted model; runs in the child process.
@@ -47,6 +53,7 @@ def identify_files(
         topics: role -> topic, before those of the twin.
         options: how recordings are read, before what the twin says.
         packages, roots: where the model's files lie.
+        tosses: fields of ``TossOptions``, for recordings of a free object.
         progress: told the fraction done.
 
     Returns:
@@ -65,12 +72,18 @@ def identify_files(
     paths = [Path(one) for one in recordings]
     tested = [Path(one) for one in held_out]
     progress(0.1)
+    tossed = TossOptions(**(tosses or {}))
+    if are_tosses([*paths, *tested], tossed):
+        document = identify_contact(
+            realization, paths, tested, tossed, _made(Path(out) / REALIZATION),
+            lambda fraction: progress(0.1 + 0.9 * fraction),
+        )  # fmt: skip
+        return _finished(document, notes, name, realization, [Path(model), *paths, *tested])
     measured = read_by_role(
         paths, tested, realization,
         {**stated, **topics}, chosen, signals,
     )  # fmt: skip
-    folder = Path(out) / REALIZATION
-    folder.mkdir()
+    folder = _made(Path(out) / REALIZATION)
     progress(0.3)
     if has_effort(measured):
         result = identify_effort(realization, measured, signals)
@@ -104,15 +117,32 @@ def identify_files(
             progress,
         )
     reasons = [] if has_effort(measured) else [n for one in measured.fit for n in one.notes]
-    document["notes"] = [*notes, *measured.notes, *dict.fromkeys(reasons), *document["notes"]]
+    said = [*notes, *measured.notes, *dict.fromkeys(reasons)]
+    progress(1.0)
+    return _finished(document, said, name, realization, [Path(model), *paths, *tested])
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+def _finished(
+    document: dict[str, Any],
+    notes: Sequence[str],
+    name: str,
+    realization: Realization,
+    files: Sequence[Path],
+) -> dict[str, Any]:
+    """The document with its id and the digests of what it was made from."""
+    document["notes"] = [*notes, *document["notes"]]
     document["identification"] = name
     document["inputs"] = {
         path.name: {"sha256": file_sha256(path)}
-        for path in (Path(model), realization.path, *paths, *tested)
+        for path in (*files, realization.path)
         if path.is_file()
     }
     document["realization"] = f"{REALIZATION}/"
-    progress(1.0)
     return document
 
 

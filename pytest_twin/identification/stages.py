@@ -6,11 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-StageName = Literal["delay", "encoder", "gravity", "inertia", "friction", "drive", "closed_loop"]
+StageName = Literal[
+    "delay",
+    "encoder",
+    "gravity",
+    "inertia",
+    "friction",
+    "drive",
+    "closed_loop",
+    "contact",
+    "sensor",
+]
 State = Literal["accepted", "rejected", "reopened", "not_observable"]
 
 STAGES: tuple[StageName, ...] = (
-    "delay", "encoder", "gravity", "inertia", "friction", "drive", "closed_loop",
+    "delay", "encoder", "gravity", "inertia", "friction", "drive", "closed_loop", "contact",
+    "sensor",
 )  # fmt: skip
 """In order: a stage takes what those before it have found as given."""
 

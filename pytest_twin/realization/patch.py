@@ -340,6 +340,10 @@ def _set(element: Any, attribute: str, value: Any, where: str, refuse: Refuse) -
         setattr(element, attribute, filled)
     elif np.ndim(value):
         raise refuse(where, "a list where one number belongs", value=value, expected="one number")
+    elif isinstance(current, int) and not isinstance(current, bool):
+        if value != int(value):
+            raise refuse(where, "not a whole number", value=value, expected="a whole number")
+        setattr(element, attribute, int(value))
     else:
         setattr(element, attribute, float(value))
 

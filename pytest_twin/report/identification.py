@@ -28,6 +28,7 @@ def render(document: Mapping[str, Any]) -> str:
         headline=headline,
         mood=mood,
         errors=error_lines(document),
+        spread=spread_rows(document),
         stages=[(stage, _held_out(stage)) for stage in document["stages"]],
     )
 
@@ -51,8 +52,38 @@ def error_lines(document: Mapping[str, Any]) -> list[str]:
             if "position_rms_nominal" in error:
                 said += f" (nominal model {scale * error['position_rms_nominal']:.3g} {unit})"
             parts.append(said)
+        if "toss_position" in error:
+            parts.append(_toss_words(error))
         lines.append(f"{joint}: {', '.join(parts)}")
     return lines
+
+
+def spread_rows(document: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
+    """How contact estimates change with the simulation: a row for each option that differs."""
+    rows = []
+    for one in document.get("contact", {}).get("spread", ()):
+        cells = [f"{name} {value:.4g}" for name, value in one["parameters"].items()]
+        held = one["held_out"]
+        if held is not None:
+            cells.append(
+                f"position {1e3 * held['toss_position']:.3g} mm, "
+                f"rotation {1e3 * held['toss_rotation']:.3g} mrad"
+            )
+        rows.append((one["simulation"], cells))
+    return rows
+
+
+def _toss_words(error: Mapping[str, Any]) -> str:
+    """Mean errors over whole tosses, beside the nominal model's."""
+    said = (
+        f"position {1e3 * error['toss_position']:.3g} mm "
+        f"({100 * error['toss_position_widths']:.3g} % of its width)"
+    )
+    turned = f"rotation {1e3 * error['toss_rotation']:.3g} mrad"
+    if "toss_position_nominal" in error:
+        said += f" (nominal model {1e3 * error['toss_position_nominal']:.3g} mm)"
+        turned += f" (nominal model {1e3 * error['toss_rotation_nominal']:.3g} mrad)"
+    return f"{said}, {turned}, mean over {error['tosses']} whole tosses"
 
 
 def _held_out(stage: Mapping[str, Any]) -> str:

@@ -1,0 +1,1 @@
+"""Contact parameters of a free object from its measured tosses."""

@@ -1,0 +1,205 @@
+"""``identification.json`` of a contact identification."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pytest_twin import __version__
+from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.contact.fit import ContactFit
+from pytest_twin.identification.contact.loss import TossErrors, losses
+from pytest_twin.identification.contact.parameters import (
+    DAMPING,
+    ROLLING,
+    STIFFNESS,
+    TORSIONAL,
+    UNITS,
+    geom_patch,
+)
+from pytest_twin.identification.contact.roles import TossSet
+from pytest_twin.identification.records import verdict_of
+from pytest_twin.identification.stages import HeldOut, Stage, judged
+from pytest_twin.realization import Realization
+
+_MOTION = {
+    TORSIONAL: "spin the object about the normal while one face or one point lies on the surface",
+    ROLLING: "let the object roll on the surface until it stops",
+    STIFFNESS: "press the object onto the surface with two known forces and measure how far it "
+    "sinks in, or record impacts at 1 kHz or more",
+    DAMPING: "drop the object flat from several heights and record the rebound at 1 kHz or more",
+}
+_ANY_MOTION = "toss the object so that it lands on corners, edges and faces at several speeds"
+
+
+def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization) -> dict[str, Any]:
+    """The content of ``identification.json``, without inputs and notes of the run."""
+    body, size = fit.contact.body.name, fit.contact.size
+    values = fit.values
+    deviation = np.sqrt(np.diag(fit.covariance).clip(0.0))
+    names = [f"{body}.{name}" for name in fit.names]
+    nominal = {one.name: one.start for one in fit.contact.parameters}
+    stage = Stage(
+        "contact",
+        "accepted",
+        f"fitted to {len(tosses.fit)} whole tosses",
+        tuple(names),
+        excludes="a wrong first state: each toss starts from its measured pose and velocity",
+    )
+    held = bool(tosses.held_out)
+    before, after = (
+        losses(one, size)
+        for one in ((fit.nominal_held, fit.fitted_held) if held else (fit.nominal, fit.fitted))
+    )
+    if held:
+        stage = judged(
+            stage, HeldOut(float(before.mean()), float(after.mean()), "half widths plus rad")
+        )
+    model = fit.contact.model
+    return {
+        "schema": 1,
+        "verdict": verdict_of([stage], bool(after.mean() < before.mean()), held, True),
+        "way": f"whole tosses of {body}",
+        "tested_on": f"{len(tosses.held_out)} held-out tosses" if held else "the fit tosses",
+        "stages": [stage.to_json()],
+        "parameters": {
+            f"{body}.{name}": {
+                "value": values[name],
+                "unit": UNITS[name],
+                "ci95": [values[name] - Z95 * one, values[name] + Z95 * one],
+                "prior": nominal[name],
+                "stage": "contact",
+            }
+            for name, one in zip(fit.names, deviation.tolist(), strict=True)
+        },
+        "covariance": {"names": names, "matrix": fit.covariance.tolist()},
+        "base_parameters": [],
+        "held_out": {
+            body: _errors(
+                fit.fitted_held if held else fit.fitted,
+                fit.nominal_held if held else fit.nominal,
+                size,
+            )
+        },
+        "fitted": {body: _errors(fit.fitted, fit.nominal, size)},
+        "physical": {"consistent": True, "violations": []},
+        "unobservable": [*_untold(fit, body), *_without_effect(fit, body)],
+        "contact": {
+            "pair": {
+                "object": [_name(model, geom) for geom in fit.contact.body.geoms],
+                "surroundings": [_name(model, geom) for geom in fit.contact.body.others],
+            },
+            "held": {f"{body}.{one.fixed}": one.value for one in fit.untold},
+            "from": "whole tosses" if fit.refined else f"{_samples()}-sample stretches",
+            "solver": solver_of(model),
+            "spread": [
+                {
+                    "simulation": one.name,
+                    "parameters": {f"{body}.{name}": v for name, v in one.values.items()},
+                    "held_out": _errors(one.held, None, size) if held else None,
+                    "held_out_with_these_parameters": _errors(one.kept, None, size)
+                    if held
+                    else None,
+                }
+                for one in fit.variants
+            ],
+        },
+        "fit": _laid(fit, realization),
+        "correlated": _correlated(names, fit.covariance),
+        "suspected": [],
+        "without_effort": [],
+        "notes": [],
+        "software": {"pytest-twin": __version__, "mujoco": mujoco.__version__},
+    }
+
+
+def solver_of(model: mujoco.MjModel) -> dict[str, Any]:
+    """Options of the simulation that a contact fit holds for."""
+    option = model.opt
+    return {
+        "engine": f"mujoco {mujoco.__version__}",
+        "timestep": float(option.timestep),
+        "integrator": mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_"),
+        "solver": mujoco.mjtSolver(option.solver).name.removeprefix("mjSOL_"),
+        "cone": mujoco.mjtCone(option.cone).name.removeprefix("mjCONE_"),
+        "iterations": int(option.iterations),
+        "tolerance": float(option.tolerance),
+        "impratio": float(option.impratio),
+    }
+
+
+def _samples() -> int:
+    from pytest_twin.identification.contact.fit import SAMPLES
+
+    return SAMPLES
+
+
+def _errors(errors: TossErrors, nominal: TossErrors | None, size: float) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "toss_position": float(errors.position.mean()),
+        "toss_position_unit": "m",
+        "toss_position_widths": float(errors.position.mean()) / (2.0 * size),
+        "toss_rotation": float(errors.rotation.mean()),
+        "toss_rotation_unit": "rad",
+        "tosses": len(errors.position),
+    }
+    if nominal is not None:
+        found["toss_position_nominal"] = float(nominal.position.mean())
+        found["toss_rotation_nominal"] = float(nominal.rotation.mean())
+    return found
+
+
+def _untold(fit: ContactFit, body: str) -> list[dict[str, str]]:
+    found = []
+    for one in fit.untold:
+        leading = sorted(one.loadings.items(), key=lambda pair: -abs(pair[1]))
+        terms = [f"{share:+.2f} {body}.{name}" for name, share in leading if abs(share) > 0.1]
+        found.append(
+            {
+                "expression": " ".join(terms) + " (on the scales of the search)",
+                "motion": _MOTION.get(one.fixed, _ANY_MOTION),
+            }
+        )
+    return found
+
+
+def _without_effect(fit: ContactFit, body: str) -> list[dict[str, str]]:
+    return [
+        {"expression": f"{body}.{name}", "motion": _MOTION[name]} for name in fit.without_effect
+    ]
+
+
+def _laid(fit: ContactFit, realization: Realization) -> dict[str, Any]:
+    """What the record lays over the model: geoms that have a name."""
+    geoms = {}
+    for geom in fit.contact.body.geoms:
+        name = _name(realization.model, geom)
+        if name:
+            geoms[name] = {
+                **geom_patch(realization.model, geom, fit.values),
+                "priority": priority_of(fit),
+            }
+    return {"geom": geoms} if geoms else {}
+
+
+def priority_of(fit: ContactFit) -> int:
+    """The priority by which the object's parameters decide the pair's."""
+    model = fit.contact.model
+    return 1 + max((int(model.geom_priority[g]) for g in fit.contact.body.others), default=0)
+
+
+def _name(model: mujoco.MjModel, geom: int) -> str:
+    return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or ""
+
+
+def _correlated(names: list[str], covariance: Any) -> list[dict[str, Any]]:
+    deviation = np.sqrt(np.diag(covariance).clip(1e-300))
+    matrix = covariance / np.outer(deviation, deviation)
+    return [
+        {"pair": [names[j], names[i]], "correlation": float(matrix[i, j])}
+        for i in range(len(names))
+        for j in range(i)
+        if abs(matrix[i, j]) > 0.9
+    ]

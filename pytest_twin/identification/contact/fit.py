@@ -1,0 +1,308 @@
+"""Contact parameters of a free object, fitted to whole tosses and tested on others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import RecordingError
+from pytest_twin.identification.contact.loss import (
+    Stretch,
+    TossErrors,
+    around_contacts,
+    errors_of,
+    losses,
+    whole,
+)
+from pytest_twin.identification.contact.parameters import (
+    FRICTION,
+    ROLLING,
+    TORSIONAL,
+    UNITS,
+    ContactModel,
+)
+from pytest_twin.identification.contact.search import Loss, minimized, starts
+from pytest_twin.identification.contact.tosses import Toss
+from pytest_twin.identification.contact.uncertainty import (
+    Told,
+    as_good,
+    by_toss,
+    surface,
+    told,
+)
+
+SAMPLES = 12
+"""Samples of a stretch around a contact: at 148 Hz 75 ms, one impact and what follows of it."""
+_STRETCHES = 240
+"""Stretches that the search uses; more take longer and narrow no interval by much."""
+_WHOLE = 60
+"""Whole tosses that the second search uses."""
+_GENERATIONS = {"stretches": 15, "whole": 8, "variant": 6}
+_SPINNING = (0.0003, 0.002, 0.01)
+"""Torsional and rolling friction that are tried, as shares of the object's half size times 10."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The fit under other options of the simulation.
+
+    Attributes:
+        name: what differs.
+        values: parameter -> value that fits best under it.
+        held: error on held-out tosses with its own values.
+        kept: the same with the values of the main fit.
+    """
+
+    name: str
+    values: Mapping[str, float]
+    held: TossErrors
+    kept: TossErrors
+
+
+@dataclass(frozen=True)
+class Untold:
+    """A combination of parameters that the tosses do not tell.
+
+    Attributes:
+        loadings: parameter -> share, of unit length on the scales of the search.
+        fixed: the parameter that was fixed for it.
+        value: at which.
+    """
+
+    loadings: Mapping[str, float]
+    fixed: str
+    value: float
+
+
+@dataclass(frozen=True)
+class ContactFit:
+    """Fitted contact parameters and how they predict.
+
+    Attributes:
+        contact: with what is free.
+        values: parameter -> value, of the free and of the fixed ones.
+        names: free parameters, as the covariance has them.
+        covariance: (p, p) in their units.
+        untold: what was not told, and fixed.
+        without_effect: friction coefficients that change no prediction beyond chance.
+        nominal, fitted: errors on the fit tosses.
+        nominal_held, fitted_held: errors on the held-out tosses.
+        variants: other options of the simulation.
+        refined: whether whole tosses moved the estimate.
+    """
+
+    contact: ContactModel
+    values: Mapping[str, float]
+    names: tuple[str, ...]
+    covariance: FloatArray
+    untold: tuple[Untold, ...]
+    without_effect: tuple[str, ...]
+    nominal: TossErrors
+    fitted: TossErrors
+    nominal_held: TossErrors
+    fitted_held: TossErrors
+    variants: tuple[Variant, ...] = ()
+    refined: bool = False
+    notes: tuple[str, ...] = field(default=())
+
+
+def fit_contact(
+    contact: ContactModel,
+    fit: Sequence[Toss],
+    held_out: Sequence[Toss],
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> ContactFit:
+    """Fit contact parameters, judge them on held-out tosses, and vary the simulation.
+
+    Args:
+        contact: nominal model and what is free.
+        fit, held_out: whole tosses; the latter may be empty.
+        progress: told the fraction done.
+
+    Raises:
+        RecordingError: no toss touches anything.
+    """
+    gravity = np.array(contact.model.opt.gravity)
+    stretches, groups = _drawn(around_contacts(fit, gravity, SAMPLES, contact.size), fit)
+    loss = Loss(contact, stretches)
+    found, rivals = _minima(contact, loss, groups, lambda f: progress(0.45 * f))
+    contact, spinning = _with_spinning(contact, found, stretches, groups)
+    if len(contact.parameters) > len(found):
+        extra = [one.place(one.start) for one in contact.parameters[len(found) :]]
+        loss = Loss(contact, stretches)
+        seed = np.concatenate([found, extra])
+        found = minimized(loss, seed, 0.05, _GENERATIONS["stretches"], 2)
+        rivals = []
+    around = surface(loss, found, groups)
+    free, untold = list(range(len(found))), list[Untold]()
+    known = told(around, free, rivals)
+    while known.untold and len(free) > 1:
+        gone, untold_one = _fixed(contact, around.centre, free, known)
+        untold.append(untold_one)
+        free.remove(gone)
+        known = told(around, free, rivals)
+    progress(0.6)
+    places = around.centre.copy()
+    places[free] = known.centre
+    values = contact.values(places)
+    rest = contact.without([one.fixed for one in untold], values)
+    rows = [whole(one) for one in fit]
+    places, covariance, refined = _refined(rest, places[free], known.covariance, rows)
+    values = {**values, **rest.values(places)}
+    progress(0.75)
+    held = [whole(one) for one in held_out]
+    nominal, fitted = errors_of([contact.model, contact.at(values)], contact.body, rows)
+    nominal_held, fitted_held = (
+        errors_of([contact.model, contact.at(values)], contact.body, held)
+        if held
+        else (TossErrors(np.zeros(0), np.zeros(0)),) * 2
+    )
+    slopes = np.diag([p.slope(place) for p, place in zip(rest.parameters, places, strict=True)])
+    some = np.random.default_rng(5).permutation(len(stretches))[: _STRETCHES // 2]
+    variants = _variants(rest, places, values, [stretches[at] for at in some], held, progress)
+    return ContactFit(
+        contact, values, rest.names, slopes @ covariance @ slopes, tuple(untold),
+        tuple(name for name in (TORSIONAL, ROLLING) if name not in spinning),
+        nominal, fitted, nominal_held, fitted_held, tuple(variants), refined,
+    )  # fmt: skip
+
+
+def _drawn(
+    each: Sequence[Sequence[Stretch]], fit: Sequence[Toss]
+) -> tuple[list[Stretch], list[int]]:
+    """Stretches of all tosses and the toss of each, no more than the search uses."""
+    pairs = [(at, one) for at, rows in enumerate(each) for one in rows]
+    if len({at for at, _ in pairs}) < 2:
+        raise RecordingError(
+            "fewer than two tosses to fit touch anything",
+            path=fit[0].path,
+            expected="tosses that reach the surface while the object moves",
+        )
+    order = np.random.default_rng(0).permutation(len(pairs))[:_STRETCHES]
+    chosen = [pairs[at] for at in sorted(order)]
+    return [one for _, one in chosen], [at for at, _ in chosen]
+
+
+def _minima(
+    contact: ContactModel,
+    loss: Loss,
+    groups: Sequence[int],
+    progress: Callable[[float], None],
+) -> tuple[FloatArray, list[FloatArray]]:
+    """The best minimum over all starts, and others that predict as well."""
+    begun = starts(contact)
+    minima = [
+        minimized(loss, start, 0.25, _GENERATIONS["stretches"], 1 + at,
+                  lambda f, at=at: progress((at + f) / len(begun)))  # type: ignore[misc]
+        for at, start in enumerate(begun)
+    ]  # fmt: skip
+    means = by_toss(loss(minima), groups)
+    order = np.argsort(means.mean(axis=1))
+    best = int(order[0])
+    return minima[best], [minima[at] for at in order[1:] if as_good(means[best], means[at])]
+
+
+def _with_spinning(
+    contact: ContactModel, places: FloatArray, stretches: Sequence[Stretch], groups: Sequence[int]
+) -> tuple[ContactModel, tuple[str, ...]]:
+    """The model with torsional and rolling friction free where they lower the error."""
+    from dataclasses import replace
+
+    from pytest_twin.identification.contact.parameters import Parameter
+
+    values, size = contact.values(places), contact.size
+    tried = [(name, 10.0 * share * size) for name in (TORSIONAL, ROLLING) for share in _SPINNING]
+    models = [contact.at(values), *(contact.at({**values, name: v}) for name, v in tried)]
+    found = [losses(one, size) for one in errors_of(models, contact.body, list(stretches))]
+    means = by_toss(np.array(found), groups)
+    chosen: dict[str, float] = {}
+    for row, (name, value) in enumerate(tried, 1):
+        gain = means[0] - means[row]
+        # Six are tried: three standard errors are 98 % for all together.
+        if np.mean(gain) > 3.0 * np.std(gain, ddof=1) / np.sqrt(len(gain)):
+            chosen.setdefault(name, value)
+    added = tuple(Parameter(name, 1e-5 * size, size, value) for name, value in chosen.items())
+    return replace(contact, parameters=(*contact.parameters, *added)), tuple(chosen)
+
+
+def _fixed(
+    contact: ContactModel, centre: FloatArray, free: Sequence[int], known: Told
+) -> tuple[int, Untold]:
+    """The parameter that stands for a combination that is not told, fixed where it is."""
+    direction = known.untold[-1]
+    # Friction is never the one: it is what tosses tell best.
+    order = np.argsort(-np.abs(direction))
+    at = next(k for k in order if contact.names[free[k]] != FRICTION)
+    loadings = {contact.names[free[k]]: float(direction[k]) for k in range(len(free))}
+    gone = free[at]
+    value = contact.parameters[gone].value(float(centre[gone]))
+    return gone, Untold(loadings, contact.names[gone], value)
+
+
+def _refined(
+    contact: ContactModel, places: FloatArray, covariance: FloatArray, rows: Sequence[Stretch]
+) -> tuple[FloatArray, FloatArray, bool]:
+    """The estimate after whole tosses, where they are predicted better by it beyond chance."""
+    some = np.random.default_rng(4).permutation(len(rows))[:_WHOLE]
+    search = Loss(contact, [rows[at] for at in some])
+    moved = minimized(search, places, 0.05, _GENERATIONS["whole"], 3)
+    models = [contact.at(contact.values(one)) for one in (places, moved)]
+    before, after = (
+        losses(one, contact.size) for one in errors_of(models, contact.body, list(rows))
+    )
+    if as_good(after, before):
+        return places, covariance, False
+    apart = moved - places
+    return moved, covariance + np.outer(apart, apart), True
+
+
+def variants_of(model: mujoco.MjModel) -> dict[str, dict[str, Any]]:
+    """Other options of the simulation under which the fit is repeated, one change each."""
+    step = float(model.opt.timestep)
+    elliptic = int(model.opt.cone) == int(mujoco.mjtCone.mjCONE_ELLIPTIC)
+    euler = int(model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_EULER)
+    cone = ("pyramidal", mujoco.mjtCone.mjCONE_PYRAMIDAL) if elliptic else (
+        "elliptic", mujoco.mjtCone.mjCONE_ELLIPTIC)  # fmt: skip
+    other = ("implicitfast", mujoco.mjtIntegrator.mjINT_IMPLICITFAST) if euler else (
+        "Euler", mujoco.mjtIntegrator.mjINT_EULER)  # fmt: skip
+    return {
+        f"timestep {0.5e3 * step:g} ms": {"timestep": 0.5 * step},
+        f"{cone[0]} cone": {"cone": cone[1]},
+        f"integrator {other[0]}": {"integrator": other[1]},
+    }
+
+
+def _variants(
+    contact: ContactModel,
+    places: FloatArray,
+    values: Mapping[str, float],
+    stretches: Sequence[Stretch],
+    held: Sequence[Stretch],
+    progress: Callable[[float], None],
+) -> list[Variant]:
+    found = []
+    changes = variants_of(contact.model)
+    for done, (name, change) in enumerate(changes.items(), 1):
+        other = contact.with_options(change)
+        moved = minimized(Loss(other, stretches), places, 0.08, _GENERATIONS["variant"], 6)
+        own = {**values, **other.values(moved)}
+        nothing = TossErrors(np.zeros(0), np.zeros(0))
+        errors = (
+            errors_of([other.at(own), other.at(values)], contact.body, held)
+            if held
+            else [nothing, nothing]
+        )
+        found.append(Variant(name, {n: own[n] for n in contact.names}, *errors))
+        progress(0.75 + 0.24 * done / len(changes))
+    return found
+
+
+def deviations(fit: ContactFit) -> dict[str, float]:
+    """Parameter -> standard deviation in its unit (``UNITS``)."""
+    spread = np.sqrt(np.diag(fit.covariance).clip(0.0))
+    return {name: float(one) for name, one in zip(fit.names, spread, strict=True) if name in UNITS}

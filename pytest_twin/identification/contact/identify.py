@@ -1,0 +1,118 @@
+"""One contact identification from its files to the folder that it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.formats.pose_tracks import holds_tosses
+from pytest_twin.identification.contact.document import contact_document, priority_of
+from pytest_twin.identification.contact.fit import ContactFit, fit_contact
+from pytest_twin.identification.contact.parameters import contact_model, geom_patch
+from pytest_twin.identification.contact.roles import read_by_role
+from pytest_twin.identification.write import write_fitted
+from pytest_twin.realization import Realization
+from pytest_twin.realization.free_body import free_body
+
+
+@dataclass(frozen=True)
+class TossOptions:
+    """How tosses are read.
+
+    Attributes:
+        length: m for one unit of length; None to find it out.
+        rate: samples per s; None to find it out.
+        body: that was tossed, where the model has several free bodies.
+        topic: of the poses in a bag.
+    """
+
+    length: float | None = None
+    rate: float | None = None
+    body: str | None = None
+    topic: str | None = None
+
+
+def are_tosses(recordings: Sequence[Path], options: TossOptions) -> bool:
+    """Whether recordings hold poses of an object: archives, or bags whose pose topic is named."""
+    return options.topic is not None or all(holds_tosses(path) for path in recordings)
+
+
+def identify_contact(
+    realization: Realization,
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    options: TossOptions,
+    folder: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> dict[str, Any]:
+    """Fit the contact of a free body, and write the fitted model.
+
+    Args:
+        realization: the nominal model.
+        recordings, held_out: archives of tosses and bags.
+        options: how they are read.
+        folder: empty; gets the fitted model.
+        progress: told the fraction done.
+
+    Returns:
+        the content of ``identification.json`` but for its inputs.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
+    body = free_body(realization, options.body)
+    gravity = np.array(realization.model.opt.gravity)
+    tosses = read_by_role(
+        recordings, held_out, gravity, options.topic, options.length, options.rate
+    )
+    fit = fit_contact(contact_model(realization, body), tosses.fit, tosses.held_out, progress)
+    document = contact_document(fit, tosses, realization)
+    unnamed = sum(not realization.model.geom(g).name for g in body.geoms)
+    if unnamed:
+        document["notes"].append(
+            f"{unnamed} geoms of {body.name} have no name: realization/ has their fit, fit: of a "
+            "twin cannot; name them to list the record there"
+        )
+    document["notes"] = [*tosses.notes, *document["notes"]]
+    document["trials"] = {
+        "fit": list(dict.fromkeys(one.path.name for one in tosses.fit)),
+        "held_out": list(dict.fromkeys(one.path.name for one in tosses.held_out)),
+    }
+    document["contact"]["tosses"] = {
+        "fit": [one.name for one in tosses.fit],
+        "held_out": [one.name for one in tosses.held_out],
+        "length_unit": tosses.units.length,
+        "rate": None if tosses.units.period is None else 1.0 / tosses.units.period,
+        "velocity_age": tosses.units.lag,
+    }
+    write_fitted(folder, _with_contact(realization, fit), {})
+    return document
+
+
+def _with_contact(realization: Realization, fit: ContactFit) -> Realization:
+    """The realization whose spec has the fit, geoms without names included."""
+    spec = realization.spec.copy()
+    model = realization.model
+    geoms = {int(one.id): one for one in spec.geoms}
+    for geom in fit.contact.body.geoms:
+        patch = geom_patch(model, geom, fit.values)
+        target = geoms[geom]
+        target.friction = patch["friction"]
+        target.solref = patch["solref"]
+        target.priority = priority_of(fit)
+        if "condim" in patch:
+            target.condim = int(patch["condim"])
+        if "size" in patch:
+            target.size = patch["size"]
+    return Realization(
+        name=realization.name,
+        path=realization.path,
+        spec=spec,
+        model=spec.compile(),
+        source=realization.source,
+        twin=realization.twin,
+    )

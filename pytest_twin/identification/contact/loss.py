@@ -1,0 +1,110 @@
+"""How far simulated tosses are from measured ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.contact.tosses import Toss
+from pytest_twin.metrics.pose_track import position_errors, rotation_errors
+from pytest_twin.realization.free_body import FreeBody, poses_of
+
+_LOST = 10.0
+"""Position error of a sample that a diverged simulation does not predict, m."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A piece of a toss that is predicted from its first sample.
+
+    Attributes:
+        state: (13,) pose and velocity to start from.
+        time: (n,) s, from 0 on.
+        poses: (n, 7) measured.
+    """
+
+    state: FloatArray
+    time: FloatArray
+    poses: FloatArray
+
+
+@dataclass(frozen=True)
+class TossErrors:
+    """Errors of predicted tosses; each is a mean over the samples of a toss.
+
+    Attributes:
+        position: (t,) m.
+        rotation: (t,) rad.
+    """
+
+    position: FloatArray
+    rotation: FloatArray
+
+
+def whole(toss: Toss) -> Stretch:
+    """A toss from its first sample to its last."""
+    return Stretch(toss.state(0), toss.time, toss.poses)
+
+
+def around_contacts(
+    tosses: Sequence[Toss], gravity: FloatArray, samples: int, size: float
+) -> list[list[Stretch]]:
+    """For each toss, short stretches that hold a contact and begin while the object moves.
+
+    A contact is where the acceleration differs from gravity by half of it.
+
+    Args:
+        gravity: (3,) m/s^2.
+        samples: of one stretch, the first among them.
+        size: of the object, m: slower than a tenth of it in a stretch is at rest.
+    """
+    found = []
+    for toss in tosses:
+        rows = []
+        change = np.diff(toss.twist[:, :3], axis=0) / np.diff(toss.time)[:, None]
+        pushed = np.linalg.norm(change - gravity, axis=1) > 0.5 * np.linalg.norm(gravity)
+        for row in range(1, len(toss.time) - samples + 1, max(1, samples // 2)):
+            piece = slice(row, row + samples)
+            seconds = toss.time[piece][-1] - toss.time[row]
+            speed = np.linalg.norm(toss.twist[row, :3]) + size * np.linalg.norm(toss.twist[row, 3:])
+            if pushed[row : row + samples - 1].any() and speed * seconds > 0.1 * size:
+                time = toss.time[piece] - toss.time[row]
+                rows.append(Stretch(toss.state(row), time, toss.poses[piece]))
+        found.append(rows)
+    return found
+
+
+def errors_of(
+    models: Sequence[mujoco.MjModel], body: FreeBody, stretches: Sequence[Stretch]
+) -> list[TossErrors]:
+    """Errors of every stretch under every model; a diverged one counts as lost."""
+    states = np.array([one.state for one in stretches])
+    most = max(len(one.time) for one in stretches)
+    times = np.full((len(stretches), most), np.nan)
+    measured = np.full((len(stretches), most, 7), np.nan)
+    for row, one in enumerate(stretches):
+        times[row, : len(one.time)] = one.time
+        measured[row, : len(one.time)] = one.poses
+    asked = np.isfinite(times)
+    found = []
+    for poses in poses_of(models, body, states, times):
+        apart = np.where(np.isnan(poses[..., 0]), _LOST, position_errors(poses, measured))
+        turned = np.where(np.isnan(poses[..., 3]), np.pi, rotation_errors(poses, measured))
+        found.append(
+            TossErrors(np.mean(apart, axis=1, where=asked), np.mean(turned, axis=1, where=asked))
+        )
+    return found
+
+
+def losses(errors: TossErrors, size: float) -> FloatArray:
+    """(t,) one number for each toss: position error over the half width, plus rotation error.
+
+    Both then are about the displacement of the object's surface in half widths. Means of absolute
+    values: a toss that tips over to another face than the measured one counts no more than its
+    distance, and not by its square.
+    """
+    return np.asarray(errors.position / size + errors.rotation)

@@ -1,0 +1,89 @@
+"""Which tosses are fitted and which are held out: whole tosses, never samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.pose_tracks import read_pose_tracks
+from pytest_twin.identification.contact.tosses import Toss, Units, in_model_units
+
+_ONE_HELD_OUT_OF = 4
+
+
+@dataclass(frozen=True)
+class TossSet:
+    """Tosses by role.
+
+    Attributes:
+        fit, held_out: whole tosses.
+        units: of the recordings, where they are not stated.
+        notes: what was decided on its own.
+    """
+
+    fit: tuple[Toss, ...]
+    held_out: tuple[Toss, ...]
+    units: Units
+    notes: tuple[str, ...]
+
+
+def read_by_role(
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    gravity: FloatArray,
+    topic: str | None = None,
+    length: float | None = None,
+    rate: float | None = None,
+) -> TossSet:
+    """Read tosses and decide the role of each.
+
+    ``held_out`` decides where it is given, else the recordings' own metadata ``role``, else every
+    fourth toss is set aside. Units that are not stated are found from the tosses to fit alone.
+
+    Args:
+        recordings, held_out: ``.npz`` archives and bags.
+        gravity: (3,) of the model, m/s^2.
+        topic: of the poses in a bag.
+        length: m for one unit of length, where it is known.
+        rate: Hz, where it is known.
+
+    Raises:
+        TwinError: a recording that cannot be read, or no toss to fit.
+    """
+    aside = {path.resolve() for path in held_out}
+    paths = [path for path in dict.fromkeys(recordings) if path.resolve() not in aside]
+    fitting = [one for path in paths for one in read_pose_tracks(path, topic)]
+    if not fitting:
+        raise RecordingError(
+            "no recording remains to fit",
+            path=held_out[0] if held_out else None,
+            expected="at least one RECORDING that is not under --held-out",
+        )
+    testing = [one for path in dict.fromkeys(held_out) for one in read_pose_tracks(path, topic)]
+    notes: list[str] = []
+    if not testing:
+        said = [one for one in fitting if dict(one.metadata).get("role") == "held_out"]
+        if said:
+            testing = said
+        elif len(fitting) >= _ONE_HELD_OUT_OF:
+            testing = fitting[_ONE_HELD_OUT_OF - 1 :: _ONE_HELD_OUT_OF]
+            notes.append(
+                f"held out (chosen automatically): every fourth toss, {len(testing)} of "
+                f"{len(fitting)}; choose with --held-out"
+            )
+        chosen = {id(one) for one in testing}
+        fitting = [one for one in fitting if id(one) not in chosen]
+    if not testing:
+        notes.append(
+            "nothing is held out: no result can be accepted; record further tosses and name them "
+            "with --held-out"
+        )
+    fit, units = in_model_units(fitting, gravity, length, rate)
+    tested: list[Toss] = []
+    if testing:
+        known = units.length, None if units.period is None else 1.0 / units.period
+        tested, _ = in_model_units(testing, gravity, *known, lag=units.lag)
+    return TossSet(tuple(fit), tuple(tested), units, (*notes, *units.notes))

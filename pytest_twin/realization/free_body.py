@@ -1,0 +1,170 @@
+"""Many rollouts of one free body at once, each with contact parameters of its own."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import ModelError
+from pytest_twin.realization.forks import usable_cores
+from pytest_twin.realization.named_model import NamedModel
+
+_GROUP = 256
+"""Rollouts of similar length in one call: fewer waste threads, more waste steps of short ones."""
+
+
+@dataclass(frozen=True)
+class FreeBody:
+    """A body on a free joint of a model.
+
+    Attributes:
+        name: of the body.
+        body: its index.
+        qpos, dof: where its pose and velocity begin.
+        geoms: its geoms that can collide.
+        others: geoms of the rest that can collide with them.
+    """
+
+    name: str
+    body: int
+    qpos: int
+    dof: int
+    geoms: tuple[int, ...]
+    others: tuple[int, ...]
+
+
+def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
+    """The free body of a model that was tossed.
+
+    Args:
+        name: of the body, where the model has several.
+
+    Raises:
+        ModelError: no free body, or more than one and no name, or none that can touch anything.
+    """
+    model = realization.model
+    free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
+    names = {model.body(int(model.jnt_bodyid[j])).name: j for j in free}
+    if name is not None:
+        free = [names[name]] if name in names else []
+    if len(free) != 1:
+        raise ModelError(
+            "no free body of this name" if name else "the model needs one free body",
+            path=realization.path,
+            value=name or f"{len(free)} free bodies",
+            expected=f"--body with one of {', '.join(names)}"
+            if names
+            else "a body with <freejoint/>, the object that was tossed",
+        )
+    joint = free[0]
+    body = int(model.jnt_bodyid[joint])
+    root = int(model.body_rootid[body])
+    touching = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
+    own = tuple(g for g in touching if int(model.body_rootid[model.geom_bodyid[g]]) == root)
+    others = tuple(g for g in touching if g not in own)
+    if not own or not others:
+        raise ModelError(
+            "nothing for the free body to touch",
+            path=realization.path,
+            where=f"body {model.body(body).name!r}",
+            expected="a geom of the body and a geom of the surroundings, both with contact",
+        )
+    return FreeBody(
+        model.body(body).name,
+        body,
+        int(model.jnt_qposadr[joint]),
+        int(model.jnt_dofadr[joint]),
+        own,
+        others,
+    )
+
+
+def poses_of(
+    models: Sequence[mujoco.MjModel], body: FreeBody, states: FloatArray, times: FloatArray
+) -> FloatArray:
+    """Poses of a free body over time, for every model and every first state.
+
+    Poses between two steps are interpolated: linearly, and the quaternion along the chord.
+
+    Args:
+        models: of one layout; they differ in parameters.
+        states: (t, 13) x y z (m), quaternion w x y z, velocity in the world (m/s), angular velocity
+            in the body's axes (rad/s).
+        times: (t, n) when poses are asked for, s from the first state on; NaN after the last.
+
+    Returns:
+        (m, t, n, 7) poses; NaN where none is asked for, and from where a rollout diverged.
+    """
+    last = np.nanmax(times, axis=1)
+    order = np.argsort(last)
+    found = np.full((len(models), *times.shape, 7), np.nan)
+    width = max(1, _GROUP // len(models))
+    step = float(models[0].opt.timestep)
+    for begin in range(0, len(order), width):
+        rows = order[begin : begin + width]
+        count = int(np.ceil(float(last[rows].max()) / step - 1e-9)) + 1
+        found[:, rows] = _at(_rolled(models, body, states[rows], count), step, times[rows])
+    return found
+
+
+def _rolled(
+    models: Sequence[mujoco.MjModel], body: FreeBody, states: FloatArray, steps: int
+) -> FloatArray:
+    """(m, t, steps + 1, 7) poses at every step."""
+    first = _full_states(models[0], body, states)
+    rows = len(models) * len(states)
+    each = [model for model in models for _ in range(len(states))]
+    workers = [mujoco.MjData(models[0]) for _ in range(usable_cores())]
+    path, _ = rollout.rollout(
+        each, workers, np.tile(first, (len(models), 1)), nstep=steps, persistent_pool=True
+    )
+    start = 1 + body.qpos
+    poses = np.empty((rows, steps + 1, 7))
+    poses[:, 0] = np.tile(states[:, :7], (len(models), 1))
+    poses[:, 1:] = path[:, :, start : start + 7]
+    # The engine starts a diverged row anew at its reference: from there it is no prediction.
+    back = np.flatnonzero((np.diff(path[:, :, 0], axis=1) <= 0.0).any(axis=1))
+    for row in back:
+        lost = int(np.argmax(np.diff(path[row, :, 0]) <= 0.0))
+        poses[row, lost + 1 :] = np.nan
+    return poses.reshape(len(models), len(states), steps + 1, 7)
+
+
+def _full_states(model: mujoco.MjModel, body: FreeBody, states: FloatArray) -> FloatArray:
+    """(t, nstate) full physics states: the model's reference but for the free body."""
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    data = mujoco.MjData(model)
+    found = np.empty((len(states), mujoco.mj_stateSize(model, kind)))
+    for row, state in enumerate(states):
+        data.qpos[body.qpos : body.qpos + 7] = state[:7]
+        data.qvel[body.dof : body.dof + 6] = state[7:]
+        mujoco.mj_getState(model, data, found[row], kind)
+    return found
+
+
+def _at(path: FloatArray, step: float, times: FloatArray) -> FloatArray:
+    """(m, t, n, 7) of (m, t, s, 7) poses at (t, n) times; NaN where a time is."""
+    asked = np.isfinite(times)
+    place = np.where(asked, times, 0.0) / step
+    low = np.clip(place.astype(int), 0, path.shape[2] - 2)
+    share = (place - low)[None, :, :, None]
+    rows = np.arange(len(times))[:, None]
+    early, late = path[:, rows, low], path[:, rows, low + 1]
+    turned = np.sum(early[..., 3:] * late[..., 3:], axis=-1, keepdims=True) < 0.0
+    found = (1.0 - share) * early + share * np.concatenate(
+        [late[..., :3], np.where(turned, -1.0, 1.0) * late[..., 3:]], axis=-1
+    )
+    found[..., 3:] /= np.linalg.norm(found[..., 3:], axis=-1, keepdims=True)
+    found[:, ~asked] = np.nan
+    return np.asarray(found)
+
+
+def varied(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of a model, to be changed."""
+    return copy.copy(model)
