@@ -18,7 +18,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-RECORDINGS = Path(os.environ.get("TWIN_RECORDINGS", Path(__file__).parents[3] / "shared/recordings"))
+BESIDE = Path(__file__).parents[3] / "shared/recordings"
+RECORDINGS = Path(os.environ.get("TWIN_RECORDINGS", BESIDE))
 # Half width, mass and inertia as DAIRLab/contact-nets states them.
 MODEL = """<mujoco model="cube">
   <option cone="{cone}"/>

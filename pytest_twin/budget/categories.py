@@ -94,7 +94,7 @@ CATEGORIES: tuple[Category, ...] = (
     Category(
         "contact_and_material",
         "friction, stiffness and damping of contacts",
-        f"{_IDENTIFY} with tosses of an object, or {_DIAGNOSE} with recordings that touch something",
+        f"{_IDENTIFY} with tosses, or {_DIAGNOSE} with recordings that touch something",
         "touch, press and slide at two speeds and two loads",
         ("contact",),
     ),
