@@ -1,4 +1,4 @@
-"""Parts, what a golden rests on, and how a model hangs together. No simulator, no files."""
+"""Parts, what a golden depends on, and the structure of a model. No simulator, no files."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class Structure:
         return self._remember(("chain", wanted), lambda: self._chain(wanted))
 
     def carried(self, joints: Iterable[str]) -> frozenset[str]:
-        """What hangs on ``joints``: inertia of every body that they carry, and its kinematics
+        """What ``joints`` carry: inertia of every body that they carry, and its kinematics
         from the world on."""
         wanted = frozenset(joints)
         return self._remember(("carried", wanted), lambda: self._carried(wanted))

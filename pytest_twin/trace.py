@@ -10,7 +10,7 @@ from pytest_twin.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """Series on one independent axis; what stands beside a spec and what a plot shows.
+    """Series on one independent axis; stored next to a spec, and shown in a plot.
 
     Attributes:
         axis: (name, unit), such as ``("time", "s")`` or ``("frequency", "Hz")``.

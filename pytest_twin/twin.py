@@ -233,7 +233,7 @@ class Affects:
 
 @dataclass(frozen=True, slots=True)
 class DeclaredPart:
-    """Something that a result rests on and that no model shows: firmware, table, temperature.
+    """Something that a result depends on and that no model shows: firmware, table, temperature.
 
     Attributes:
         id: version or serial number, ``value`` a number or text, ``file`` a file whose bytes

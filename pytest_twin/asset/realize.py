@@ -203,7 +203,7 @@ def _pinocchio(made: Normalized, robot: urdf.Robot, told: urdf.Robot, before: De
 
 
 def _failed(target: str, error: TwinError, folder: Path) -> Conversion:
-    # Files are told apart by their names in the asset: where they were made is gone afterwards.
+    # Files are distinguished by their names in the asset; the folder they were made in is removed.
     problem = str(error).replace(f"{folder}/", "")
     return Conversion("URDF", target, "none", problem=problem, critical=True)
 

@@ -58,7 +58,7 @@ DRIVE = Destination(
 CALIBRATION = Destination(
     "joint calibration",
     "joints.calibration",
-    "no realization carries it: the zero of the real joint rests on it",
+    "no realization carries it: the zero of the real joint depends on it",
     "state the offset under `calibration:` in twin.yaml",
 )
 DYNAMIC_LIMITS = Destination(

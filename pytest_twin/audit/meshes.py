@@ -219,7 +219,7 @@ def _span_ratio(solid: Solid, span: float) -> float:
 def _verdict(shape: Shape, solid: Solid, ratios: dict[str, float]) -> Iterator[Finding]:
     """A mesh is in another unit where more than half of what can judge its size says so.
 
-    A minority says that what it rests on is odd: the layer `inertia` names an inertia or mass that
+    A minority says that its input is implausible: the layer `inertia` names an inertia or mass that
     does not fit its shape, and here the other shape alone is left to name.
     """
     for words, beyond in (

@@ -86,7 +86,7 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
         else:
             left_out.append(f"{name}: no rule carries it to the task; its uncertainty is stated")
     left_out += [
-        f"{name}: stated without a covariance, and no motion of the robot rests on it"
+        f"{name}: stated without a covariance, and no motion of the robot depends on it"
         for name in record.values
         if name not in record.covariance_names
     ]

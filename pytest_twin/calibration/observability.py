@@ -145,7 +145,7 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
     for direction in _simple(null):
         words = parts_in_words(fit.problem, layout, direction)
         apart = (
-            f"{' and '.join(words)} cannot be told apart in these poses"
+            f"{' and '.join(words)} cannot be distinguished in these poses"
             if len(words) > 1
             else f"{words[0]} is not determined by these poses"
         )

@@ -43,7 +43,7 @@ from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
 GROSS_RATIO = 6.0
 """A held-out observation is left out only where it is this many times as far off as the best third
-of the held-out ones: a target that was not seen says nothing of the calibration. Poor predictions
+of the held-out ones: a target that was not seen does not test the calibration. Poor predictions
 raise the best third too and stay in."""
 
 
@@ -55,7 +55,8 @@ class Solved:
         estimate: with covariance and directions that are not determined.
         gauges: zeros that were held.
         candidates: algebraic solver -> its state.
-        sources: of error -> standard deviation, m and rad; empty where they cannot be told apart.
+        sources: of error -> standard deviation, m and rad; empty where they cannot be
+            distinguished.
     """
 
     estimate: Estimate

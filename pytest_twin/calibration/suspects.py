@@ -51,7 +51,7 @@ class Suspect:
         what: what seems to be wrong, in words.
         mend: what to do.
         translation, rotation: median errors with the mistake undone, m and rad (NaN for points).
-        factor: that positions of the target must be multiplied by, where that is the mend.
+        factor: that positions of the target must be multiplied by, where that is the correction.
     """
 
     what: str

@@ -64,7 +64,7 @@ class Check(ABC):
     Class attributes:
         kind: the name in the spec.
         version: raised when the same spec would give other numbers.
-        libraries: distributions whose version the result rests on.
+        libraries: distributions whose version the result depends on.
         tolerances: name -> the SI unit of the tolerance.
         required_tolerances: those that a spec must state.
         schema: JSON Schema of ``target`` and ``stimulus``, as ``{"target": {}, "stimulus": {}}``.

@@ -95,7 +95,7 @@ class Contact(Check):
                 },
                 "object": {
                     "type": "object",
-                    "description": "A free body to touch. It stands above the second of the pair, "
+                    "description": "A free body to touch. It starts above the second of the pair, "
                     "or at a frame.",
                     "properties": {
                         "shape": {"enum": sorted(SIZES)},
@@ -121,7 +121,7 @@ class Contact(Check):
                         "offset": {
                             **_VECTOR,
                             "description": "From there, in m: along the frame's axes, or the "
-                            "world's where it stands above the second of the pair.",
+                            "world's where it starts above the second of the pair.",
                         },
                     },
                     "required": ["shape", "size", "mass"],

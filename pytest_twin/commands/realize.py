@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
                     for line in sandbox.call(
                         "pytest_twin.audit.run:criticals", {"path": str(normalized)}
                     )
-                    # What the conversion has said of an element stands there once.
+                    # Each note of the conversion is listed once.
                     if not any(word in known for word in re.findall(r"'([^']+)'", line))
                 ]
     finally:

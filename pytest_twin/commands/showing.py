@@ -191,8 +191,8 @@ def _advice(recording: Recording) -> list[str]:
     ]
     if still:
         found.append(
-            f"moves less than {_STILL} rad or m: {', '.join(still)}; nothing can be said of what "
-            "does not move"
+            f"moves less than {_STILL} rad or m: {', '.join(still)}; recordings show nothing "
+            "about a joint that does not move"
         )
     return found
 

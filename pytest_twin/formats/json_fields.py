@@ -30,7 +30,7 @@ def names_of(found: object, field: str = "name") -> list[str]:
     """Joint names.
 
     Raises:
-        MessageError: no list of names that can be told apart.
+        MessageError: no list of distinct names.
     """
     if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
         raise MessageError(f"{field} is no list of text")

@@ -161,7 +161,7 @@ class Float64MultiArray:
     """``std_msgs/msg/Float64MultiArray``: setpoints of a forward command controller.
 
     Joints are named by the labels of ``layout.dim`` where there is one for each value, else by
-    their place: ``0``, ``1``, ... The values stand for no quantity in particular: all of position,
+    their place: ``0``, ``1``, ... The values have no stated quantity: all of position,
     velocity and effort hold them.
     """
 
@@ -232,9 +232,9 @@ class JointTrajectory:
 
 
 ANY_QUANTITY = frozenset({"std_msgs/msg/Float64MultiArray"})
-"""Types whose values stand for no quantity in particular."""
+"""Types that do not state the quantity of their values."""
 TRAJECTORIES = frozenset({"trajectory_msgs/msg/JointTrajectory"})
-"""Types whose messages replace what is left of the one before."""
+"""Types whose messages replace the rest of the one before."""
 
 
 def message_type(schema: str, role: str) -> MessageType | None:

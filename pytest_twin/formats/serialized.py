@@ -185,7 +185,7 @@ class Cursor:
 
 
 def check_names(names: list[str]) -> None:
-    """Refuse joints that cannot be told apart.
+    """Refuse joints that cannot be distinguished.
 
     Raises:
         MessageError: no names, one twice, or one that is empty or unprintable.

@@ -288,7 +288,7 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
     mark and all below it are written afresh. An empty ``recorded`` takes the end away.
 
     Raises:
-        SpecError: a recorded key stands above the mark or another key below it, with its line;
+        SpecError: a recorded key is above the mark or another key below it, with its line;
             the spec is no block mapping; ``recorded`` holds what YAML cannot.
         FormatError: ``text`` is not strict YAML.
     """

@@ -123,7 +123,7 @@ class Gate:
             for golden in goldens
             for realization in golden.realizations
         }
-        # What a broken spec stands for is neither missing nor without a spec.
+        # The golden of a broken spec is neither missing nor without a spec.
         there = {specs.golden_id(path, self.twin) for path in broken}
         missing, dropped = gone(known, tasks, self.twin.retired, there)
         referred = {golden.path.parent / golden.trace.file for golden in goldens if golden.trace}

@@ -1,4 +1,4 @@
-"""The stages of an identification: what each may touch, and what speaks for it."""
+"""The stages of an identification: what each may change, and what supports it."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def slip(
 ) -> Slip | None:
     """When and at what friction a contact gives way; None where it does not.
 
-    Soft contacts creep under any tangential force, so slip is told by saturation: friction is the
+    Soft contacts creep under any tangential force, so saturation shows slip: friction is the
     median ratio of tangential to normal force over the samples beyond ``least_travel``, if nine
     of ten lie within 5 % of it, and slip starts where the ratio first comes within 1 % of it.
 

@@ -65,7 +65,7 @@ def possible_inertias(asset: Asset) -> Iterator[Broken]:
 
     for form in asset.forms:
         for name, link in form.description.links.items():
-            # What is left of a zero after a change of frame is none.
+            # A zero that is not exact after a change of frame counts as zero.
             none = float(np.abs(link.inertia).max()) < MASS_FLOOR
             share = 0.0 if none else violation(link.inertia)
             if link.mass < 0:

@@ -21,7 +21,7 @@ MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 GROUND = "the world"
-"""What MuJoCo calls ``world``, a name that only a root may have: here it may hang on another."""
+"""What MuJoCo calls ``world``, a name that only a root may have: here it may have a parent."""
 
 
 def tree_of(model: Any) -> RigidTree:

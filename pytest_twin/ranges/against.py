@@ -37,7 +37,7 @@ def compared(
         skipped: what of the file is not compared.
         measured: the quantities of the twin.
         groups: trials under different conditions, whose estimates a range should hold.
-        share: of a range of a normal distribution that stands for it.
+        share: of a range of a normal distribution that represents it.
 
     Raises:
         FormatError: a pattern of names that is none.

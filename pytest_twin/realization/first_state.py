@@ -103,7 +103,7 @@ def holding_controls(
 ) -> NDArray[np.float64]:
     """(nu,) controls with which position servos hold joints that nobody commands where they are.
 
-    What such a servo was told is not known; that the joint rests on it is. Its setpoint lies off
+    What such a servo was told is not known; that it holds the joint is. Its setpoint lies off
     the joint by what the load stretches the servo. Other controls are zero.
 
     Args:

@@ -74,7 +74,7 @@ def read(
     Args:
         path: the file.
         roots: folders that references may lead into.
-        text: the MJCF that stands for the file, where that is of another format.
+        text: the MJCF that replaces the file, where that is of another format.
         limits: bounds on what may be read.
 
     Raises:

@@ -48,7 +48,7 @@ def build(realization: NamedModel, robot: Robot) -> RigidModel:
     """The rigid model of a URDF.
 
     Raises:
-        ModelError: Pinocchio refuses it, or a joint of more than one degree of freedom hangs on a
+        ModelError: Pinocchio refuses it, or a joint of more than one degree of freedom is on a
             moving link (MuJoCo has several joints in its place).
     """
     for joint in robot.joints.values():

@@ -24,7 +24,7 @@ class Source:
         read: files that were read beside those of ``root`` and ``assets``.
         urdf: the robot as read, None for MJCF.
         notes: what the conversion changed or left out, with file and line.
-        inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that stands for one
+        inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that replaces one
             that no body can have, where such a repair was accepted.
         velocity_limit: joint -> rad/s or m/s.
         effects: the file of what is stepped beside the model, where a diagnosis wrote it.

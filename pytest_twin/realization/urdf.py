@@ -403,7 +403,7 @@ def _check_tree(robot: Robot) -> None:
         if joint.child in parent_of:
             other = parent_of[joint.child]
             raise joint.node.error(
-                f"link '{joint.child}' already hangs on joint '{other.name}'",
+                f"link '{joint.child}' is already attached to joint '{other.name}'",
                 value=f"lines {other.node.line} and {joint.node.line}",
                 expected="one parent for each link",
             )

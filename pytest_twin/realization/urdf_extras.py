@@ -1,4 +1,4 @@
-"""What stands beside links and joints in a URDF: transmissions, sensors, contact, and the rest.
+"""What a URDF has besides links and joints: transmissions, sensors, contact, and the rest.
 
 URDF itself has few words for these; those read here are of ros_control, Gazebo and URDF's draft of
 sensors. What else there is gets counted, so that it is not lost in silence.

@@ -1,6 +1,6 @@
 """From a URDF to a :class:`mujoco.MjSpec`, with a note on everything that is not carried as it is.
 
-What URDF says nothing of is decided here, and only here:
+What URDF leaves open is decided here, and only here:
 
 - The root link stands fixed in the world.
 - Every link is a body, links behind fixed joints too, so that each frame can be asked for.
@@ -353,7 +353,7 @@ class _Converter:
 
     def _possible(self, link: Link, moments: Vector) -> Vector:
         if np.abs(moments).max() < inertia.MASS_FLOOR:
-            # What is left of a zero after a change of frame.
+            # A zero that is not exact after a change of frame.
             return np.zeros((3, 3))
         share = inertia.violation(moments)
         if share == 0.0:

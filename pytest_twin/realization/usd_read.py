@@ -372,7 +372,7 @@ def _matrix(value: Any) -> Vector:
 
 
 def _rotation(quaternion: Any) -> Vector:
-    """(3, 3) of a Gf quaternion; one of length 0 stands for no rotation."""
+    """(3, 3) of a Gf quaternion; one of length 0 means no rotation."""
     from scipy.spatial.transform import Rotation
 
     values = np.array([*quaternion.GetImaginary(), quaternion.GetReal()], dtype=np.float64)

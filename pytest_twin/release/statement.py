@@ -46,7 +46,7 @@ class FileEntry:
             twin's folder.
         sha256: hex. size: bytes.
         original: the path in the twin's folder where that is no valid file name on every system,
-            and ``name`` stands for it; None where they are the same.
+            and ``name`` is used; None where they are the same.
     """
 
     name: str

@@ -32,7 +32,7 @@ _CHARACTER = 0.0058
 def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
     """One joint's figure as SVG (or PNG).
 
-    Top to bottom: measured, before and after over time; what is left over time; what is left
+    Top to bottom: measured, before and after over time; residual over time; residual
     against velocity, position and load; its spectrum; its root mean square by regime.
     """
     import matplotlib

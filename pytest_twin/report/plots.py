@@ -52,7 +52,7 @@ def plot(
         stored: what that is compared with: the golden's own series, or a recording's.
 
     Returns:
-        SVG: with series their course, what is left between them and the worst sample; over
+        SVG: with series their course, their difference and the worst sample; over
         frequency the magnitude, phase and coherence; without series each error against its
         tolerance.
     """
@@ -93,7 +93,7 @@ def _render(title: str, draw: Callable[[Figure], None]) -> bytes:
 
 
 def _draw_time(figure: Figure, series: Series, panels: Sequence[Panel], left_out: int) -> None:
-    """For each panel its course, and below it what is left."""
+    """For each panel its course, and below it the difference."""
     ratios = [ratio for panel in panels for ratio in ([2.2, 1.0] if panel.then else [2.2])]
     figure.set_size_inches(_WIDTH_INCHES, 0.55 + 0.78 * sum(ratios))
     rows = iter(

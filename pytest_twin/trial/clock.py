@@ -23,10 +23,10 @@ _STEP_INTERVALS = 4.0
 _AROUND = 20
 # Log times are usable if their usual interval is the stamps' own within this factor, ...
 _LOG_RATE = 2.0
-# ... and say nothing of a robot's time if its clock runs faster or slower by this share.
+# ... and do not give a robot's time if its clock runs faster or slower by this share.
 _SAME_RATE = 0.01
 _MOST_STEPS = 1000
-# Fewer messages than this say nothing of a rate.
+# Fewer messages than this do not determine a rate.
 _FEWEST = 20
 _NS = 1e-9
 

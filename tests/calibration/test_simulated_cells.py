@@ -140,7 +140,7 @@ def test_one_axis_of_rotation_leaves_the_position_along_it_open() -> None:
     (words,) = found["unobservable"]
     assert "the position of the target in the base along z axis" in words
     assert "the position of the camera on the flange along z axis" in words
-    assert words.endswith("cannot be told apart in these poses")
+    assert words.endswith("cannot be distinguished in these poses")
 
 
 def test_outliers_are_named_and_do_not_move_the_estimate() -> None:

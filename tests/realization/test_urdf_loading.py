@@ -133,7 +133,12 @@ def test_a_floating_joint_on_the_world_is_free(tmp_path: Path) -> None:
             1,
             "a loop of links apart from the tree",
         ),
-        ('<child link="tool"/>', '<child link="upper"/>', 32, "already hangs on joint 'shoulder'"),
+        (
+            '<child link="tool"/>',
+            '<child link="upper"/>',
+            32,
+            "is already attached to joint 'shoulder'",
+        ),
         ('<axis xyz="0 1 0"/>', '<mimic joint="shoulder"/>', 22, "follow each other in a circle"),
         ('<box size="0.2 0.1 0.1"/>', '<box size="-1 1 1"/>', 9, "negative size"),
         ('<box size="0.2 0.1 0.1"/>', '<cone r="1"/>', 9, "no known shape"),

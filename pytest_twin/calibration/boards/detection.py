@@ -20,7 +20,7 @@ from pytest_twin.errors import LimitError, TwinError
 from pytest_twin.formats import limits
 
 LEAST_SHARE = 0.4
-"""Below this share of its corners a target is rejected: the plane's tilt rests on few corners."""
+"""Below this share of its corners a target is rejected: few corners determine the plane's tilt."""
 
 FEWEST_CORNERS = 6
 """A pose needs four corners; two more show whether they fit."""

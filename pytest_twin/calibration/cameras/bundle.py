@@ -50,7 +50,7 @@ class Bundle:
         covariance: of the 12 coordinates of hand-eye and robot-world (each x, y, z, then the
             rotation vector, in the axes of the parent; left out without a robot), then of the
             free intrinsics.
-        degrees: degrees of freedom that the estimate of the noise rests on.
+        degrees: degrees of freedom of the estimate of the noise.
         noise: of corners, robot and board.
         residuals: (m, 2) px.
         image: (m,) image of each corner.

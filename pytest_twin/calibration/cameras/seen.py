@@ -137,7 +137,7 @@ def _add_intrinsics(document: dict[str, Any], seen: Seen, quantile: float) -> li
     if not np.isfinite(spread).all() or spread.max() > MOST_FOCAL_SPREAD:
         return [
             f"the focal length (its standard deviation is {100 * spread.max():.1f} %): focal "
-            "length and distance cannot be told apart; tilt the target by 20 to 50 degrees"
+            "length and distance cannot be distinguished; tilt the target by 20 to 50 degrees"
         ]
     document["records"]["intrinsics"] = intrinsics_record(camera, quantile)
     return []

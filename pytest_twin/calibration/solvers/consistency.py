@@ -41,7 +41,7 @@ def scatter(
 ) -> Scatter:
     """Scatter of the target: in the base (mount ``hand``) or on the flange (``world``).
 
-    It rests on the camera's place alone: the mean takes the target's place off.
+    It depends on the camera's place alone: the mean takes the target's place off.
     """
     poses = target_poses(base_from_flange, camera_from_target, solved, mount)
     mean = mean_pose(poses)

@@ -18,7 +18,7 @@ _FIELD = re.compile(r"\{(episode_chunk|episode_index|chunk_index|file_index)(?::
 
 
 def data_files(folder: Path, template: object, at: Path) -> list[Path]:
-    """The files that a template such as ``data/chunk-{chunk_index:03d}/...`` stands for.
+    """The files that a template such as ``data/chunk-{chunk_index:03d}/...`` describes.
 
     Args:
         folder: of the data set; nothing outside it is named.

@@ -132,7 +132,7 @@ def _bandwidth(recording: Measured) -> float:
     frequency = np.fft.rfftfreq(len(velocity), 1.0 / rate)
     share = np.cumsum(power, axis=0) / power.sum(axis=0)
     ends = frequency[np.argmax(share > _MOTION_SHARE, axis=0)]
-    # A joint whose noise is as strong as its motion says nothing of the motion.
+    # A joint whose noise is as strong as its motion does not determine the motion.
     sound = ends < rate / 10.0
     return float(ends[sound].max()) if sound.any() else rate / 50.0
 

@@ -1,4 +1,4 @@
-"""Mistakes of the input that the fit itself shows, each with its mend. None is ever applied."""
+"""Mistakes of the input that the fit shows, each with the correction. None is ever applied."""
 
 from __future__ import annotations
 

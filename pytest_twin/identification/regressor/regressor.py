@@ -35,7 +35,7 @@ class Regressor:
         shared: motors that two joints share.
         unscaled: joints whose effort is a current of unknown constant. Their rows have the model's
             own rigid bodies as one column, ``effort_scale`` [A/(N*m)], and their drive's parameters
-            in A; they say nothing of inertia.
+            in A; they do not determine inertia.
 
     Raises:
         SpecError: a joint that the model lacks.

@@ -22,7 +22,7 @@ RANGES = Ranges.load(Path(__file__).with_name("ranges.json"))
 
 
 def robots_of(rng: jax.Array) -> dict[str, np.ndarray]:
-    """Name -> (n, ...) values of the robots that (n,) or (n, 2) keys stand for."""
+    """Name -> (n, ...) values of the robots that (n,) or (n, 2) keys give."""
     data = rng if jp.issubdtype(rng.dtype, jp.unsignedinteger) else jax.random.key_data(rng)
     keys = np.asarray(data).reshape(len(rng), -1)
     return RANGES.draw(len(keys), seed=[int(word) for word in keys.sum(axis=0) % 2**32])

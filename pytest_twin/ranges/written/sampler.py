@@ -74,7 +74,7 @@ class Ranges:
     def mujoco_fields(self, robots: dict[str, np.ndarray]) -> dict[str, dict[int, np.ndarray]]:
         """Field of an ``mjModel`` -> index -> (count, ...) values, for the model that was checked.
 
-        After writing them the model needs ``mj_setConst`` (or what stands for it in a simulator).
+        After writing them the model needs ``mj_setConst`` (or its counterpart in a simulator).
         """
         found: dict[str, dict[int, np.ndarray]] = {}
         kinds = {"viscous_friction": "dof_damping", "coulomb_friction": "dof_frictionloss",

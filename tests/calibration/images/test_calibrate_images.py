@@ -152,7 +152,7 @@ def test_images_from_the_front_do_not_give_a_focal_length(tmp_path):
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
     status, found = calibrated(tmp_path)
     assert (status, found["verdict"], found["records"]) == (1, "degenerate", {})
-    assert "focal length and distance cannot be told apart" in found["unobservable"][0]
+    assert "focal length and distance cannot be distinguished" in found["unobservable"][0]
 
 
 def test_a_target_in_no_image_is_refused_with_the_first_reason(tmp_path, capsys):

@@ -1,0 +1,75 @@
+"""Check spelling and plain words of documents and code.
+
+    python docs/prose/check.py [FILE ...]
+
+Without files: the pages, README, CHANGELOG, CONTRIBUTING, the package and the examples. codespell
+does both: once with its own dictionary, once with the phrases of ``plain_words.txt``.
+``later.txt`` lists phrases that ``pytest_twin/diagnosis`` still has; take a line away with the
+last sentence that uses it.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+PLACES = ("docs", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "pytest_twin", "examples")
+SUFFIXES = (".md", ".py", ".j2", ".toml")
+PHRASES = HERE / "plain_words.txt"
+LATER = (ROOT / "pytest_twin" / "diagnosis", HERE / "later.txt")
+
+
+def problems(files: Sequence[Path]) -> list[str]:
+    """Each misspelled word and each phrase with a plainer form: file, line, words, suggestion."""
+    folder, allowed = LATER
+    later = [file for file in files if file.is_relative_to(folder)]
+    rest = [file for file in files if file not in later]
+    known = [line.split("->")[0] for line in PHRASES.read_text("utf-8").splitlines()]
+    without = [phrase for phrase in known if phrase not in allowed.read_text("utf-8").splitlines()]
+    return [
+        *_codespell(files),
+        *_codespell(rest, "--dictionary", str(PHRASES), "--regex", _pattern(known)),
+        *_codespell(later, "--dictionary", str(PHRASES), "--regex", _pattern(without)),
+    ]
+
+
+def checked(words: Sequence[str]) -> list[Path]:
+    """The files of a command line that are checked; without any, all of them."""
+    places = [Path(word).resolve() for word in words] or [ROOT / place for place in PLACES]
+    found = [f for p in places for f in ([p] if p.is_file() else sorted(p.rglob("*")))]
+    homes = [ROOT / place for place in PLACES]
+    return [
+        file
+        for file in found
+        if file.suffix in SUFFIXES
+        and any(file.is_relative_to(home) for home in homes)
+        and "generated" not in file.parts
+    ]
+
+
+def _pattern(phrases: Sequence[str]) -> str:
+    longest_first = sorted(phrases, key=len, reverse=True)
+    return rf"(?i)\b(?:{'|'.join(map(re.escape, longest_first))})\b"
+
+
+def _codespell(files: Sequence[Path], *options: str) -> list[str]:
+    if not files:
+        return []
+    names = [str(file.relative_to(ROOT)) for file in files]
+    command = [sys.executable, "-m", "codespell_lib", "--quiet-level", "3", *options, *names]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if run.returncode not in (0, 65) and not run.stdout:
+        raise RuntimeError(run.stderr)
+    return run.stdout.splitlines()
+
+
+if __name__ == "__main__":
+    found = problems(checked(sys.argv[1:]))
+    for line in found:
+        print(line)
+    sys.exit(bool(found))
