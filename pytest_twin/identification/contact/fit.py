@@ -233,7 +233,7 @@ def _with_spinning(
 def _fixed(
     contact: ContactModel, centre: FloatArray, free: Sequence[int], known: Told
 ) -> tuple[int, Untold]:
-    """The parameter that stands for a combination that is not told, fixed where it is."""
+    """The parameter that represents an undetermined combination, fixed at its value."""
     direction = known.untold[-1]
     # Friction is never the one: it is what tosses tell best.
     order = np.argsort(-np.abs(direction))
