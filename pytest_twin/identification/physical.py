@@ -18,7 +18,6 @@ from scipy import optimize
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.regressor import Column
 from pytest_twin.realization.inverse_dynamics import INERTIAL, pseudo_inertia
-from pytest_twin.realization.log_cholesky import pseudo_inertia_at, root_of_body
 
 _PRIOR_STD = 0.3
 """Standard deviation of the log-Cholesky coordinates about the model's: 30 % of a link's mass or
@@ -124,11 +123,19 @@ class _Link:
 
     def __init__(self, at: int, stated: FloatArray) -> None:
         self.at = at
-        self.root = root_of_body(pseudo_inertia(stated[_TO_PINOCCHIO]))
+        matrix = pseudo_inertia(stated[_TO_PINOCCHIO])
+        values, vectors = np.linalg.eigh(matrix)
+        # A model's link may be flat, or impossible; the nearest body with some thickness stands in.
+        values = np.maximum(values, 1e-6 * values.max())
+        self.root = np.linalg.cholesky(vectors @ np.diag(values) @ vectors.T)
 
     def parameters(self, x: FloatArray) -> FloatArray:
         """(10,) in the order of ``INERTIAL``."""
-        return _of_pseudo(pseudo_inertia_at(self.root, x))
+        upper = np.zeros((4, 4))
+        upper[np.diag_indices(4)] = np.exp(x[:4])
+        upper[np.tril_indices(4, -1)] = x[4:]
+        whole = self.root @ upper @ upper.T @ self.root.T
+        return _of_pseudo(whole)
 
     def slope(self, x: FloatArray) -> FloatArray:
         """(10, 10) derivative."""

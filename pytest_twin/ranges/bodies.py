@@ -1,4 +1,12 @@
-"""Inertias of bodies in coordinates in which every value is a real body."""
+"""Inertias of bodies in coordinates in which every value is a real body.
+
+The pseudo-inertia of a body (Wensing, Kim, Slotine, IEEE RA-L 3, 2018) is ``R (A + S) R^T``: ``R``
+a root of the model's body with some thickness, ``A`` what makes it the model's, and ``S`` the ten
+coordinates, a symmetric matrix of relative changes. Whatever ``S``, no eigenvalue of ``A + S`` is
+less than a floor: a body that cannot be becomes the nearest one that can. Log-Cholesky coordinates
+(Rucker, Wensing, IEEE RA-L 7, 2022) do the same by exponentials, which run away where a fit has
+made a body nearly flat.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +20,19 @@ import pinocchio as pin
 from pytest_twin.arrays import FloatArray
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics, pseudo_inertia
-from pytest_twin.realization.log_cholesky import (
-    COUNT,
-    pseudo_inertia_at,
-    rigid_at,
-    root_of_body,
-)
 from pytest_twin.realization.rigid import moments
 
-_PINOCCHIO = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-_TO_INERTIAL = [_PINOCCHIO.index(name) for name in INERTIAL]
-_STEP = 1e-6
+AXES = ("s11", "s22", "s33", "s44", "s21", "s31", "s32", "s41", "s42", "s43")
+"""Names of the coordinates: the diagonal of ``S``, then what is below it, row by row."""
+COUNT = len(AXES)
+_THINNEST = 0.05
+"""Share of the largest second moment that the least of the root has: a body as thin as a fifth of
+its length; thinner ones vary as if they were so thick."""
+_FLOOR = 0.01
+"""Least eigenvalue of ``A + S``: a hundredth of the model's mass and inertia."""
 _PAYLOAD = 1e-9
 """Share of a body's mass above which a model carries more on it than the twin's own."""
+_STEP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -34,43 +42,92 @@ class Body:
     Attributes:
         name: of the model's body.
         joint: that moves its link.
-        root: (4, 4) of its pseudo-inertia about its own frame, body axes.
+        root: (4, 4) ``R``, about the body's own frame, body axes.
+        middle: (4, 4) ``A``.
+        floor: least eigenvalue of ``A + S``.
         placement: in the frame of the joint's link.
     """
 
     name: str
     joint: str
     root: FloatArray
+    middle: FloatArray
+    floor: float
     placement: pin.SE3
+
+    @property
+    def scaling(self) -> FloatArray:
+        """(10,) coordinates of a body of twice the mass in the same places."""
+        return _coordinates(self.middle)
+
+    def pseudo_inertia(self, x: FloatArray) -> FloatArray:
+        """(n, 4, 4) at coordinates (n, 10)."""
+        side = self._side(x)
+        return np.asarray(side @ np.swapaxes(side, 1, 2))
 
     def rigid(
         self, x: FloatArray, carried: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n,) mass [kg], (n, 3) centre of mass [m], (n, 3, 3) second moments about it [kg*m^2].
 
+        The inertia about the centre is ``trace(C) 1 - C`` of these moments ``C``. They come from
+        what of the first three rows of a root is orthogonal to the fourth: a difference of large
+        moments would leave rounding, and may be no body's.
+
         Args:
-            x: (n, 10) log-Cholesky coordinates.
+            x: (n, 10) coordinates.
             carried: (4, 4) pseudo-inertia of a payload on the body, which stays the same.
         """
         if carried is None:
-            return rigid_at(self.root, x)
-        whole = pseudo_inertia_at(self.root, x) + carried
-        mass = whole[:, 3, 3]
-        com = whole[:, :3, 3] / mass[:, None]
-        about = mass[:, None, None] * com[:, :, None] * com[:, None, :]
-        return mass, com, whole[:, :3, :3] - about
+            side = self._side(x)
+        else:
+            side = np.asarray(np.linalg.cholesky(self.pseudo_inertia(x) + carried))
+        last = side[:, 3]
+        mass = np.einsum("ni,ni->n", last, last)
+        com = np.einsum("nki,ni->nk", side[:, :3], last) / mass[:, None]
+        rest = side[:, :3] - com[:, :, None] * last[:, None, :]
+        return mass, com, rest @ np.swapaxes(rest, 1, 2)
 
     def slope(self) -> FloatArray:
         """(10, 10) derivative of the link's inertial parameters, in the order of ``INERTIAL``."""
         found = np.empty((len(INERTIAL), COUNT))
         for k in range(COUNT):
-            step = np.zeros((2, COUNT))
-            step[:, k] = (_STEP, -_STEP)
-            mass, com, second = self.rigid(step)
-            tensor = np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
-            up, down = (moments(float(mass[i]), com[i], tensor[i], self.placement) for i in (0, 1))
-            found[:, k] = ((up - down) / (2.0 * _STEP))[_TO_INERTIAL]
+            change = self.root @ _symmetric(np.eye(COUNT)[k][None])[0] @ self.root.T
+            found[:, k] = self._in_link(change)
         return found
+
+    def _in_link(self, change: FloatArray) -> FloatArray:
+        """(10,) a change of the pseudo-inertia in the frame of the joint's link; it is linear."""
+        homogeneous = self.placement.homogeneous
+        moved = homogeneous @ change @ homogeneous.T
+        second = moved[:3, :3]
+        tensor = np.trace(second) * np.eye(3) - second
+        named = {
+            "Ixx": tensor[0, 0], "Ixy": tensor[0, 1], "Ixz": tensor[0, 2], "Iyy": tensor[1, 1],
+            "Iyz": tensor[1, 2], "Izz": tensor[2, 2], "mx": moved[0, 3], "my": moved[1, 3],
+            "mz": moved[2, 3], "m": moved[3, 3],
+        }  # fmt: skip
+        return np.array([named[name] for name in INERTIAL])
+
+    def _side(self, x: FloatArray) -> FloatArray:
+        """(n, 4, 4) roots of the pseudo-inertia at coordinates (n, 10)."""
+        values, vectors = np.linalg.eigh(self.middle + _symmetric(x))
+        scaled = vectors * np.sqrt(np.maximum(values, self.floor))[:, None, :]
+        return np.asarray(self.root @ scaled)
+
+
+def _symmetric(x: FloatArray) -> FloatArray:
+    """(n, 4, 4) ``S`` of (n, 10) coordinates."""
+    found = np.zeros((len(x), 4, 4))
+    row, column = np.tril_indices(4, -1)
+    found[:, row, column] = found[:, column, row] = x[:, 4:]
+    found[:, np.arange(4), np.arange(4)] = x[:, :4]
+    return found
+
+
+def _coordinates(matrix: FloatArray) -> FloatArray:
+    """(10,) coordinates of a symmetric matrix."""
+    return np.concatenate([np.diag(matrix), matrix[np.tril_indices(4, -1)]])
 
 
 def bodies_of(realization: Realization, joints: Sequence[str]) -> list[Body]:
@@ -82,17 +139,26 @@ def bodies_of(realization: Realization, joints: Sequence[str]) -> list[Body]:
         if not members:
             continue
         heaviest = max(members, key=lambda body: float(body.parameters[0]))
-        if heaviest.parameters[0] <= 0.0:
-            continue
-        found.append(
-            Body(
-                heaviest.name,
-                joint,
-                root_of_body(pseudo_inertia_of(realization.model, heaviest.name)),
-                heaviest.placement,
-            )
-        )
+        if heaviest.parameters[0] > 0.0:
+            stated = pseudo_inertia_of(realization.model, heaviest.name)
+            root = _thick_root(stated)
+            middle = np.linalg.solve(root, np.linalg.solve(root, stated).T)
+            least = float(np.linalg.eigvalsh(middle).min())
+            # A model's body may be flat, or impossible by a digit: it has some thickness then.
+            floor = min(_FLOOR, max(0.5 * least, 1e-6))
+            found.append(Body(heaviest.name, joint, root, middle, floor, heaviest.placement))
     return found
+
+
+def _thick_root(stated: FloatArray) -> FloatArray:
+    """(4, 4) root of the body with second moments about its centre that are not thin."""
+    mass, com = stated[3, 3], stated[:3, 3] / stated[3, 3]
+    values, vectors = np.linalg.eigh(stated[:3, :3] - mass * np.outer(com, com))
+    values = np.maximum(values, _THINNEST * max(float(values.max()), _STEP * mass))
+    root = np.zeros((4, 4))
+    root[:3, :3] = vectors * np.sqrt(values)
+    root[:3, 3], root[3, 3] = com * np.sqrt(mass), np.sqrt(mass)
+    return root
 
 
 def principal(second: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -116,13 +182,13 @@ def write_bodies(models: Sequence[mujoco.MjModel], body: Body, x: FloatArray) ->
     Args:
         models: one for each row, all alike so far.
         body: which.
-        x: (rows, 10) log-Cholesky coordinates.
+        x: (rows, 10) coordinates.
     """
     index = models[0].body(body.name).id
     here = pseudo_inertia_of(models[0], body.name)
-    carried = here - body.root @ body.root.T
-    much = here[3, 3] - (body.root @ body.root.T)[3, 3] > _PAYLOAD * here[3, 3]
-    mass, com, second = body.rigid(x, carried if much else None)
+    own = body.root @ body.middle @ body.root.T
+    much = here[3, 3] - own[3, 3] > _PAYLOAD * here[3, 3]
+    mass, com, second = body.rigid(x, here - own if much else None)
     inertia, axes = principal(second)
     for at, model in enumerate(models):
         model.body_mass[index], model.body_ipos[index] = mass[at], com[at]

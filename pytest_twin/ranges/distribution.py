@@ -50,7 +50,7 @@ class Coordinate:
         mean, std: of a normal variable; where it has to be ``positive``, cut off at zero.
         support: which values it can have.
         joint: whose motion it moves first, or None.
-        body, index: of a body's inertia: which body, and which of its ten log-Cholesky coordinates.
+        body, index: of a body's inertia: which body, and which of its ten coordinates.
         effect, parameter: of a catalogued effect: which, and which of its parameters.
         relative: whether the value is a factor, 1 more than the effect's relative parameter.
         field: of a model's joint: ``damping``, ``frictionloss`` or ``armature``.

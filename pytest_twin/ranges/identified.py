@@ -15,11 +15,10 @@ from pytest_twin.effects import catalogue
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor
-from pytest_twin.ranges.bodies import Body, bodies_of
+from pytest_twin.ranges.bodies import AXES, COUNT, Body, bodies_of
 from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inverse_dynamics import INERTIAL
-from pytest_twin.realization.log_cholesky import AXES, COUNT
 
 FIELDS: Mapping[str, str] = {
     "viscous_friction": "damping",
@@ -58,8 +57,9 @@ def gathered(
     """The coordinates of an identification, about what the twin's model has.
 
     Friction and armature vary as they are. Inertial base parameters are combinations of several
-    bodies' parameters: the bodies vary by the smallest change of their log-Cholesky coordinates
-    that gives the same efforts in every motion, so that what no motion shows stays as it is.
+    bodies' parameters: the bodies vary by the smallest change of their coordinates (see
+    :mod:`pytest_twin.ranges.bodies`) that gives the same efforts in every motion, so that what no
+    motion shows stays as it is.
 
     Raises:
         FormatError: the covariance is missing, zero, or none.

@@ -102,7 +102,7 @@ def ranges(
     if checked.final:
         fleet.refuse_too_many(checked.final, count)
     noise = _noise(fleet, checked)
-    distribution, widening = _widened(found, checked, fleet, noise, count, progress)
+    distribution, widening = _widened(found, checked, fleet, noise, count, share, progress)
     document = _document(twin, realization, found, distribution, share, noise, checked)
     document["widening"] = widening
     if given is not None:
@@ -143,6 +143,7 @@ def _widened(
     fleet: Fleet,
     noise: Mapping[str, float],
     count: int,
+    share: float,
     progress: Callable[[float], None],
 ) -> tuple[Distribution, dict[str, Any] | None]:
     if not checked.held_out:
@@ -153,7 +154,9 @@ def _widened(
         draws = distribution.draws(min(count, _WIDENING_DRAWS), _WIDENING_SEED)
         return fleet.simulate(checked.held_out, draws)
 
-    return widened(found.distribution, simulate, noise)
+    joints = {one.joint for one in found.distribution.coordinates if one.joint is not None}
+    carrying = {joint: fleet.carrying(joint) for joint in joints}
+    return widened(found.distribution, simulate, noise, carrying, share)
 
 
 def _document(
@@ -223,6 +226,7 @@ def _body(body: Body, distribution: Distribution, realization: Realization) -> d
     names = [one.name for one in distribution.coordinates if one.body == body.name]
     index = [one.index for one in distribution.coordinates if one.body == body.name]
     return {"name": body.name, "joint": body.joint, "root": body.root.tolist(),
+            "middle": body.middle.tolist(), "floor": body.floor,
             "coordinates": names, "index": index}  # fmt: skip
 
 

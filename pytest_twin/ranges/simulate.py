@@ -90,6 +90,18 @@ class Fleet:
         """Joints whose motion is predicted."""
         return trial.joints if self.patched is None else self.patched.joints
 
+    def carrying(self, joint: str) -> list[str]:
+        """A joint and those that carry its link."""
+        model = self.realization.model
+        body = int(model.jnt_bodyid[model.joint(joint).id])
+        found: list[str] = []
+        while body > 0:
+            first = int(model.body_jntadr[body])
+            here = range(first, first + int(model.body_jntnum[body]))
+            found += [str(model.joint(index).name) for index in here]
+            body = int(model.body_parentid[body])
+        return found
+
     def simulate(
         self,
         trials: Sequence[Trial],

@@ -11,20 +11,17 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import si_unit
 from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.effects.timing import CommandDelay
-from pytest_twin.ranges.bodies import Body, bodies_of
+from pytest_twin.ranges.bodies import AXES, Body, bodies_of
 from pytest_twin.ranges.calibrated import encoder_zero
 from pytest_twin.ranges.distribution import Coordinate, Source
 from pytest_twin.ranges.identified import FIELDS, Gathered, joint_coordinate
 from pytest_twin.ranges_spec import Tolerance
 from pytest_twin.realization import Realization
-from pytest_twin.realization.log_cholesky import AXES
 from pytest_twin.realization.patch import suggest
 from pytest_twin.twin import Twin
 
 _UNIFORM = np.sqrt(3.0)
 """Half width of a uniform distribution over its standard deviation."""
-_SCALE = 4
-"""Coordinates that together scale a body's mass and inertia: all of the diagonal."""
 _QUANTITY = {"viscous_friction": "damping", "coulomb_friction": "effort", "armature": "inertia"}
 
 
@@ -71,10 +68,8 @@ def _of_mass(
     ]
     grown = _grown(found, missing, body if name not in {b.name for b in found.bodies} else None)
     places = [one.name for one in grown.coordinates]
-    # The mass is the square of the scale of U.
     step = np.zeros(len(places))
-    for axis in AXES[:_SCALE]:
-        step[places.index(f"{name}.inertia.{axis}")] = 0.5 * std
+    step[[places.index(f"{name}.inertia.{axis}") for axis in AXES]] = std * body.scaling
     return _added(grown, np.outer(step, step), tolerance.parameter)
 
 

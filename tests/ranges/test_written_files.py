@@ -82,7 +82,7 @@ def test_no_impossible_robot_where_deviations_exceed_the_values(tmp_path: Path) 
 
 
 def test_moment_and_inertia_of_the_link_keep_the_record_s_covariance(tmp_path: Path) -> None:
-    """Base parameters of drawn bodies: through the whole chain of log-Cholesky coordinates."""
+    """Base parameters of drawn bodies: through the whole chain of coordinates."""
     small = covariance(0.2)
     robots = sampled(written(tmp_path, small))
     upper, fore = (

@@ -104,15 +104,17 @@ def _values(one: dict, normal: np.ndarray) -> np.ndarray:
 
 
 def _body(body: dict, inertial: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """Mass, centre and inertia: pseudo-inertia (L U)(L U)^T, which is a real body's for any U."""
+    """Mass, centre and inertia: pseudo-inertia R (A + S) R^T, without eigenvalues of no body."""
     x = np.zeros((count, 10))
     for name, index in zip(body["coordinates"], body["index"], strict=True):
         x[:, index] = inertial[name]
-    upper = np.zeros((count, 4, 4))
+    change = np.zeros((count, 4, 4))
     row, column = np.tril_indices(4, -1)
-    upper[:, np.arange(4), np.arange(4)] = np.exp(x[:, :4])
-    upper[:, row, column] = x[:, 4:]
-    side = np.array(body["root"]) @ upper
+    change[:, row, column] = change[:, column, row] = x[:, 4:]
+    change[:, np.arange(4), np.arange(4)] = x[:, :4]
+    values, vectors = np.linalg.eigh(np.array(body["middle"]) + change)
+    kept = np.sqrt(np.maximum(values, body["floor"]))
+    side = np.array(body["root"]) @ (vectors * kept[:, None, :])
     last = side[:, 3]
     mass = np.einsum("ni,ni->n", last, last)
     com = np.einsum("nki,ni->nk", side[:, :3], last) / mass[:, None]
