@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class TwinError(Exception):
-    """Something a user can mend.
+    """Something that a user can correct.
 
     Args:
         problem: what is wrong, in words, without a final stop.

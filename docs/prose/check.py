@@ -19,7 +19,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 PLACES = ("docs", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "pytest_twin", "examples")
-SUFFIXES = (".md", ".py", ".j2", ".toml")
+SUFFIXES = (".md", ".py", ".j2", ".toml", ".json")
 PHRASES = HERE / "plain_words.txt"
 LATER = (ROOT / "pytest_twin" / "diagnosis", HERE / "later.txt")
 

@@ -6,7 +6,7 @@ from pytest_twin.checks import Check, Measure, Observation
 
 
 class Manipulability(Check):
-    """Smallest singular value of the tool's translational Jacobian, m/rad, at the model's zero."""
+    """Smallest singular value of the tool's Jacobian of position, m/rad, at the zero pose."""
 
     kind = "manipulability"
     libraries = ("numpy",)

@@ -1,7 +1,7 @@
 """Mistakes in the input that would explain large errors: units, directions, signs.
 
 Each is tried on a copy of the observations by an algebraic solver. None is ever applied: a person
-mends the file.
+corrects the file.
 """
 
 from __future__ import annotations

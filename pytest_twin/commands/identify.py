@@ -170,7 +170,7 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
     lines += [f"error on {document['tested_on']}:"]
     lines += [f"  {line}" for line in identification.error_lines(document)]
     lines += [
-        f"suspected: {one['what']}; to mend it: {one['mend']}"
+        f"suspected: {one['what']}; to correct it: {one['mend']}"
         for one in document.get("suspected", ())
     ]
     lines += [f"without a usable effort: {joint}" for joint in document.get("without_effort", ())]

@@ -106,7 +106,7 @@ class Roots:
         return found
 
     def _outside(self, reference: str, at: Path, folder: bool) -> tuple[str, str]:
-        """What is wrong with a reference that leaves the roots, and the line that mends it."""
+        """What is wrong with a reference that leaves the roots, and the line that allows it."""
         inside = "a path inside " + " or ".join(str(root) for root in self.folders)
         real = os.path.realpath(at.parent / reference)
         wanted = real if folder else os.path.dirname(real)  # noqa: PTH120

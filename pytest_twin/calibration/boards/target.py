@@ -36,7 +36,7 @@ class Target:
 
     The first square of a ``chessboard`` is dark. Where a half turn leaves its colours unchanged
     (columns and rows both even or both odd), x is taken to point to the right of the image.
-    Where a robot says how it turned, ``cameras.half_turn`` mends that for boards turned further.
+    Where a robot says how it turned, ``cameras.half_turn`` corrects that for boards turned further.
 
     Tags of an ``apriltag_grid`` are numbered from 0 along the rows. Whether the rows go down the
     page (OpenCV's ``GridBoard``) or up (Kalibr's AprilGrid), and how the tags are turned on the

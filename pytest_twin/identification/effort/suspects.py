@@ -37,7 +37,7 @@ class Suspect:
     Attributes:
         what: joint, what is wrong, and the number that shows it.
         mend: what to do.
-        fatal: whether no result can be accepted before it is mended.
+        fatal: whether no result can be accepted before it is corrected.
     """
 
     what: str
