@@ -25,6 +25,9 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 # Links of the form page.md#heading are checked: a wrong one fails the build.
 myst_heading_anchors = 4
 autodoc_member_order = "bysource"
+# Each page copies the whole table of contents: with every method in it the build takes a third
+# longer.
+toc_object_entries = False
 # Attributes stand in the class's own docstring.
 napoleon_use_ivar = True
 napoleon_attr_annotations = False

@@ -87,6 +87,33 @@ def test_every_module_of_the_page_how_it_works_exists() -> None:
     assert missing == []
 
 
+def test_every_module_of_the_page_on_the_diagnosis_exists() -> None:
+    page = (DOCS / "explanation" / "how-a-diagnosis-works.md").read_text()
+    groups = re.findall(r"\((`[a-z_/`,\s]+)\)", page)
+    named = {name for group in groups for name in re.findall(r"`([a-z_/]+)`", group)}
+    assert len(named) > 20
+    folder = ROOT / "pytest_twin" / "diagnosis"
+    exist = {
+        name for name in named if (folder / name).is_dir() or (folder / f"{name}.py").is_file()
+    }
+    assert named - exist == set()
+
+
+def test_every_file_that_a_page_names_exists() -> None:
+    place = re.compile(
+        r"(?<![\w./-])((?:pytest_twin|tests|benchmarks|docs|examples)/[\w/.-]+\.\w+)"
+    )
+    pages = [*DOCS.rglob("*.md"), *ROOT.glob("*.md"), *(ROOT / "benchmarks").rglob("*.md")]
+    missing = {
+        f"{page.name}: {named}"
+        for page in pages
+        if "generated" not in page.parts
+        for named in place.findall(page.read_text())
+        if not (ROOT / named).is_file()
+    }
+    assert missing == set()
+
+
 def test_the_picture_of_how_it_works_is_the_one_that_the_script_draws() -> None:
     assert ways().PICTURE.read_text("utf-8") == ways().picture()
 
