@@ -90,15 +90,13 @@ def _entry(term: Term, one: Quantity, groups: Sequence[TrialGroup], share: float
     measured = one.range[1] - one.range[0]
     times = (high - low) / measured if measured > 0.0 else None
     inside = float(np.mean((one.draws >= low) & (one.draws <= high)))
-    words = [
-        f"{one.name}: the given range {_interval((low, high), one.unit)} is "
-        f"{_times(times)} what was measured ({_interval(one.range, one.unit)})"
-    ]
-    if inside < share:
-        words.append(f"and leaves out {100.0 * (1.0 - inside):.0f} % of it")
-    outside = list(_left_out(one, groups, low, high))
-    if outside:
-        words.append(f"{'and' if inside >= share else 'with'} {'; '.join(outside)}")
+    lost = [f"{100.0 * (1.0 - inside):.0f} % of it"] if inside < share else []
+    lost += _left_out(one, groups, low, high)
+    words = (
+        f"{one.name}: the given range {_interval((low, high), one.unit)} is {_times(times)} what "
+        f"was measured ({_interval(one.range, one.unit)})"
+    )
+    words += f" and leaves out {', and '.join(lost)}" if lost else ""
     return {
         "parameter": one.name,
         "kind": one.kind,
@@ -108,7 +106,7 @@ def _entry(term: Term, one: Quantity, groups: Sequence[TrialGroup], share: float
         "unit": one.unit,
         "times": times,
         "inside": inside,
-        "words": " ".join(words),
+        "words": words,
         "where": term.where,
     }
 
@@ -133,7 +131,7 @@ def _left_out(
         value = group.record.values.get(one.name)
         if value is not None and not low <= value <= high:
             place = _condition(group.conditions, group)
-            yield f"leaves out what was measured {place} ({value:.3g} {one.unit})"
+            yield f"what was measured {place} ({value:.3g} {one.unit})"
 
 
 def _condition(conditions: Mapping[str, float], group: TrialGroup) -> str:

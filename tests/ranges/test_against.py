@@ -71,7 +71,7 @@ def test_what_was_measured_at_40_degrees_is_named(tmp_path: Path) -> None:
     given.write_text("elbow.coulomb_friction: [0.15, 0.25]\nelbow.colour: [1, 2]\n")
     found = against(folder, given, more)
     words = found["by"]["elbow.coulomb_friction"]["words"]
-    assert "leaves out what was measured at 40 deg C (0.32 N*m)" in words
+    assert " % of it, and what was measured at 40 deg C (0.32 N*m)" in words
     assert "at 20 deg C" not in words
     assert found["by"]["elbow.coulomb_friction"]["inside"] < 0.5
     assert found["not_read"] == ["elbow.colour: nothing measured it"]
