@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pytest_twin.checks import contact_primitives, proposals
+from pytest_twin.checks import contact_primitives, contact_toss, proposals
 from pytest_twin.checks.base import (
     Check,
     Measure,
@@ -63,6 +63,8 @@ class Contact(Check):
     - ``slide``: the same, then a tangential force grows until the pair slips.
     - ``release``: a free body, put above the second of the pair, is let go.
     - ``grip``: the pair closes on an object that has no weight until it is closed on.
+    - ``toss``: the first of the pair starts as it was recorded, and is held against its recorded
+      poses; ``values`` then are those of :mod:`contact_toss`.
 
     ``values``, each None where the contact does not show it: ``onset_time`` in s and ``onset``,
     the pose of the first body in the world at first touch (m, quaternion w x y z);
@@ -78,12 +80,13 @@ class Contact(Check):
         "position": "m",
         "orientation": "rad",
         "declared_friction": "1",
+        **contact_toss.UNITS,
     }
     schema: ClassVar[Mapping[str, Any]] = {
         "target": {
             "type": "object",
             "properties": {
-                "primitive": {"enum": ["approach", "slide", "release", "grip"]},
+                "primitive": {"enum": ["approach", "slide", "release", "grip", "toss"]},
                 "pair": {
                     "type": "array",
                     "items": {"type": "string", "minLength": 1},
@@ -127,6 +130,7 @@ class Contact(Check):
                     "required": ["shape", "size", "mass"],
                     "additionalProperties": False,
                 },
+                **contact_toss.FIELDS,
                 "floor": {
                     **QUANTITY_SCHEMA,
                     "description": "Height of a horizontal plane to touch, in the world.",
@@ -194,7 +198,6 @@ class Contact(Check):
                     "description": "Of a grip: how long the object is held with its weight.",
                 },
             },
-            "required": ["duration"],
             "additionalProperties": False,
         },
     }
@@ -209,10 +212,13 @@ class Contact(Check):
             | structure.additions()
             | set(structure.contact(set(target["pair"]) - own))
             | {f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)}
+            | ({f"recording:{target['recording']}"} if "recording" in target else set())
         )
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Set the scene, act, and read the pair's contacts."""
+        if golden.target["primitive"] == contact_toss.TOSS:
+            return contact_toss.observe(golden, realization, progress)
         act = contact_primitives.PRIMITIVES[golden.target["primitive"]]
         return act(golden, Scene(golden, realization), progress)
 
@@ -221,6 +227,8 @@ class Contact(Check):
     ) -> list[Measure]:
         """Numbers and onset pose against the record, friction against the model's own."""
         values = observation.values
+        if golden.target["primitive"] == contact_toss.TOSS:
+            return contact_toss.measures(golden, values)
         pair = " on ".join(golden.target["pair"])
         measures = scalar_measures(golden, _SCALARS, values, pair, undefined=_UNDEFINED)
         if golden.expected is not None and "onset" in golden.expected:

@@ -87,7 +87,10 @@ class Scene:
     def seconds(self, name: str, default: float | None = None) -> float:
         """A time of the stimulus, in s."""
         where = f"stimulus.{name}"
-        found = quantity(self.golden, where, self.golden.stimulus.get(name, default), "s")
+        given = self.golden.stimulus.get(name, default)
+        if given is None:
+            raise spec_error(self.golden, where, "is missing", expected="a time such as '0.5 s'")
+        found = quantity(self.golden, where, given, "s")
         if not 0.0 < found <= 60.0:
             raise spec_error(
                 self.golden, where, "out of bounds", value=found, unit="s", expected="0 to 60 s"

@@ -176,7 +176,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         golden("kind: fk", "kind: fkk"),
         "ARM/golden/home.yaml:2: kind: unknown kind (got 'fkk'; expected calibration, "
         "collision_distance, contact, fk, frequency_response, identification, joint_direction, "
-        "limits, mass_properties, replay, settling, step, task, tcp_accuracy)",
+        "limits, mass_properties, replay, sensor_timing, settling, step, task, tcp_accuracy)",
     ),
     (
         "a tolerance without unit",
@@ -270,7 +270,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         lambda root: check_of("weld"),
         "kind: unknown kind (got 'weld'; expected calibration, collision_distance, contact, "
         "fk, frequency_response, identification, joint_direction, limits, mass_properties, "
-        "replay, settling, step, task, tcp_accuracy)",
+        "replay, sensor_timing, settling, step, task, tcp_accuracy)",
     ),
 ]
 

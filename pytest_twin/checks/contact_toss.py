@@ -1,0 +1,123 @@
+"""A recorded toss on a realization: from its first measured state, against its measured poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from pytest_twin.checks.base import Measure, Observation, Progress
+from pytest_twin.checks.fields import QUANTITY_SCHEMA, TEXT, quantity, spec_error
+from pytest_twin.checks.files import find_file
+from pytest_twin.checks.records import twin_of
+from pytest_twin.golden import Golden
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+
+TOSS = "toss"
+UNITS: Mapping[str, str] = {
+    "toss_position": "m",
+    "toss_rotation": "rad",
+    "toss_position_mean": "m",
+    "toss_rotation_mean": "rad",
+}
+FIELDS: Mapping[str, Any] = {
+    "recording": {
+        **TEXT,
+        "description": "Of a toss: an .npz file of tosses, or a bag with poses of the first of the "
+        "pair, relative to the twin's folder or to one of its roots.",
+    },
+    "tosses": {
+        "type": "array",
+        "minItems": 1,
+        "uniqueItems": True,
+        "items": TEXT,
+        "description": "Of a toss: names of arrays in the .npz file; all by default.",
+    },
+    "topic": {**TEXT, "description": "Of a toss: the topic of the poses, where a bag has several."},
+    "length_unit": {
+        **QUANTITY_SCHEMA,
+        "description": "Of a toss: m for one unit of length of an .npz file; found by default.",
+    },
+    "rate": {
+        "type": "number",
+        "exclusiveMinimum": 0,
+        "description": "Of a toss: samples per s of an .npz file; found by default.",
+    },
+}
+
+
+def observe(golden: Golden, realization: Realization, progress: Progress) -> Observation:
+    """Errors of each toss, means over its samples.
+
+    ``values``: ``position`` (m) and ``rotation`` (rad): toss -> mean error.
+
+    Raises:
+        SpecError: the recording has no such toss.
+    """
+    import numpy as np
+
+    from pytest_twin.formats.pose_tracks import read_pose_tracks
+    from pytest_twin.identification.contact.loss import errors_of, whole
+    from pytest_twin.identification.contact.tosses import in_model_units
+    from pytest_twin.realization.free_body import free_body
+    from pytest_twin.trial.roles import refuse_final
+
+    target = golden.target
+    twin = twin_of(golden, realization, "a recorded toss's", "roots")
+    if "recording" not in target:
+        raise spec_error(
+            golden, "target.recording", "a toss needs a recording",
+            expected="an .npz file of tosses, or a bag with poses",
+        )  # fmt: skip
+    path = find_file(golden, "target.recording", target["recording"], twin)
+    tracks = read_pose_tracks(path, target.get("topic"))
+    for track in tracks:
+        refuse_final(dict(track.metadata), path, "a golden")
+    length = target.get("length_unit")
+    tosses, _ = in_model_units(
+        tracks,
+        np.array(realization.model.opt.gravity),
+        None if length is None else quantity(golden, "target.length_unit", length, "m"),
+        target.get("rate"),
+    )
+    by_name = {track.name: toss for track, toss in zip(tracks, tosses, strict=True)}
+    names = target.get("tosses", list(by_name))
+    for at, name in enumerate(names):
+        if name not in by_name:
+            known = ", ".join(list(by_name)[:8]) + (", ..." if len(by_name) > 8 else "")
+            raise spec_error(
+                golden, f"target.tosses.{at}", "no toss of this name", value=name,
+                expected=f"one of {known}",
+            )  # fmt: skip
+    progress(0.3)
+    geom_body = realization.structure.geom_body
+    first = target["pair"][0]
+    body = free_body(realization, geom_body.get(first, first))
+    rows = [replace(whole(by_name[name])) for name in names]
+    errors = errors_of([realization.model], body, rows)[0]
+    progress(1.0)
+    return Observation(
+        {
+            "position": dict(zip(names, errors.position.tolist(), strict=True)),
+            "rotation": dict(zip(names, errors.rotation.tolist(), strict=True)),
+        }
+    )
+
+
+def measures(golden: Golden, values: Mapping[str, Any]) -> list[Measure]:
+    """The worst toss and the mean over all, as the spec bounds them."""
+    found = []
+    for name, bound in golden.tolerance.items():
+        errors: Mapping[str, float] = values["position" if "position" in name else "rotation"]
+        if name.endswith("_mean"):
+            subject = f"mean of {len(errors)} tosses of {golden.target['recording']}"
+            error = sum(errors.values()) / len(errors)
+        else:
+            worst = max(errors, key=errors.__getitem__)
+            subject, error = f"toss {worst} of {golden.target['recording']}", errors[worst]
+        found.append(
+            Measure(name, subject, error, 0.0, error, bound.value, bound.unit, against="recording")
+        )
+    return found

@@ -1,0 +1,143 @@
+"""The lag between two sensor streams of a recording, re-checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pytest_twin.checks.base import (
+    Check,
+    Measure,
+    NothingToProposeError,
+    Observation,
+    Progress,
+    Trace,
+)
+from pytest_twin.checks.fields import TEXT, spec_error
+from pytest_twin.checks.files import find_file
+from pytest_twin.checks.records import twin_of
+from pytest_twin.dependency import Structure
+from pytest_twin.golden import Golden
+
+if TYPE_CHECKING:
+    from pytest_twin.formats.sensor_streams import Stream
+    from pytest_twin.realization import Realization
+
+_LEAST_CORRELATION = 0.5
+"""Below it both streams do not show one motion: streams of one motion have 0.8 and more."""
+_MOST_RIVAL = 0.95
+"""A second lag above this part of the best correlation may be the right one."""
+_SAME_PEAK_S = 0.2
+_STREAM: Mapping[str, Any] = {
+    "type": "object",
+    "properties": {
+        "topic": {**TEXT, "description": "Of the stream in the recording."},
+        "joint": {**TEXT, "description": "Of joint states: whose motion counts."},
+        "quantity": {
+            "enum": ["speed", "effort"],
+            "description": "Of joint states: speed by default.",
+        },
+    },
+    "required": ["topic"],
+    "additionalProperties": False,
+}
+
+
+class SensorTiming(Check):
+    """How much later one sensor's stamps are than another's, from the motion that both show.
+
+    ``values``: ``lag`` in s, positive where the second stream is stamped later; ``correlation`` of
+    both there.
+    """
+
+    kind: ClassVar[str] = "sensor_timing"
+    libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy")
+    tolerances: ClassVar[Mapping[str, str]] = {"lag": "s"}
+    required_tolerances: ClassVar[frozenset[str]] = frozenset({"lag"})
+    schema: ClassVar[Mapping[str, Any]] = {
+        "target": {
+            "type": "object",
+            "properties": {
+                "recording": {
+                    **TEXT,
+                    "description": "MCAP file, rosbag2 folder or .db3 file, relative to the twin's "
+                    "folder or to one of its roots.",
+                },
+                "streams": {
+                    "type": "array",
+                    "minItems": 2,
+                    "maxItems": 2,
+                    "items": _STREAM,
+                    "description": "Two streams of one motion: the angular speed of an Imu or a "
+                    "PoseStamped, the force of a WrenchStamped, the speed or effort of a joint.",
+                },
+            },
+            "required": ["recording", "streams"],
+            "additionalProperties": False,
+        },
+        "stimulus": {"type": "object", "additionalProperties": False},
+    }
+
+    def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
+        """The recording: no part of the model moves a measured lag."""
+        return {f"recording:{golden.target['recording']}"}
+
+    def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
+        """The lag at which both signals are most alike."""
+        from pytest_twin.formats.sensor_streams import read_streams
+        from pytest_twin.metrics.lag import best_lag
+
+        twin = twin_of(golden, realization, "a recording's", "roots")
+        path = find_file(golden, "target.recording", golden.target["recording"], twin)
+        first, second = read_streams(
+            path,
+            [
+                (one["topic"], one.get("joint"), one.get("quantity", "speed"))
+                for one in golden.target["streams"]
+            ],
+        )
+        progress(0.5)
+        step = max(_period(first), _period(second)) / 2.0
+        found = best_lag(_on_grid(first, step), _on_grid(second, step), _SAME_PEAK_S / step)
+        if found.correlation < _LEAST_CORRELATION or found.rival > _MOST_RIVAL:
+            problem = (
+                "both streams do not show one motion"
+                if found.correlation < _LEAST_CORRELATION
+                else "the motion repeats itself, so several lags fit"
+            )
+            raise spec_error(
+                golden, "target.streams", problem,
+                value=f"correlation {found.correlation:.2f}, of another lag "
+                f"{found.rival * found.correlation:.2f}",
+                expected="two sensors that see the same irregular motion",
+            )  # fmt: skip
+        lag = -(found.steps * step + first.time[0] - second.time[0])
+        progress(1.0)
+        return Observation({"lag": float(lag), "correlation": found.correlation})
+
+    def compare(
+        self, golden: Golden, observation: Observation, stored: Trace | None
+    ) -> list[Measure]:
+        """The lag against the recorded one; without a record, against none."""
+        lag = float(observation.values["lag"])
+        then = 0.0 if golden.expected is None else float(golden.expected["lag"])
+        names = " after ".join(one["topic"] for one in reversed(golden.target["streams"]))
+        bound = golden.tolerance["lag"]
+        return [Measure("lag", names, lag, then, abs(lag - then), bound.value, bound.unit)]
+
+    def first(self, realization: Realization) -> list[Mapping[str, Any]]:
+        """Nothing: which streams a recording has is not the robot's to say."""
+        raise NothingToProposeError(
+            "it needs a recording of two sensors; docs/kinds/sensor_timing.md has an example"
+        )
+
+
+def _period(stream: Stream) -> float:
+    return float(np.median(np.diff(stream.time)))
+
+
+def _on_grid(stream: Stream, step: float) -> Any:
+    grid = np.arange(stream.time[0], stream.time[-1], step)
+    return np.interp(grid, stream.time, stream.values)

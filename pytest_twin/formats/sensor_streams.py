@@ -1,0 +1,120 @@
+"""One number over time from a sensor's topic: how fast it turns, how hard it pushes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+from pytest_twin.formats.serialized import Integers
+from pytest_twin.formats.stamped_readings import IMU
+
+_FEWEST = 20
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A signal with the stamps of its sender.
+
+    Attributes:
+        topic: where it was sent.
+        time: (n,) s since the first stamp of any stream that was read with it, ascending.
+        values: (n,) rad/s of a turn, N of a force, the unit of the joint of a joint.
+    """
+
+    topic: str
+    time: FloatArray
+    values: FloatArray
+
+
+def read_streams(path: Path, asked: Sequence[tuple[str, str | None, str]]) -> list[Stream]:
+    """Streams of a bag.
+
+    Args:
+        path: MCAP file, rosbag2 folder or ``.db3`` file.
+        asked: topic, joint of joint states, and ``speed`` or ``effort`` of that joint, for each.
+
+    Raises:
+        RecordingError: no such topic, or fewer than 20 samples.
+        TwinError: it cannot be read.
+    """
+    state = {f"{at}": topic for at, (topic, joint, _) in enumerate(asked) if joint is not None}
+    bag = gather_sensors(SensorGatherer(path, state))
+    found = []
+    for at, (topic, joint, quantity) in enumerate(asked):
+        if joint is not None:
+            series = bag.readers[f"{at}"].finish()
+            found.append((topic, *_of_joint(path, series, topic, joint, quantity)))
+        elif topic in bag.readings:
+            readings = bag.readings[topic]
+            table = np.array([one.values[:3] for one in readings])
+            stamps = np.array([one.stamp for one in readings], dtype=np.int64)
+            found.append((topic, stamps, np.linalg.norm(table, axis=1)))
+        elif bag.poses.get(topic):
+            found.append((topic, *_turning(bag, topic)))
+        else:
+            known = sorted({*bag.poses, *bag.readings, *(t.name for t in bag.topics.values())})
+            raise RecordingError(
+                "no such stream", path=path, value=topic,
+                expected="a topic of Imu, WrenchStamped or PoseStamped, or of joint states with "
+                f"joint: NAME; the recording has {', '.join(known[:20]) or 'none'}",
+            )  # fmt: skip
+    zero = min(int(stamps.min()) for _, stamps, _ in found)
+    return [_stream(path, topic, stamps, values, zero) for topic, stamps, values in found]
+
+
+def is_imu(bag: SensorGatherer, topic: str) -> bool:
+    """Whether a topic holds inertial measurements."""
+    return bag.reading_type.get(topic) == IMU
+
+
+def _stream(path: Path, topic: str, stamps: Integers, values: FloatArray, zero: int) -> Stream:
+    _, rows = np.unique(stamps, return_index=True)
+    rows = rows[np.isfinite(values[rows])]
+    if len(rows) < _FEWEST:
+        raise RecordingError(
+            "too few samples", path=path, where=topic, value=len(rows),
+            expected=f"at least {_FEWEST} with stamps of their own",
+        )  # fmt: skip
+    return Stream(topic, (stamps[rows] - zero) * 1e-9, values[rows])
+
+
+def _of_joint(
+    path: Path, series: JointSeries | None, topic: str, joint: str, quantity: str
+) -> tuple[Integers, FloatArray]:
+    if series is None or joint not in series.names:
+        raise RecordingError(
+            "no such joint", path=path, where=topic, value=joint,
+            expected="one of " + (", ".join(series.names) if series else "none: no joint states"),
+        )  # fmt: skip
+    at = series.names.index(joint)
+    if quantity == "effort":
+        if series.effort is None:
+            raise RecordingError("no efforts", path=path, where=topic, expected="effort filled")
+        return series.stamp, np.asarray(np.abs(series.effort[:, at]))
+    if series.velocity is not None:
+        return series.stamp, np.asarray(np.abs(series.velocity[:, at]))
+    if series.position is None:
+        raise RecordingError("no motion", path=path, where=topic, expected="position filled")
+    _, rows = np.unique(series.stamp, return_index=True)
+    slope = np.gradient(series.position[rows, at], series.stamp[rows] * 1e-9)
+    return series.stamp[rows], np.asarray(np.abs(slope))
+
+
+def _turning(bag: SensorGatherer, topic: str) -> tuple[Integers, FloatArray]:
+    """Angular speed between the poses before and after each, which has no delay."""
+    stamps = np.array([one.stamp for one in bag.poses[topic]], dtype=np.int64)
+    _, rows = np.unique(stamps, return_index=True)
+    turn = Rotation.from_quat(np.array([bag.poses[topic][row].values[3:] for row in rows]))
+    stamps = stamps[rows]
+    if len(rows) < 3:
+        return stamps, np.zeros(len(rows))
+    angle = (turn[:-2].inv() * turn[2:]).magnitude()
+    return stamps[1:-1], np.asarray(angle / ((stamps[2:] - stamps[:-2]) * 1e-9))

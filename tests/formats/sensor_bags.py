@@ -1,0 +1,76 @@
+"""Bags of poses, wrenches and inertial measurements, serialized by the library ``rosbags``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+POSE, WRENCH, IMU = (
+    "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/Imu",
+)  # fmt: skip
+
+
+def _made(name: str, *values: Any) -> Any:
+    return STORE.types[name](*values)
+
+
+def message(kind: str, stamp: int, values: Sequence[float]) -> Any:
+    """Pose x y z qx qy qz qw; wrench of 6; angular velocity and acceleration of an IMU."""
+    numbers = [float(value) for value in values]
+    time = _made("builtin_interfaces/msg/Time", *divmod(stamp, 1_000_000_000))
+    header = _made("std_msgs/msg/Header", time, "sensor")
+
+    def vector(three: Sequence[float]) -> Any:
+        return _made("geometry_msgs/msg/Vector3", *three)
+
+    if kind == POSE:
+        point = _made("geometry_msgs/msg/Point", *numbers[:3])
+        turn = _made("geometry_msgs/msg/Quaternion", *numbers[3:])
+        return _made(kind, header, _made("geometry_msgs/msg/Pose", point, turn))
+    if kind == WRENCH:
+        wrench = _made("geometry_msgs/msg/Wrench", vector(numbers[:3]), vector(numbers[3:]))
+        return _made(kind, header, wrench)
+    still = _made("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+    none = np.zeros(9)
+    return _made(kind, header, still, none, vector(numbers[:3]), none, vector(numbers[3:]), none)
+
+
+def _plain(found: Any) -> Any:
+    if hasattr(found, "__dataclass_fields__"):
+        fields = [name for name in found.__dataclass_fields__ if not name.startswith("__")]
+        return {name: _plain(getattr(found, name)) for name in fields}
+    return found.tolist() if isinstance(found, np.ndarray) else found
+
+
+def write(
+    path: Path,
+    topics: Mapping[str, tuple[str, Sequence[int], np.ndarray]],
+    encoding: str = "cdr",
+    metadata: Mapping[str, str] | None = None,
+) -> Path:
+    """An MCAP file. Topic -> message type, stamps in ns, (n, k) values."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for topic, (kind, stamps, rows) in topics.items():
+            schema = writer.register_schema(kind, "ros2msg", b"")
+            channel = writer.register_channel(topic, encoding, schema)
+            for stamp, row in zip(stamps, rows, strict=True):
+                made = message(kind, int(stamp), row)
+                data = (
+                    bytes(STORE.serialize_cdr(made, kind))
+                    if encoding == "cdr"
+                    else json.dumps(_plain(made)).encode()
+                )
+                writer.add_message(channel, int(stamp), data, int(stamp))
+        if metadata:
+            writer.add_metadata("trial", dict(metadata))
+        writer.finish()
+    return path
