@@ -14,7 +14,6 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
 from pytest_twin.formats.serialized import Integers
-from pytest_twin.formats.stamped_readings import IMU
 
 _FEWEST = 20
 
@@ -70,11 +69,6 @@ def read_streams(path: Path, asked: Sequence[tuple[str, str | None, str]]) -> li
     return [_stream(path, topic, stamps, values, zero) for topic, stamps, values in found]
 
 
-def is_imu(bag: SensorGatherer, topic: str) -> bool:
-    """Whether a topic holds inertial measurements."""
-    return bag.reading_type.get(topic) == IMU
-
-
 def _stream(path: Path, topic: str, stamps: Integers, values: FloatArray, zero: int) -> Stream:
     _, rows = np.unique(stamps, return_index=True)
     rows = rows[np.isfinite(values[rows])]
@@ -83,7 +77,8 @@ def _stream(path: Path, topic: str, stamps: Integers, values: FloatArray, zero: 
             "too few samples", path=path, where=topic, value=len(rows),
             expected=f"at least {_FEWEST} with stamps of their own",
         )  # fmt: skip
-    return Stream(topic, (stamps[rows] - zero) * 1e-9, values[rows])
+    time = np.asarray((stamps[rows] - zero) * 1e-9, dtype=np.float64)
+    return Stream(topic, time, values[rows])
 
 
 def _of_joint(

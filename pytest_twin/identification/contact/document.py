@@ -68,7 +68,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
             f"{body}.{name}": {
                 "value": values[name],
                 "unit": UNITS[name],
-                "ci95": [values[name] - Z95 * one, values[name] + Z95 * one],
+                "ci95": _interval(fit, name, one),
                 "prior": nominal[name],
                 "stage": "contact",
             }
@@ -113,6 +113,16 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
         "notes": [],
         "software": {"pytest-twin": __version__, "mujoco": mujoco.__version__},
     }
+
+
+def _interval(fit: ContactFit, name: str, deviation: float) -> list[float]:
+    """95 % interval of a parameter; of one that is searched by its logarithm, around that."""
+    value = fit.values[name]
+    (parameter,) = (one for one in fit.contact.parameters if one.name == name)
+    if not parameter.logarithmic:
+        return [value - Z95 * deviation, value + Z95 * deviation]
+    factor = float(np.exp(Z95 * deviation / value))
+    return [value / factor, value * factor]
 
 
 def solver_of(model: mujoco.MjModel) -> dict[str, Any]:
