@@ -130,7 +130,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         "realizations, source, roots, topics, joints, command_mode, columns, units, clock, "
         "command_between, signals, controllers, payloads, calibration, calibrations, fit, "
         "excitation, parts, tcp, retired, release, authority, fresh, residual, update, shadow, "
-        "budget; did you mean 'topics'?)",
+        "budget, ranges; did you mean 'topics'?)",
     ),
     (
         "twin.yaml that is no YAML",
