@@ -223,6 +223,7 @@ def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel
     if chosen.has_left:
         selection.left_off = True
         return SelectedModel(rival, comparison.nominal, tried=comparison.tried)
+    selection.nothing_to_add = chosen.is_complete
     return selection.run(rival if rival.hypothesis.terms else None)
 
 

@@ -472,7 +472,7 @@ def refit_without_each(
     """The rest refitted without each of the terms, the weights of that, what the fit leaves, and
     what each rest does; with the simulator's step corrected for the fit.
 
-    In a hurry each takes one step, along the slopes of the fit.
+    The first step of each takes the slopes of the fit; in a hurry it is the only one.
     """
     problem.refine_at(fitted.hypothesis)
     weights = 1.0 / (problem.signal_floor * np.hypot(_finite_floors(fitted, problem), 1.0))
@@ -483,7 +483,7 @@ def refit_without_each(
     ]
     refitted = fit(
         problem, starts, weights, problem.fit,
-        iterations=1 if hurried else _REFIT, slopes=False, jacobians=shared if hurried else None,
+        iterations=1 if hurried else _REFIT, slopes=False, jacobians=shared,
     )  # fmt: skip
     each = [fitted.hypothesis, *(f.hypothesis for f in refitted)]
     base, *levels = _levels(problem, each, problem.tested)

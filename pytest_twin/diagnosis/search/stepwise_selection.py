@@ -116,6 +116,8 @@ class StepwiseSelection:
         self.attempts = _ATTEMPTS if share_left >= 1.0 else 1
         self.comparison = ModelComparison(problem, self.diagnosis_run)
         self.regrown: tuple[Term, ...] = ()
+        self.nothing_to_add = False
+        """Whether a finished search has found no effect to add to the starting model."""
         self._scored = self.comparison.nominal, 0.0
         self.shortlist: list[Hypothesis] = []
         """What is best along the motion at the fit at hand, while it is simulated."""
@@ -239,6 +241,7 @@ class StepwiseSelection:
                 and len(best.hypothesis.terms) < _MAX_TERMS
                 and self.comparison.worth_a_search(best)
                 and not self._spent(best)
+                and not self.nothing_to_add
             ):
                 better = self._forward(best)
                 if better is not None and not self.regrown and self.leave(better):
@@ -249,7 +252,9 @@ class StepwiseSelection:
                 selected.best = self._backward(better)
                 if self._strained(selected.best):
                     break
-            elif not self._sideways(selected):
+            elif self._sideways(selected):
+                self.nothing_to_add = False
+            else:
                 break
 
     def _limited_otherwise(self, best: ScoredModel) -> ScoredModel | None:

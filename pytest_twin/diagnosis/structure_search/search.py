@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -37,12 +38,14 @@ class Result:
         rivals: models that were simulated beside it and refused, with their log-likelihood ratio
             over it.
         has_left: whether the search was asked to end there.
+        is_complete: whether it ended because no proposal passes the acceptance test.
     """
 
     model: Model
     jacobian: FloatArray
     rivals: list[tuple[Model, float]] = field(default_factory=list)
     has_left: bool = False
+    is_complete: bool = False
 
 
 class StructureSearch:
@@ -83,7 +86,7 @@ class StructureSearch:
             for _ in range(self.settings.rounds):
                 following = self._following(result)
                 if following is None:
-                    break
+                    return replace(result, is_complete=True)
                 result = following
                 if self.leave(result.model):
                     return replace(result, has_left=True)
@@ -146,7 +149,15 @@ class StructureSearch:
             # A smaller model wins unless it loses what a name earns.
             return p.gain + settings.earns * max(size - len(p.hypothesis.terms), 0)
 
-        return sorted(found, key=rank, reverse=True)[: settings.proposals]
+        ranked = sorted(found, key=rank, reverse=True)
+        # The linearization favours large models: they can fit its errors. Of each number of effects
+        # the best are simulated, so that a single right effect is not crowded out.
+        chosen, rest, taken = list[Proposal](), list[Proposal](), Counter[int]()
+        for proposal in ranked:
+            count = len(proposal.hypothesis.terms)
+            (chosen if taken[count] < settings.of_each_count else rest).append(proposal)
+            taken[count] += 1
+        return chosen + rest[: max(settings.proposals - len(chosen), 0)]
 
     def _fitted(
         self, look: LinearizedView, models: Sequence[Model], incumbent: Model, count: int

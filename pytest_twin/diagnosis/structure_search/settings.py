@@ -14,6 +14,8 @@ class Settings:
         added: effects that one step may add. Two effects may each look useless without the other.
         beam: structures kept at each size of the linear search.
         proposals: models of one step that are simulated.
+        of_each_count: of these, the best with each number of effects. A right effect alone can be
+            behind three wrong ones along the linearized motion (clock drift of 0.5 %: place 14).
         finalists: of these, models that are fitted.
         corrections: simulations of one fit along the linearized motion.
         refinements: iterations of the final fit by simulated gradients.
@@ -28,6 +30,7 @@ class Settings:
     added: int = 3
     beam: int = 8
     proposals: int = 12
+    of_each_count: int = 4
     finalists: int = 5
     corrections: int = 3
     refinements: int = 3
