@@ -12,7 +12,8 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange, not_shown
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.pruning import label, prune
+from pytest_twin.diagnosis.search.noise_levels import label
+from pytest_twin.diagnosis.search.pruning import prune
 from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.shared_confidence import share_confidence
 

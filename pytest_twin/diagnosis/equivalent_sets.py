@@ -39,7 +39,7 @@ from pytest_twin.diagnosis.patched.native import mjcf_expresses
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import QUICK, ModelComparison
-from pytest_twin.diagnosis.search.pruning import in_floors
+from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.term_exchange import residuals_without
 from pytest_twin.diagnosis.set_evidence import (
@@ -470,4 +470,6 @@ def _as_likely_in_mjcf(rivals: Sequence[ScoredModel], values: FloatArray, top: i
 
 
 def _apart(problem: Problem, one: ScoredModel, other: ScoredModel) -> float:
-    return float(in_floors(one.fitted.residual - other.fitted.residual, problem.signal_floor).max())
+    return float(
+        in_noise_floors(one.fitted.residual - other.fitted.residual, problem.signal_floor).max()
+    )

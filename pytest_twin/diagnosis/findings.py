@@ -15,7 +15,8 @@ from pytest_twin.diagnosis.intervals import Spread, parameter_spread
 from pytest_twin.diagnosis.locate import Where, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.pruning import PrunedModel, in_floors, joint_name, label
+from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, joint_name, label
+from pytest_twin.diagnosis.search.pruning import PrunedModel
 from pytest_twin.diagnosis.search.scored_model import Alternative as Rivalling
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.small_corrections import small_corrections
@@ -280,7 +281,7 @@ def _gains(problem: Problem, residuals: Sequence[FloatArray]) -> list[float]:
     """
     inside = problem.in_test
     with_all, *without = (
-        float((in_floors(r[inside], problem.signal_floor) ** 2).sum()) for r in residuals
+        float((in_noise_floors(r[inside], problem.signal_floor) ** 2).sum()) for r in residuals
     )
     return [_gain(error, with_all) for error in without]
 
@@ -297,7 +298,7 @@ def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     gone = [hypothesis.without(f.term) for f in explained.findings]
     stands = _heights(problem, [hypothesis, *gone])
     (errors,) = problem.errors([hypothesis], problem.tested)
-    off = float(in_floors(errors[:, : len(problem.joints)], problem.floor).max())
+    off = float(in_noise_floors(errors[:, : len(problem.joints)], problem.floor).max())
     if not np.isfinite([*stands, off]).all():
         return explained
     moved = [replace(f, stands=s) for f, s in zip(explained.findings, stands, strict=True)]
@@ -339,11 +340,11 @@ def _changes(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[_Change
         position = np.concatenate(
             [a.position[n] - b.position[n] for (a, b), n in zip(pairs, soon, strict=True)]
         )
-        levels = in_floors(position, problem.floor)
+        levels = in_noise_floors(position, problem.floor)
         height = float(levels.max())
         if height == 0.0 and problem.effort_floor is not None:
             effort = np.concatenate([a.effort - b.effort for a, b in pairs])
-            height = float(in_floors(effort, problem.effort_floor).max())
+            height = float(in_noise_floors(effort, problem.effort_floor).max())
         out.append(_Change(levels * problem.floor, height))
     return out
 
@@ -356,7 +357,7 @@ def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
 def _nominal_error(problem: Problem) -> FloatArray:
     """(joints,) RMS error of the nominal model, rad or m."""
     (errors,) = problem.errors([EMPTY], problem.tested)
-    levels = in_floors(errors[:, : len(problem.joints)], problem.floor)
+    levels = in_noise_floors(errors[:, : len(problem.joints)], problem.floor)
     return np.asarray(levels * problem.floor)
 
 

@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.pruning import in_floors
+from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import (
@@ -164,7 +164,7 @@ def _left_otherwise(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
 
 def _squares(problem: Problem, left: FloatArray) -> FloatArray:
     """(joints,) mean squares, in noise floors, of the positions of (samples, signals) residuals."""
-    return in_floors(left[:, : len(problem.joints)], problem.floor) ** 2
+    return in_noise_floors(left[:, : len(problem.joints)], problem.floor) ** 2
 
 
 def _greatest(problem: Problem, left: FloatArray) -> float:

@@ -29,7 +29,7 @@ from pytest_twin.diagnosis.prepare import (
 )
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.pruning import in_floors
+from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem
 from pytest_twin.diagnosis.trials import TrialSet
@@ -193,7 +193,7 @@ def _ways(problem: Problem, hypothesis: Hypothesis, given: ModelSetup) -> dict[b
 def _squares(problem: Problem, hypothesis: Hypothesis, noise: FloatArray) -> FloatArray:
     """(joints,) mean squares, in those of the noise, of what is left of the fitted positions."""
     (left,) = problem.residuals([hypothesis], problem.fit)
-    return in_floors(left[:, : len(noise)], noise) ** 2
+    return in_noise_floors(left[:, : len(noise)], noise) ** 2
 
 
 class _Span:
@@ -231,4 +231,4 @@ class _Span:
         # What differs in size by powers of ten is solved as well as what does not.
         along = along / np.maximum(np.linalg.norm(along, axis=0), 1e-30)
         moved = along @ np.linalg.lstsq(along, left.ravel(), rcond=None)[0]
-        return in_floors(left - moved.reshape(left.shape), np.ones(joints)) ** 2
+        return in_noise_floors(left - moved.reshape(left.shape), np.ones(joints)) ** 2

@@ -12,7 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import totals
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.pruning import longest_shift
+from pytest_twin.diagnosis.search.pruning_rules import longest_shift
 from pytest_twin.diagnosis.verdict import AT_FLOOR
 
 # Share of the error of the nominal model at a joint below which the change of a prediction is of no

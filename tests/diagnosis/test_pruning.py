@@ -19,21 +19,20 @@ from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search import model_comparison
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.pruning import (
-    _as_good_as_rigid,
-    _far_from_explained,
-    _in_doubt,
-    _less_than_none,
-    _misshapen,
-    _perhaps_absent,
-    _slight,
-    _stretched,
-    _Tested,
-    _too_little,
-    _under_the_floor,
-    _within_a_step,
-    keep_named,
-    prune,
+from pytest_twin.diagnosis.search.pruning import keep_named, prune
+from pytest_twin.diagnosis.search.pruning_rules import (
+    RefitComparison,
+    at_bound_or_in_doubt,
+    below_noise_floor,
+    in_doubt,
+    may_be_absent,
+    negative_mean_friction,
+    residual_remains,
+    share_too_large,
+    shift_within_time_step,
+    small_and_replaceable,
+    transmission_is_rigid,
+    wrong_position_dependence,
 )
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
@@ -73,14 +72,16 @@ def of_floors(
     fitted: Fitted,
     *floors: Sequence[float],
     confidence: Mapping[Term, float] | None = None,
-) -> _Tested:
+) -> RefitComparison:
     """A fit of one term by the floors of each joint: as the model came, with it and without."""
     before, base, rest = (np.array(each) for each in floors)
     weights = 1.0 / problem.signal_floor
-    return _Tested(problem, fitted, confidence or {}, before, base, [fitted], [rest], weights)
+    return RefitComparison(
+        problem, fitted, confidence or {}, before, base, [fitted], [rest], weights
+    )
 
 
-def of_one_term(problem: Problem, fitted: Fitted, left: float, without: float) -> _Tested:
+def of_one_term(problem: Problem, fitted: Fitted, left: float, without: float) -> RefitComparison:
     """A fit by the floors that the first joint keeps of a hundred, with its term and without."""
     return of_floors(problem, fitted, (100.0, 1.0), (left, 1.0), (without, 1.0))
 
@@ -122,7 +123,7 @@ def test_a_law_out_of_shape_that_does_not_explain_all_is_no_name(
 
     def stretched(left: float) -> list[Term]:
         tested = of_one_term(problem, fitted, left, without=left)
-        return [tested.terms[k] for k in _stretched(tested)]
+        return [tested.terms[k] for k in at_bound_or_in_doubt(tested)]
 
     assert stretched(40.0) == ([] if named else [term])
     # Where it explains its joint it is as good a name as any.
@@ -149,8 +150,8 @@ def test_bristles_of_the_least_length_have_to_take_off_more(
     (fitted,) = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)
     well_known = replace(fitted, jacobian=100.0 * fitted.jacobian)
     tested = of_one_term(problem, well_known, left=1.0, without=without)
-    assert not _perhaps_absent(well_known, term, tested.known)
-    gone = _under_the_floor(tested)
+    assert not may_be_absent(well_known, term, tested.known)
+    gone = below_noise_floor(tested)
     assert list(gone) == ([] if named else [0])
     for note in gone.values():
         assert note == (
@@ -170,11 +171,11 @@ def test_a_name_of_wide_interval_stays_where_much_more_is_left_without_it(
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)[0]
     flat = replace(fitted, jacobian=1e-6 * fitted.jacobian)
-    assert _in_doubt(of_one_term(problem, flat, 40.0, without), 0) is not named
+    assert in_doubt(of_one_term(problem, flat, 40.0, without), 0) is not named
 
     def stretched(fit_at_hand: Fitted, without: float) -> list[Term]:
         tested = of_one_term(problem, fit_at_hand, 40.0, without)
-        return [tested.terms[k] for k in _stretched(tested)]
+        return [tested.terms[k] for k in at_bound_or_in_doubt(tested)]
 
     assert stretched(flat, without) == ([] if named else [term])
     assert stretched(fitted, 40.0) == []
@@ -199,7 +200,7 @@ def test_a_gear_as_good_as_rigid_is_no_name_whatever_it_takes_off(
     start = EMPTY.with_term(term, np.array(theta, dtype=float))
     (fitted,) = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)
     vague = replace(fitted, jacobian=slope * fitted.jacobian)
-    gone = _as_good_as_rigid(of_one_term(problem, vague, left=2.0, without=90.0))
+    gone = transmission_is_rigid(of_one_term(problem, vague, left=2.0, without=90.0))
     assert list(gone) == ([0] if rigid else [])
     for note in gone.values():
         assert note == (
@@ -224,7 +225,7 @@ def test_a_law_of_position_that_leaves_more_of_position_is_no_name(
     weights = 1.0 / problem.signal_floor
     start = EMPTY.with_term(term, np.array([0.1, 0.0]))
     (fitted,) = fit(problem, [start], weights, problem.fit, iterations=8)
-    gone = _misshapen(of_one_term(problem, fitted, left, without=left))
+    gone = wrong_position_dependence(of_one_term(problem, fitted, left, without=left))
     assert list(gone) == ([] if named else [0])
     for note in gone.values():
         assert note.startswith("rejected: joint_spring at left, the closest known effect: ")
@@ -248,7 +249,7 @@ def test_less_than_no_friction_over_the_turn_is_no_name(tmp_path: Path) -> None:
     def taken_back(hypothesis: Hypothesis) -> dict[int, str]:
         (fitted,) = fit(problem, [hypothesis], weights, problem.fit, iterations=0)
         tested = of_one_term(problem, fitted, 2.0, without=50.0)
-        return dict(_less_than_none(tested))
+        return dict(negative_mean_friction(tested))
 
     (note,) = taken_back(waving(problem, -0.1)).values()
     assert note.startswith(
@@ -349,7 +350,7 @@ def test_a_shift_of_a_small_part_of_a_step_is_no_name(
     hypothesis = with_sizes(problem, [term], [size])
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [hypothesis], weights, problem.fit, iterations=0, slopes=True)[0]
-    gone = _within_a_step(of_one_term(problem, fitted, 1.0, without=50.0))
+    gone = shift_within_time_step(of_one_term(problem, fitted, 1.0, without=50.0))
     assert not gone if named else "small part of the time step" in gone[0]
 
 
@@ -420,7 +421,7 @@ def test_what_acts_in_leaps_has_no_interval_and_is_there(slope: float, absent: b
     jacobian = np.ones((4, 1, 2)) * [slope, 1.0]
     fitted = Fitted(hypothesis, np.zeros((4, 1)), jacobian, 0.0)
     known = Spread(np.array([1e6, 1e-3]), np.eye(2), np.eye(2), 2.0)
-    assert _perhaps_absent(fitted, term, known) is absent
+    assert may_be_absent(fitted, term, known) is absent
 
 
 @pytest.mark.parametrize(
@@ -439,7 +440,7 @@ def test_what_trades_off_is_judged_together(together: float, absent: bool) -> No
     correlation = np.eye(3)
     correlation[0, 1] = correlation[1, 0] = together
     known = Spread(np.array([0.12, 0.12, 1.0]), correlation, np.eye(3), 2.0)
-    assert _perhaps_absent(fitted, term, known) is absent
+    assert may_be_absent(fitted, term, known) is absent
 
 
 def test_the_joint_region_holds_what_normal_draws_say() -> None:
@@ -459,7 +460,7 @@ def test_several_names_at_a_joint_have_to_explain_more(tmp_path: Path) -> None:
 
     def left(after: float, *, several: bool) -> float:
         found = np.array([after, 2.0])
-        return _too_little(prepared.problem, term, before, found, several=several, sure=True)
+        return share_too_large(prepared.problem, term, before, found, several=several, sure=True)
 
     tenth = 400.0 * np.sqrt(0.1)
     assert left(tenth, several=False) == 0.0
@@ -476,7 +477,7 @@ def test_a_name_that_leaves_many_floors_has_to_explain_more(
     prepared, _ = bench(tmp_path, viscous=0.3)
     levels = np.array([before, 2.0]), np.array([before * np.sqrt(1.0 / 7.0), 2.0])
     term = Term("viscous_friction", 0)
-    share = _too_little(prepared.problem, term, *levels, several=False, sure=True)
+    share = share_too_large(prepared.problem, term, *levels, several=False, sure=True)
     assert (share == 0.0) is stays
 
 
@@ -495,7 +496,7 @@ def test_recordings_that_hardly_show_it_do_not_judge_it(
     problem, term = prepared.problem, Term("viscous_friction", 0)
     found = chosen(prepared, term, 0.5).best.fitted
     tested = of_floors(problem, found, *((level, 1.0) for level in (before, after, before)))
-    assert bool(_far_from_explained(tested)) is not stays
+    assert bool(residual_remains(tested)) is not stays
 
 
 @pytest.mark.parametrize(("lag", "stays"), [(0.001, False), (0.002, True)])
@@ -539,4 +540,4 @@ def test_a_small_mismatch_at_one_joint_is_not_slight_for_a_large_one_at_another(
     found = chosen(prepared, term, 0.5, fitted=False).best.fitted
     floors = ((900.0, own), (1.0, 1.0), (1.0, without))
     tested = of_floors(problem, found, *floors, confidence={term: 0.5})
-    assert bool(_slight(tested)) is not stays
+    assert bool(small_and_replaceable(tested)) is not stays

@@ -36,7 +36,7 @@ from pytest_twin.diagnosis.search.linearized_view import (
     residual_view,
 )
 from pytest_twin.diagnosis.search.model_comparison import FAIR, QUICK, ModelComparison
-from pytest_twin.diagnosis.search.pruning import in_floors
+from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import (
     EARNS,
     Place,
@@ -316,7 +316,7 @@ class StepwiseSelection:
         """
         problem, hypothesis = self.problem, rival.hypothesis
         refused = {**impossible(problem, hypothesis), **not_shown(problem, hypothesis)}
-        left = in_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
+        left = in_noise_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
         return [
             t for t in hypothesis.terms
             if t in refused

@@ -1,0 +1,448 @@
+"""The rules of pruning: which effects of a fitted model are rejected, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.intervals import Spread, parameter_spread
+from pytest_twin.diagnosis.locate import missing_force
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, label, levels_on
+from pytest_twin.diagnosis.search.pruning_settings import SETTINGS
+from pytest_twin.diagnosis.smoothing import derivatives
+from pytest_twin.diagnosis.verdict import (
+    AT_FLOOR,
+    LEFT,
+    STANDS_OUT,
+    JointError,
+    own_mismatch,
+    worth_a_name,
+)
+
+Rejections = Mapping[int, str]
+"""Rejected effects by their number in the model, with the line that the reader gets of each."""
+
+
+@dataclass(frozen=True)
+class RefitComparison:
+    """A fitted model, and its refits without each of its effects, on the tested recordings.
+
+    Attributes:
+        problem: what is explained.
+        fitted: the model with all effects.
+        confidence: of each effect against its alternatives.
+        before: (signals,) residual of the nominal model, in noise floors.
+        base: (signals,) residual of the fitted model, in noise floors.
+        refitted: the model without each effect.
+        levels: (signals,) residual of each of these, in noise floors.
+        weights: (signals,) of the refits.
+    """
+
+    problem: Problem
+    fitted: Fitted
+    confidence: Mapping[Term, float]
+    before: FloatArray
+    base: FloatArray
+    refitted: list[Fitted]
+    levels: list[FloatArray]
+    weights: FloatArray
+
+    @cached_property
+    def known(self) -> Spread:
+        """Covariance of the parameters."""
+        return parameter_spread(self.problem, self.fitted, in_parts=False)
+
+    @cached_property
+    def errors(self) -> list[JointError]:
+        """Errors of each joint in noise floors, of the nominal and of the fitted model."""
+        pairs = zip(self.before, self.base, strict=True)
+        each = [JointError(float(before), float(after), 1.0, "") for before, after in pairs]
+        return each[: len(self.problem.joints)]
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Effects of the fitted model."""
+        return self.fitted.hypothesis.terms
+
+    def chance(self, term: Term) -> float:
+        """Confidence of an effect; 1 where it was compared with no alternative."""
+        return self.confidence.get(term, 1.0)
+
+    def label(self, k: int) -> str:
+        """Effect and joint in words."""
+        return label(self.problem, self.terms[k])
+
+    def without(self, gone: Sequence[int]) -> Fitted:
+        """The model refitted without the effects of these numbers."""
+        if len(gone) == 1:
+            return self.refitted[gone[0]]
+        rest = self.fitted.hypothesis.without(*(self.terms[k] for k in gone))
+        return fit(
+            self.problem,
+            [rest],
+            self.weights,
+            self.problem.fit,
+            iterations=SETTINGS.refit_iterations,
+        )[0]
+
+
+def simulation_diverges(tested: RefitComparison) -> Rejections:
+    """Reject the least effect of a model whose simulation diverges."""
+    left = in_noise_floors(tested.fitted.residual, tested.problem.signal_floor)
+    if np.isfinite([tested.base, left]).all():
+        return {}
+    k = int(np.argmin([np.linalg.norm(v) for v in tested.levels]))
+    return {k: f"rejected: {tested.label(k)}: the simulation diverges with it"}
+
+
+def negative_mean_friction(tested: RefitComparison) -> Rejections:
+    """Reject position-dependent friction of negative mean, and other dry friction of that joint.
+
+    A brake that acts at one position is in no catalogue, and resembles such a law cut off at zero.
+    """
+    problem, hypothesis = tested.problem, tested.fitted.hypothesis
+    joints = {t.joint for t in tested.terms if problem.less_than_none(hypothesis, t)}
+    return {
+        k: f"rejected: {tested.label(k)}, the closest known effect: the mean dry friction of the "
+        "joint would be negative. The friction probably acts at one position only"
+        for k, t in enumerate(tested.terms)
+        if t.joint in joints and t.dry_level is not None
+    }
+
+
+def below_noise_floor(tested: RefitComparison) -> Rejections:
+    """Reject the effect whose removal raises the residual least, if by too little."""
+    problem, fitted = tested.problem, tested.fitted
+
+    def doubtful(t: Term) -> bool:
+        # Dry friction that turns to bristles of the least length is dry friction in another form.
+        changed = problem.out_of_shape(fitted.hypothesis, t)
+        seen_once = not len(problem.held_out) and _recordings_that_need(tested, t) < 2
+        return seen_once or changed or may_be_absent(fitted, t, tested.known)
+
+    bars = [STANDS_OUT * (SETTINGS.doubtful_factor if doubtful(t) else 1.0) for t in tested.terms]
+    # The residual of the whole model is no merit of an effect.
+    others = np.maximum(tested.base**2 - 1.0, 0.0)
+    height = [
+        float(
+            np.sqrt(np.maximum(v**2 - others, 0.0))[v > SETTINGS.least_worsening * tested.base].max(
+                initial=0.0
+            )
+        )
+        / bar
+        for v, bar in zip(tested.levels, bars, strict=True)
+    ]
+    k = int(np.argmin(height))
+    if height[k] > 1.0:
+        return {}
+    return {
+        k: f"rejected: {tested.label(k)}: it reduces the residual by less than {bars[k]:g} times "
+        "the noise floor"
+    }
+
+
+def _recordings_that_need(tested: RefitComparison, term: Term) -> int:
+    """Number of fitted recordings with a signal that is predicted worse without an effect."""
+    problem = tested.problem
+    without = tested.refitted[tested.terms.index(term)].residual
+    segments = problem.simulator.segments
+    owner = np.repeat([segments[s].trial for s in problem.fit], problem.lengths(problem.fit))
+    shown = 0
+    for trial in np.unique(owner):
+        mine = owner == trial
+        levels = (
+            in_noise_floors(r[mine], problem.signal_floor)
+            for r in (without, tested.fitted.residual)
+        )
+        worse, base = levels
+        shown += bool((worse > np.maximum(SETTINGS.least_worsening * base, STANDS_OUT)).any())
+    return shown
+
+
+def transmission_is_rigid(tested: RefitComparison) -> Rejections:
+    """Reject an elastic transmission whose 95 % interval includes a rigid one.
+
+    Motor and link as two bodies are integrated differently from one body, and that difference alone
+    can reduce the residual.
+    """
+    for k, t in enumerate(tested.terms):
+        apart = t.law.is_elastic_transmission
+        if apart and may_be_absent(tested.fitted, t, tested.known):
+            return {
+                k: f"rejected: {tested.label(k)}: its 95 % interval includes a rigid transmission"
+            }
+    return {}
+
+
+def shift_within_time_step(tested: RefitComparison) -> Rejections:
+    """Reject a delay or clock drift that shifts signals by a small part of the time step only.
+
+    When within a step a drive responds is no property of the robot.
+    """
+    problem = tested.problem
+    for k, t in enumerate(tested.terms):
+        shift = longest_shift(problem, tested.fitted.hypothesis, t)
+        if 0.0 < shift < SETTINGS.part_of_step * problem.simulator.timestep:
+            return {
+                k: f"rejected: {tested.label(k)}: it shifts signals by at most {1e3 * shift:.2g} "
+                f"ms, a small part of the time step ({1e3 * problem.simulator.timestep:.2g} ms)"
+            }
+    return {}
+
+
+def longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:
+    """Greatest shift, s, of a command or a reading by a timing effect; 0 for other effects."""
+    if term.law.family != "timing":
+        return 0.0
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    values = {
+        p.name: np.full((1, 1), x * problem.scales.value(p, term.joint))
+        for p, x in zip(term.parameters, theta, strict=True)
+    }
+    stamps = [s.time[[0, -1]] for s in problem.simulator.segments]
+    ends = np.array([min(t[0] for t in stamps), max(t[1] for t in stamps)])[None, :, None]
+    late = term.law.command_latency(values)
+    of_reading = term.law.sample_time(ends, values) - ends
+    return float(max(np.abs(of_reading).max(), 0.0 if late is None else np.abs(late).max()))
+
+
+def removes_too_little(tested: RefitComparison) -> Rejections:
+    """Reject the least of the effects that remove no worthwhile share of the residual."""
+    one, levels = np.ones(len(tested.base)), tested.levels
+    idle = []
+    for k, (term, level) in enumerate(zip(tested.terms, levels, strict=True)):
+        acting = tested.problem.acted_on(tested.fitted.hypothesis.without(term).terms)
+        whole = own_mismatch(one, tested.before**2, level**2, acting)
+        if not worth_a_name(one, level**2, tested.base**2, whole):
+            idle.append(k)
+    if not idle:
+        return {}
+    k = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
+    return {k: f"rejected: {tested.label(k)}: it removes too little of the remaining error"}
+
+
+def small_and_replaceable(tested: RefitComparison) -> Rejections:
+    """Reject an effect that explains a small share and has likely alternatives.
+
+    It stays where its joint would be unexplained without it.
+    """
+    whole = float(np.sum(tested.before**2))
+    for k, t in enumerate(tested.terms):
+        taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
+        left = float(tested.levels[k][_signals_of(tested.problem, t)].max())
+        is_small = taken < SETTINGS.small_share * whole and not (
+            is_needed(tested, k) and left > AT_FLOOR
+        )
+        if is_small and tested.chance(t) < SETTINGS.sure_of_small:
+            return {
+                k: f"rejected: {tested.label(k)}: it removes less than "
+                f"{100 * SETTINGS.small_share:g} % of the squared error, and other effects can "
+                "explain that part"
+            }
+    return {}
+
+
+def alternatives_more_likely(tested: RefitComparison) -> Rejections:
+    """Reject the least likely of several effects if its alternatives are far more likely."""
+    chances = [tested.chance(t) for t in tested.terms]
+    k = int(np.argmin(chances))
+    if len(chances) == 1 or chances[k] >= SETTINGS.least_confidence:
+        return {}
+    return {
+        k: f"rejected: {tested.label(k)}: other effects are more likely, and the recordings do not "
+        "separate them"
+    }
+
+
+def at_bound_or_in_doubt(tested: RefitComparison) -> Rejections:
+    """Reject effects at unexplained joints that are at a bound, in doubt, or unlikely."""
+    problem, hypothesis = tested.problem, tested.fitted.hypothesis
+    explained = [error.explained for error in tested.errors]
+    gone = {}
+    for k, t in enumerate(tested.terms):
+        if all(explained) if t.joint < 0 else explained[t.joint]:
+            continue
+        likely = tested.chance(t) >= SETTINGS.even
+        at_an_end = hypothesis.at_bound(t) or problem.out_of_shape(hypothesis, t)
+        if likely and not at_an_end and not in_doubt(tested, k):
+            continue
+        why = (
+            "a parameter is at its physical bound, or its 95 % interval includes zero"
+            if likely
+            else "other effects are more likely"
+        )
+        gone[k] = (
+            f"rejected: {tested.label(k)}, the closest known effect: {why}, and a residual remains"
+        )
+    return gone
+
+
+def wrong_position_dependence(tested: RefitComparison) -> Rejections:
+    """Reject a law of position if the force that it leaves missing depends on position as well.
+
+    Something else acts there: a cable that becomes slack is no spring.
+    """
+    for k, t in enumerate(tested.terms):
+        if t.joint < 0 or not t.law.depends_only_on_position:
+            continue
+        error = tested.errors[t.joint]
+        if error.explained or error.fraction <= LEFT:
+            continue
+        share, of_velocity = _explained_by_position_and_velocity(
+            tested.problem, tested.fitted.hypothesis, t.joint
+        )
+        if share > max(SETTINGS.same_dependence, of_velocity):
+            return {
+                k: f"rejected: {tested.label(k)}, the closest known effect: {100 * share:.0f} % of "
+                "the force that is still missing depends on the joint's position, so the true "
+                "dependence on position is another"
+            }
+    return {}
+
+
+def _explained_by_position_and_velocity(
+    problem: Problem, hypothesis: Hypothesis, joint: int
+) -> tuple[float, float]:
+    """Shares of the variance of a joint's missing force that position and velocity explain."""
+    segments = problem.simulator.segments
+    (residual,) = problem.residuals([hypothesis], problem.everywhere)
+    force = missing_force(problem, residual, problem.floor).force[:, joint]
+    whole = float(np.var(force)) * len(force)
+    if not np.isfinite(whole) or whole <= 0.0:
+        return 0.0, 0.0
+
+    def share(values: FloatArray) -> float:
+        stretches = np.array_split(force[np.argsort(values, kind="stable")], SETTINGS.position_bins)
+        return 1.0 - sum(float(np.var(part)) * len(part) for part in stretches) / whole
+
+    motion = [derivatives(s.time, s.position[:, joint : joint + 1]) for s in segments]
+    position, velocity = (np.concatenate([m[order][:, 0] for m in motion]) for order in (0, 1))
+    return share(position), share(velocity)
+
+
+def residual_remains(tested: RefitComparison) -> Rejections:
+    """Reject effects with which most of the mismatch of their joint remains."""
+    gone = {}
+    for k, t in enumerate(tested.terms):
+        share = share_too_large(
+            tested.problem, t, *_levels_that_count(tested, t),
+            several=sum(other.joint == t.joint >= 0 for other in tested.terms) > 1,
+            sure=tested.chance(t) >= SETTINGS.sure and not tested.fitted.hypothesis.at_bound(t),
+        )  # fmt: skip
+        if share > 0.0:
+            gone[k] = (
+                f"rejected: {tested.label(k)}, the closest known effect: {100 * share:.0f} % of "
+                "the squared error remains there with all effects fitted"
+            )
+    return gone
+
+
+def _levels_that_count(tested: RefitComparison, term: Term) -> tuple[FloatArray, FloatArray]:
+    """(signals,) residuals of the nominal and the fitted model, to judge what remains.
+
+    They are those of the tested recordings. Where these hardly show the mismatch at the joint of an
+    effect, they are those of all recordings.
+    """
+    problem = tested.problem
+    hardly = tested.before[_signals_of(problem, term)].max() <= AT_FLOOR
+    if not hardly or not len(problem.held_out):
+        return tested.before, tested.base
+    problem.refine_at(EMPTY)
+    (before,) = levels_on(problem, [EMPTY], problem.everywhere)
+    problem.refine_at(tested.fitted.hypothesis)
+    (base,) = levels_on(problem, [tested.fitted.hypothesis], problem.everywhere)
+    return before, base
+
+
+def in_doubt(tested: RefitComparison, k: int) -> bool:
+    """Whether an effect may be absent and explains no large share where it acts."""
+    if is_needed(tested, k):
+        return False
+    return may_be_absent(tested.fitted, tested.terms[k], tested.known, SETTINGS.doubt_width)
+
+
+def is_needed(tested: RefitComparison, k: int) -> bool:
+    """Whether the residual grows by a large share of the mismatch without an effect."""
+    columns = _signals_of(tested.problem, tested.terms[k])
+    more = tested.levels[k][columns] ** 2 - tested.base[columns] ** 2
+    return bool((more > SETTINGS.needed_share * tested.before[columns] ** 2).any())
+
+
+def may_be_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0) -> bool:
+    """Whether the 95 % region of the parameters that switch an effect on contains its absence.
+
+    Parameters without a slope (the release of a drive) have no region; such an effect is present.
+
+    Args:
+        fitted: the model.
+        term: the effect.
+        known: covariance of the model.
+        within: factor on the width of the region.
+    """
+    place = fitted.hypothesis.slice_of(term)
+    own = term.switches(fitted.hypothesis.theta[place])
+    switches = [place.start + k for k in own]
+    if not np.any(fitted.jacobian[:, :, switches] != 0.0, axis=(0, 1)).all():
+        return False
+    neutral = [term.parameters[k].neutral for k in own]
+    offset = np.array(neutral, dtype=float) - fitted.hypothesis.theta[switches]
+    return known.apart(np.array(switches), offset) <= within
+
+
+def share_too_large(
+    problem: Problem,
+    term: Term,
+    before: FloatArray,
+    after: FloatArray,
+    *,
+    several: bool,
+    sure: bool,
+) -> float:
+    """Share of the squared mismatch that remains where an effect acts, if it is too large; else 0.
+
+    The bound is lower for an unsure effect, far above the noise floor, and for several effects at
+    one joint.
+    """
+    columns = _signals_of(problem, term)
+    mismatch = float(np.maximum(before[columns] ** 2 - 1.0, 0.0).sum())
+    left = float(np.maximum(after[columns] ** 2 - 1.0, 0.0).sum())
+    share = left / mismatch if mismatch > 0.0 else 0.0
+    top = float(after[columns].max())
+    bound = SETTINGS.left_if_sure if sure else SETTINGS.left_if_unsure
+    if top > SETTINGS.far:
+        bound = SETTINGS.left_if_far
+    if several and top > SETTINGS.far_if_several:
+        bound = SETTINGS.left_if_several
+    return share if share > bound and top > STANDS_OUT else 0.0
+
+
+def _signals_of(problem: Problem, term: Term) -> slice:
+    """Signals that an effect can change: positions and efforts of its joint, or of all joints.
+
+    Of an error of effort readings these are efforts alone, since it changes no motion.
+    """
+    joints = len(problem.joints)
+    first = joints if term.law.needs_effort_sensor and problem.effort_floor is not None else 0
+    return slice(first, None) if term.joint < 0 else slice(first + term.joint, None, joints)
+
+
+RULES: tuple[Callable[[RefitComparison], Rejections], ...] = (
+    simulation_diverges,
+    negative_mean_friction,
+    below_noise_floor,
+    transmission_is_rigid,
+    shift_within_time_step,
+    removes_too_little,
+    small_and_replaceable,
+    alternatives_more_likely,
+    at_bound_or_in_doubt,
+    wrong_position_dependence,
+)
+"""Rules in the order in which they are asked; the first that rejects something decides a round."""
