@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
+from functools import partial
 from typing import NoReturn
 
 from pytest_twin.checks.base import Check
@@ -21,15 +22,7 @@ def checked(check: object, name: str, package: str) -> Check:
     Raises:
         SpecError: it is no check, or an attribute is missing or has another form.
     """
-
-    def refuse(field: str, value: object, expected: str) -> NoReturn:
-        raise SpecError(
-            f"{package} brings a check that cannot be used: its {field}",
-            where="kind",
-            value=value if isinstance(value, int | float | str) else type(value).__name__,
-            expected=expected,
-        )
-
+    refuse = partial(_refuse, package)
     if not isinstance(check, Check):
         refuse("class", type(check).__name__, "a subclass of pytest_twin.checks.Check")
     for field in ("kind", "tolerances", "schema"):
@@ -41,6 +34,16 @@ def checked(check: object, name: str, package: str) -> Check:
         refuse("version", check.version, "an integer")
     if not isinstance(check.libraries, Sequence) or isinstance(check.libraries, str):
         refuse("libraries", check.libraries, "a tuple of distributions")
+    _check_tolerances(check, refuse)
+    if not isinstance(check.schema, Mapping):
+        refuse("schema", check.schema, "a mapping with the JSON Schemas of target and stimulus")
+    for part, schema in check.schema.items():
+        if not isinstance(schema, Mapping):
+            refuse(f"schema.{part}", schema, "a JSON Schema")
+    return check
+
+
+def _check_tolerances(check: Check, refuse: Callable[[str, object, str], NoReturn]) -> None:
     if not isinstance(check.tolerances, Mapping):
         refuse("tolerances", check.tolerances, "a mapping from names to SI units")
     for tolerance, unit in check.tolerances.items():
@@ -50,9 +53,12 @@ def checked(check: object, name: str, package: str) -> Check:
         refuse("required_tolerances", check.required_tolerances, "a frozenset of names")
     if unknown := sorted(map(str, check.required_tolerances - check.tolerances.keys())):
         refuse("required_tolerances", ", ".join(unknown), "names in tolerances")
-    if not isinstance(check.schema, Mapping):
-        refuse("schema", check.schema, "a mapping with the JSON Schemas of target and stimulus")
-    for part, schema in check.schema.items():
-        if not isinstance(schema, Mapping):
-            refuse(f"schema.{part}", schema, "a JSON Schema")
-    return check
+
+
+def _refuse(package: str, field: str, value: object, expected: str) -> NoReturn:
+    raise SpecError(
+        f"{package} brings a check that cannot be used: its {field}",
+        where="kind",
+        value=value if isinstance(value, int | float | str) else type(value).__name__,
+        expected=expected,
+    )

@@ -143,24 +143,8 @@ def prepare(
     trials = [*fit, *held_out]
     joints = shared_joints(realization, trials)
     coldness = coldness or coldness_of(trials)
-    segments: list[Segment] = []
-    owner: list[int] = []
-    moving: dict[int, Segment] = {}
-    for i, trial in enumerate(trials):
-        cold = coldness_in(coldness, trial)
-        made = segments_of(
-            realization, trial, i, joints, window, cold, commanded=True, contact=contact,
-            creeps=creeps,
-        )  # fmt: skip
-        if not made:
-            continue
-        if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
-            (moving[len(segments)],) = segments_of(
-                realization, trial, i, joints, window, cold, moving=True, commanded=True,
-                creeps=creeps,
-            )  # fmt: skip
-        segments += made
-        owner += [i] * len(made)
+    cut = _cut(realization, trials, joints, window, coldness, contact, creeps)
+    owner = cut.owner
     is_fit = np.array(owner) < len(fit)
     if not is_fit.any():
         raise RecordingError(
@@ -168,8 +152,10 @@ def prepare(
             path=trials[0].path,
             expected=f"motion at least {NEAR:g} m away from all surfaces",
         )
-    shown = greatest_noise(segments, [s.position for s in segments], owner)
-    segments = with_initial_velocity(segments, moving, joints, shown, threads=threads, fixed=fixed)
+    shown = greatest_noise(cut.segments, [s.position for s in cut.segments], owner)
+    segments = with_initial_velocity(
+        cut.segments, cut.moving, joints, shown, threads=threads, fixed=fixed
+    )
     noise = _known(shown)
     simulator = RowSimulator(segments, joints, threads=threads, refine=substeps or 1, fixed=fixed)
     finer = (substeps or 1) * REFINE
@@ -218,14 +204,7 @@ def prepare(
         if segments[0].mode == "effort":
             problem.trust = stiction_weights(problem)
     if effort_floor is not None:
-        if segments[0].mode == "effort":
-            # An effort drive gives what it is sent: only when is open, by a sample.
-            jumps = [_steepest(p.effort) for p in nominal]
-        else:
-            if problem.defect:
-                effort_floor = np.minimum(effort_floor, quiet_noise(problem, nominal, owner))
-            jumps = _jumps(problem, nominal)
-        _trust_efforts(problem, np.maximum(effort_floor, finest_effort(segments)), jumps)
+        _weigh_efforts(problem, nominal, owner, effort_floor)
     parts = {
         NOISE: noise,
         # Of a joint that swings fast now and then its mean square is more than the usual noise.
@@ -233,6 +212,64 @@ def prepare(
         STEP: steps,
     }
     return Prepared(problem, tuple(owner), parts, coldness, substeps, window)
+
+
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """Trials cut into segments.
+
+    Attributes:
+        segments: of all trials.
+        owner: number of the trial of each segment.
+        moving: number of a segment without a velocity -> the same segment in motion at its start.
+    """
+
+    segments: list[Segment]
+    owner: list[int]
+    moving: dict[int, Segment]
+
+
+def _cut(
+    realization: Realization,
+    trials: Sequence[Trial],
+    joints: Sequence[str],
+    window: float | None,
+    coldness: Coldness,
+    contact: ContactGeoms | None,
+    creeps: bool,
+) -> _Cut:
+    cut = _Cut([], [], {})
+    for i, trial in enumerate(trials):
+        cold = coldness_in(coldness, trial)
+        made = segments_of(
+            realization, trial, i, joints, window, cold, commanded=True, contact=contact,
+            creeps=creeps,
+        )  # fmt: skip
+        if not made:
+            continue
+        if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
+            (cut.moving[len(cut.segments)],) = segments_of(
+                realization, trial, i, joints, window, cold, moving=True, commanded=True,
+                creeps=creeps,
+            )  # fmt: skip
+        cut.segments.extend(made)
+        cut.owner.extend([i] * len(made))
+    return cut
+
+
+def _weigh_efforts(
+    problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int], effort_floor: FloatArray
+) -> None:
+    """Weigh measured efforts by their noise and by how uncertain the predicted ones are."""
+    segments = problem.simulator.segments
+    if segments[0].mode == "effort":
+        # A drive gives the effort that is commanded: only the time is uncertain, by a sample.
+        jumps = [_steepest(p.effort) for p in nominal]
+    else:
+        if problem.defect:
+            effort_floor = np.minimum(effort_floor, quiet_noise(problem, nominal, owner))
+        jumps = _jumps(problem, nominal)
+    _trust_efforts(problem, np.maximum(effort_floor, finest_effort(segments)), jumps)
 
 
 def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:

@@ -262,6 +262,17 @@ class _Walker:
             return None
         return data
 
+    def _declaration(self, opcode: int, content: bytes) -> str | None:
+        """Take a schema or a channel to ``contents``; what is wrong with it, None if nothing."""
+        self.count_record()
+        try:
+            # Some writers repeat all of them in each chunk.
+            if (opcode, content) not in self.declared:
+                self.declare(opcode, content)
+        except ValueError as error:
+            return str(error)
+        return None
+
     def records_in(
         self, data: bytes, place: str, base: int, *, top: bool
     ) -> tuple[Region | None, int, str | None]:
@@ -297,14 +308,8 @@ class _Walker:
                         expected=f"at most {self.most_messages}",
                     )
             elif opcode in (SCHEMA, CHANNEL):
-                self.count_record()
-                content = data[at + 9 : after]
-                try:
-                    # Some writers repeat all of them in each chunk.
-                    if (opcode, content) not in self.declared:
-                        self.declare(opcode, content)
-                except ValueError as error:
-                    problem = str(error)
+                problem = self._declaration(opcode, data[at + 9 : after])
+                if problem:
                     break
             elif top:
                 break

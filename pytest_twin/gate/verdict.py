@@ -105,22 +105,7 @@ def _reasons(facts: Facts) -> Iterator[str]:
     yield from (problem for problem in facts.problems if problem not in session.collection_errors)
     # What did not run for one of these reasons needs no line of its own.
     explained = session.selection or session.collection_errors or session.interrupted is not None
-    results = {**facts.proven, **facts.outcomes}
-    for key, criticality in facts.criticality.items():
-        if key.rpartition("@")[0] in facts.unproven:
-            continue
-        outcome = results.get(key)
-        if outcome is None:
-            if not explained:
-                yield f"{key}: did not run"
-            continue
-        if (broken := not_finite(outcome)) is not None:
-            yield f"{key}: {broken.name} of {broken.subject} is not finite"
-        elif outcome.status == "error":
-            # Advisory goldens may fail; one that gave no number proves nothing at all.
-            yield f"{key}: could not be compared: {outcome.error}"
-        elif criticality == "critical" and outcome.status != "passed":
-            yield f"{key}: a critical golden failed"
+    yield from _unproven_results(facts, say_missing=not explained)
     for golden in facts.unproven:
         yield f"{golden}: never recorded: run pytest --twin-update"
     for trace in facts.orphans:
@@ -131,6 +116,24 @@ def _reasons(facts: Facts) -> Iterator[str]:
         yield f"{failure}: an ordinary test failed in the same run"
     if not facts.criticality:
         yield "no golden: specs are YAML files below a folder named golden"
+
+
+def _unproven_results(facts: Facts, *, say_missing: bool) -> Iterator[str]:
+    results = {**facts.proven, **facts.outcomes}
+    for key, criticality in facts.criticality.items():
+        if key.rpartition("@")[0] in facts.unproven:
+            continue
+        outcome = results.get(key)
+        if outcome is None:
+            if say_missing:
+                yield f"{key}: did not run"
+        elif (broken := not_finite(outcome)) is not None:
+            yield f"{key}: {broken.name} of {broken.subject} is not finite"
+        elif outcome.status == "error":
+            # Advisory goldens may fail; one that gave no number proves nothing at all.
+            yield f"{key}: could not be compared: {outcome.error}"
+        elif criticality == "critical" and outcome.status != "passed":
+            yield f"{key}: a critical golden failed"
 
 
 def not_finite(outcome: Outcome) -> Measure | None:

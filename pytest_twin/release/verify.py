@@ -14,7 +14,7 @@ from pytest_twin.formats.digest import LINE_ENDINGS_ADVICE
 from pytest_twin.release import statement
 from pytest_twin.release.envelope import open_envelope
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
-from pytest_twin.release.statement import Release
+from pytest_twin.release.statement import FileEntry, Release
 
 ENVELOPE = "release.dsse.json"
 RESULTS = "results.json"
@@ -182,12 +182,22 @@ def judge(
 
 def _files(release: Release, listing: Mapping[str, Found]) -> Iterator[Problem]:
     stated = {entry.name: entry for entry in release.files}
+    yield from _misplaced(stated)
+    yield from _not_listed(stated, listing)
+    for name, entry in stated.items():
+        yield from _changed(name, entry, listing.get(name))
+
+
+def _misplaced(stated: Mapping[str, FileEntry]) -> Iterator[Problem]:
     for name in (RESULTS, REPORT):
         if name not in stated:
             yield Problem("files", f"{name}: a release without it")
     for name in stated:
         if name not in (RESULTS, REPORT) and not name.startswith(f"{FILES}/"):
             yield Problem("files", f"{name}: not a place for a file of a release")
+
+
+def _not_listed(stated: Mapping[str, FileEntry], listing: Mapping[str, Found]) -> Iterator[Problem]:
     folders = set(_folders(stated))
     for name, found in sorted(listing.items()):
         if found.kind == "link":
@@ -201,26 +211,25 @@ def _files(release: Release, listing: Mapping[str, Found]) -> Iterator[Problem]:
             yield Problem("files", f"{name}: a file that the statement does not list")
         elif found.links > 1:
             yield Problem("files", f"{name}: linked from {found.links} places")
-    for name, entry in stated.items():
-        here = listing.get(name)
-        if here is None:
-            yield Problem("files", f"{name}: missing")
-        elif here.kind == "file" and here.sha256_with_lf == entry.sha256:
-            yield Problem(
-                "files",
-                f"{name}: has CR LF line endings where LF was signed; nothing else differs: "
-                f"{LINE_ENDINGS_ADVICE}",
-            )
-        elif here.kind == "file" and here.size != entry.size:
-            yield Problem(
-                "files", f"{name}: changed, {here.size} bytes where {entry.size} were signed"
-            )
-        elif here.kind == "file" and here.sha256 != entry.sha256:
-            yield Problem(
-                "files",
-                f"{name}: changed, SHA-256 {here.sha256[:16]}... where "
-                f"{entry.sha256[:16]}... was signed",
-            )
+
+
+def _changed(name: str, entry: FileEntry, here: Found | None) -> Iterator[Problem]:
+    if here is None:
+        yield Problem("files", f"{name}: missing")
+    elif here.kind == "file" and here.sha256_with_lf == entry.sha256:
+        yield Problem(
+            "files",
+            f"{name}: has CR LF line endings where LF was signed; nothing else differs: "
+            f"{LINE_ENDINGS_ADVICE}",
+        )
+    elif here.kind == "file" and here.size != entry.size:
+        yield Problem("files", f"{name}: changed, {here.size} bytes where {entry.size} were signed")
+    elif here.kind == "file" and here.sha256 != entry.sha256:
+        yield Problem(
+            "files",
+            f"{name}: changed, SHA-256 {here.sha256[:16]}... where "
+            f"{entry.sha256[:16]}... was signed",
+        )
 
 
 def _folders(names: Iterable[str]) -> Iterator[str]:

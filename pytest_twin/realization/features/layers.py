@@ -33,18 +33,43 @@ def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[s
     """
     elements = Elements(model)
     found: dict[str, dict[str, Any]] = {}
+    found.update(_bodies(elements, velocity_limit))
+    found.update(_surfaces(elements))
+    for coupling, value in couplings.couplings(elements):
+        # An equality and a tendon may bear one name.
+        found.setdefault(f"coupling:{coupling}", {}).update(value)
+    if model.nflex:
+        found["flex:all"] = {name: value_of(getattr(model, name)) for name in sorted(FLEX)}
+    found.update(_inputs_and_outputs(elements))
+    found["option:gravity"] = {
+        "gravity [m/s^2]": listed(model.opt.gravity),
+        "disabled": bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY),
+    }
+    found["option:integration"] = settings.options(elements)
+    found["custom"] = settings.custom(elements)
+    found["other"] = settings.other(elements)
+    return found
+
+
+def _bodies(elements: Elements, velocity_limit: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    model, found = elements.model, dict[str, dict[str, Any]]()
     for body in range(1, model.nbody):
         found[f"kinematics:{elements.body[body]}"] = bodies.kinematics(elements, body)
         found[f"inertia:{elements.body[body]}"] = bodies.inertia(elements, body)
-    for body in range(model.nbody):
-        if elements.geoms_of(body):
-            found[f"collision:{elements.body[body]}"] = surfaces.collision(elements, body)
     for joint in range(model.njnt):
         found[f"joint:{elements.joint[joint]}"] = bodies.joint(elements, joint)
         found[f"limit:{elements.joint[joint]}"] = bodies.limit(elements, joint, velocity_limit)
     for tree in range(model.ntree):
         root = elements.body[int(model.tree_bodyadr[tree])]
         found[f"tree:{root}"] = bodies.tree(elements, tree)
+    return found
+
+
+def _surfaces(elements: Elements) -> dict[str, dict[str, Any]]:
+    model, found = elements.model, dict[str, dict[str, Any]]()
+    for body in range(model.nbody):
+        if elements.geoms_of(body):
+            found[f"collision:{elements.body[body]}"] = surfaces.collision(elements, body)
     for mesh in sorted(surfaces.felt_data(elements, {"mesh", "sdf"})):
         found[f"mesh:{elements.mesh[mesh]}"] = surfaces.mesh(elements, mesh)
     for hfield in sorted(surfaces.felt_data(elements, {"hfield"})):
@@ -55,11 +80,11 @@ def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[s
             found[f"geom:{name}"] = surfaces.seen(elements, geom)
     found["contact:pairs"] = surfaces.pairs(elements)
     found["contact:filter"] = surfaces.filtered(elements)
-    for coupling, value in couplings.couplings(elements):
-        # An equality and a tendon may bear one name.
-        found.setdefault(f"coupling:{coupling}", {}).update(value)
-    if model.nflex:
-        found["flex:all"] = {name: value_of(getattr(model, name)) for name in sorted(FLEX)}
+    return found
+
+
+def _inputs_and_outputs(elements: Elements) -> dict[str, dict[str, Any]]:
+    model, found = elements.model, dict[str, dict[str, Any]]()
     for actuator in range(model.nactuator):
         found[f"actuator:{elements.actuator[actuator]}"] = actuators.actuator(elements, actuator)
     for site in range(model.nsite):
@@ -68,11 +93,4 @@ def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[s
         found[f"sensor:{elements.sensor[sensor]}"] = sensors.sensor(elements, sensor)
     for key in range(model.nkey):
         found[f"keyframe:{elements.key[key]}"] = keyframes.keyframe(elements, key)
-    found["option:gravity"] = {
-        "gravity [m/s^2]": listed(model.opt.gravity),
-        "disabled": bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY),
-    }
-    found["option:integration"] = settings.options(elements)
-    found["custom"] = settings.custom(elements)
-    found["other"] = settings.other(elements)
     return found

@@ -93,6 +93,17 @@ class Packages:
                 yield FoundPackage(known[name], by)
         if not name or name in (".", ".."):
             return
+        yield from self._above(name)
+        for root in self.roots:
+            for candidate in (root, root / name):
+                if candidate.name == name and candidate.is_dir():
+                    yield FoundPackage(candidate, BY_ROOT)
+        yield from self._in_environment(name)
+        for folder in self.above:
+            if (folder / file).is_file():
+                yield FoundPackage(folder, BY_FILE)
+
+    def _above(self, name: str) -> Iterator[FoundPackage]:
         for folder in self.above:
             if folder.name == name:
                 yield FoundPackage(folder, BY_NAME_ABOVE)
@@ -104,14 +115,6 @@ class Packages:
             for candidate in (folder, *_folders_in(folder)):
                 if package_name(candidate) == name:
                     yield FoundPackage(candidate, BY_MANIFEST)
-        for root in self.roots:
-            for candidate in (root, root / name):
-                if candidate.name == name and candidate.is_dir():
-                    yield FoundPackage(candidate, BY_ROOT)
-        yield from self._in_environment(name)
-        for folder in self.above:
-            if (folder / file).is_file():
-                yield FoundPackage(folder, BY_FILE)
 
     def _in_environment(self, name: str) -> Iterator[FoundPackage]:
         for prefix in self._paths("AMENT_PREFIX_PATH"):
