@@ -6,10 +6,8 @@ from dataclasses import replace
 
 from pytest_twin.diagnosis.equivalent_sets import compare_sets
 from pytest_twin.diagnosis.evidence import log_likelihood
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.physical_totals import impossible
-from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded_range import RecordedRange, not_shown
+from pytest_twin.diagnosis.recorded_range import RecordedRange
+from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import label
@@ -79,8 +77,3 @@ def with_alternative_sets(
         ]
         pruned.notes[:0] = [*found.pruned.notes, *notes]
     return replace(found, selected=selected, pruned=pruned), compared.simulations
-
-
-def refused(problem: Problem, hypothesis: Hypothesis, recorded: RecordedRange) -> dict[Term, str]:
-    """Effects of a set that no finding may contain, and why."""
-    return {**not_shown(problem, hypothesis, recorded), **impossible(problem, hypothesis)}

@@ -19,9 +19,8 @@ from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.evidence import supported_by_windows
 from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity, linearize
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.physical_totals import impossible
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded_range import not_shown
+from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
 from pytest_twin.diagnosis.search.linearized_shortlist import (
@@ -315,11 +314,11 @@ class StepwiseSelection:
         impossible or outside the range of the recordings: they compensate for another effect.
         """
         problem, hypothesis = self.problem, rival.hypothesis
-        refused = {**impossible(problem, hypothesis), **not_shown(problem, hypothesis)}
+        excluded = refused(problem, hypothesis)
         left = in_noise_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
         return [
             t for t in hypothesis.terms
-            if t in refused
+            if t in excluded
             or problem.less_than_none(hypothesis, t)
             or (
                 hypothesis.at_bound(t)

@@ -14,6 +14,8 @@ from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded_range import RecordedRange
+from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
@@ -70,6 +72,7 @@ class StructureSearch:
         self.settings = settings
         self.leave = leave
         self.candidates = candidates(problem)
+        self.recorded = RecordedRange.of(problem)
         with self.diagnosis_run.budget.reserved():
             self.scorer = Scorer(problem, len(self.candidates), settings.earns, settings.share)
 
@@ -200,10 +203,14 @@ class StructureSearch:
         return scorer.simulate([h for m, h in found[:_SCANNED] if np.isfinite(m)])
 
     def _winner(self, incumbent: Model, models: Sequence[Model]) -> Model:
-        """The model that the acceptance test leaves: smaller ones first."""
+        """The model that the acceptance test leaves: smaller ones first.
+
+        A model with an impossible total, or with a shape outside the range of the recordings,
+        compensates for another effect and is none.
+        """
         scorer = self.scorer
         order = sorted(
-            models,
+            (m for m in models if not refused(self.problem, m.hypothesis, self.recorded)),
             key=lambda m: (len(m.hypothesis.terms), m.hypothesis.free, -scorer.gain(m, incumbent)),
         )
         best = incumbent
