@@ -21,6 +21,7 @@ from pytest_twin.diagnosis.search import drive_limits, simulation_shortlist
 from pytest_twin.diagnosis.search.linearized_shortlist import LinearizedShortlist
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.settings import ShortlistSettings
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.effects import catalogue
 
@@ -126,9 +127,10 @@ def test_a_needle_is_found_beyond_the_grid(
     needles: float, limited: int, near: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A drive that hardly follows: twice the greatest starting size, and a few per cent decide."""
-    monkeypatch.setattr(simulation_shortlist, "_NEEDLES", needles)
-    for where in (simulation_shortlist, drive_limits):
-        monkeypatch.setattr(where, "_LIMITED", limited)
+    monkeypatch.setattr(
+        simulation_shortlist, "SHORTLIST", ShortlistSettings(narrow=needles, limits=limited)
+    )
+    monkeypatch.setattr(drive_limits, "_LIMITED", limited)
     term = Term("rate_limit", ELBOW)
     parameter = term.parameters[0]
     hidden = 2.0 * parameter.starts[-1] * 1.07

@@ -35,6 +35,7 @@ from pytest_twin.diagnosis.search.pruning_rules import (
     wrong_position_dependence,
 )
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
+from pytest_twin.diagnosis.search.settings import ComparisonSettings
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
@@ -372,7 +373,7 @@ def test_a_search_ends_when_its_replays_are_spent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     prepared, _ = bench(tmp_path, delay=0.02)
-    monkeypatch.setattr(model_comparison, "_MOST_REPLAYS", 0)
+    monkeypatch.setattr(model_comparison, "COMPARISON", ComparisonSettings(simulations=0))
     stepped = prepared.problem.stepped
     selected = StepwiseSelection(prepared.problem).run()
     assert not selected.best.hypothesis.terms

@@ -24,15 +24,10 @@ from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.first_order.single_term_growth import grow_single_terms
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
-from pytest_twin.diagnosis.search.model_comparison import FRONT, ModelComparison
-from pytest_twin.diagnosis.search.scored_model import EARNS, ScoredModel
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.settings import COMPARISON, SELECTION, SHORTLIST
 from pytest_twin.diagnosis.verdict import STANDS_OUT
-
-# Structures kept at each size, terms added at once, structures of each size and of one term that
-# are fitted along the motion.
-_WIDTH, _AT_ONCE, _OFFERED, _SINGLE = 10, 4, 2, 8
-# Structures kept at each size of those that are grown from fitted single terms.
-_NARROW = 4
 
 
 @dataclass(slots=True)
@@ -65,11 +60,11 @@ def linearized_shortlist(
     whole = _whole(comparison, best)
     cores = comparison.problem.simulator.threads
 
-    def search(width: int = _WIDTH, most: int = _AT_ONCE) -> BeamSearch:
+    def search(width: int = SHORTLIST.width, most: int = SHORTLIST.added) -> BeamSearch:
         return BeamSearch(
             width,
             most,
-            EARNS,
+            SELECTION.earns,
             lambda before, after: comparison.worth_a_name(before, after, whole),
             cores,
         )
@@ -82,7 +77,9 @@ def linearized_shortlist(
     chosen = [
         structure
         for level in reversed(levels)
-        for structure in level[: _OFFERED if level is not levels[0] else _SINGLE]
+        for structure in level[
+            : SHORTLIST.fitted if level is not levels[0] else SHORTLIST.fitted_alone
+        ]
     ]
     starts = [best.hypothesis.with_terms(structure.starts) for structure in chosen]
     if look.linear is None:
@@ -94,7 +91,7 @@ def linearized_shortlist(
     if look.view.above(left, STANDS_OUT).any():
         more = grow_single_terms(
             look.view, look.answers, polished, best.hypothesis,
-            lambda: search(_NARROW, _AT_ONCE - 1), cores,
+            lambda: search(SHORTLIST.width_around_single, SHORTLIST.added - 1), cores,
         )  # fmt: skip
         polished += fit_linearized(look.linear, look.view, more, NEARBY)
     return _foremost(look.view, polished, best, comparison.name_price)
@@ -130,7 +127,8 @@ def _foremost(
         terms = set(polished[i].hypothesis.terms)
         # What only adds to another in front, and not enough, says nothing new.
         covered = any(
-            terms > set(polished[k].hypothesis.terms) and evidence[i] < evidence[k] + EARNS
+            terms > set(polished[k].hypothesis.terms)
+            and evidence[i] < evidence[k] + SELECTION.earns
             for k in order
         )
         # Nor does another with one term instead of one.
@@ -142,7 +140,10 @@ def _foremost(
     hypotheses = [p.hypothesis for p in polished]
     singles = [h for h in hypotheses if h.more_terms(best.hypothesis) == 1]
     alone = [i for i in front if hypotheses[i].more_terms(best.hypothesis) == 1]
-    front = [*front[:FRONT], *(i for i in alone[:2] if i not in front[:FRONT])]
+    front = [
+        *front[: COMPARISON.finalists],
+        *(i for i in alone[:2] if i not in front[: COMPARISON.finalists]),
+    ]
     left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
     return LinearizedShortlist([hypotheses[i] for i in front], left, singles)
 

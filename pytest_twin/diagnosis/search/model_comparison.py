@@ -24,22 +24,12 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.settings import COMPARISON
 from pytest_twin.diagnosis.verdict import STANDS_OUT, own_mismatch, worth_a_name
 from pytest_twin.effects.segment import Predicted
 
 QUICK, FAIR, LONG = 2, 4, 8
 """Iterations of a fit that ranks, of one that decides, and of one that goes to the end."""
-# Rivals that stay in the race after one iteration: evidence behind the first, and how many.
-_IN_FRONT, FRONT = 150.0, 4
-# Share of the best one's evidence within which so many rivals are judged each with the simulator's
-# step corrected for itself, and floors by which that has to move the prediction for another fit.
-_NECK, _CLOSE, _MOVED = 0.3, 3, 0.3
-# Evidence behind the best after the first iterations beyond which no more would help a rival.
-_FAR_BEHIND = 500.0
-_ROUGH_ROUNDS = 2
-# Replays of all recordings that a search may take, more for every term that was found, for so many
-# at each joint: a crowd that needs more has no law in the catalogue.
-_MOST_REPLAYS, _MORE_REPLAYS, _COUNTED = 300, 50, 3
 
 
 class ModelComparison:
@@ -142,7 +132,7 @@ class ModelComparison:
         weights = self.weights(best)
         rivals = self.rivals(starts, weights, first)
         self.judge(rivals, best)
-        near = [i for i, r in enumerate(rivals) if r.evidence > -_FAR_BEHIND]
+        near = [i for i, r in enumerate(rivals) if r.evidence > -COMPARISON.hopeless]
         again = self.rivals([rivals[i].hypothesis for i in near], weights, iterations - first)
         self.judge(again, best)
         for i, r in zip(near, again, strict=True):
@@ -181,13 +171,19 @@ class ModelComparison:
         rivals = self.rivals(starts, weights, 1)
         self.judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
         rivals.sort(key=lambda r: -r.evidence)
-        front = [r for r in rivals if r.evidence > rivals[0].evidence - _IN_FRONT][:FRONT]
+        front = [r for r in rivals if r.evidence > rivals[0].evidence - COMPARISON.in_race][
+            : COMPARISON.finalists
+        ]
         again = self.rivals([r.hypothesis for r in front], weights, QUICK)
         rivals[: len(front)] = again
         self.judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
         rivals.sort(key=lambda r: -r.evidence)
-        contenders = [r for r in rivals if r.evidence > (1.0 - _NECK) * rivals[0].evidence > 0.0]
-        contenders = contenders[:_CLOSE]
+        contenders = [
+            r
+            for r in rivals
+            if r.evidence > (1.0 - COMPARISON.close_race) * rivals[0].evidence > 0.0
+        ]
+        contenders = contenders[: COMPARISON.most_close]
         if len(contenders) > 1:
             own = [self._at_its_own(r, weights) for r in contenders]
             rivals[: len(contenders)] = own
@@ -200,7 +196,7 @@ class ModelComparison:
         """
         before = self.problem.defect
         self.problem.refine_at(rival.hypothesis)
-        moved = self._apart(before, self.problem.defect) > _MOVED
+        moved = self._apart(before, self.problem.defect) > COMPARISON.moved
         return self.rivals([rival.hypothesis], weights, QUICK if moved else 0)[0]
 
     def _apart(self, one: Mapping[int, Predicted], other: Mapping[int, Predicted]) -> float:
@@ -223,7 +219,7 @@ class ModelComparison:
 
     def _settled(self, rival: ScoredModel) -> ScoredModel:
         # Where impacts fall between steps depends on the parameters themselves.
-        for _ in range(_ROUGH_ROUNDS if rival.hypothesis.rough else 1):
+        for _ in range(COMPARISON.rough_rounds if rival.hypothesis.rough else 1):
             self.problem.refine_at(rival.hypothesis)
             settled = self.rivals([rival.hypothesis], self.weights(rival), LONG, slopes=True)[0]
             if not np.isfinite(settled.held_residual).all():
@@ -237,6 +233,8 @@ class ModelComparison:
         of the diagnosis may.
         """
         once = self.problem.once
-        names = sum(min(n, _COUNTED) for n in Counter(t.joint for t in found).values())
-        most = _MOST_REPLAYS + _MORE_REPLAYS * names
+        names = sum(
+            min(n, COMPARISON.effects_counted) for n in Counter(t.joint for t in found).values()
+        )
+        most = COMPARISON.simulations + COMPARISON.simulations_per_effect * names
         return self.run.budget.spent or self.problem.stepped - self.since > most * once

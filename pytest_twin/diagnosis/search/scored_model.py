@@ -10,18 +10,10 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.search.settings import SELECTION
 
 Place = tuple[tuple[Term, ...], Term | None]
 """What is taken away, and what stands there instead; None for nothing."""
-EARNS = 5.0
-"""Gains of evidence below this are chance: about 1 in e^5 for a rival drawn from many."""
-AS_GOOD = 0.01
-"""Structures this share of the evidence behind the first are as good, ..."""
-# ... and with fewer names those that have this share of it.
-_NAME_BUYS = 0.8
-# Of two under the floor the one is likelier that leaves this much less, as a factor, of what is
-# fitted and of what is not; below this share of the floor no less is told.
-_QUIETER, _QUIETEST = 1.25, 0.2
 
 
 @dataclass(slots=True)
@@ -132,9 +124,11 @@ def simplest_good_model(earning: Sequence[ScoredModel]) -> ScoredModel:
     A name that was needed after all is found in the next round.
     """
     first = earning[0].evidence
-    fewest = min(len(r.hypothesis.terms) for r in earning if r.evidence >= _NAME_BUYS * first)
+    fewest = min(
+        len(r.hypothesis.terms) for r in earning if r.evidence >= SELECTION.fewer_as_good * first
+    )
     alike = [r for r in earning if len(r.hypothesis.terms) == fewest]
-    enough = min((1.0 - AS_GOOD) * alike[0].evidence, alike[0].evidence - EARNS)
+    enough = min((1.0 - SELECTION.as_good) * alike[0].evidence, alike[0].evidence - SELECTION.earns)
     return min(
         (r for r in alike if r.evidence >= enough), key=lambda r: (r.hypothesis.free, -r.evidence)
     )
@@ -148,14 +142,17 @@ def compare_below_floor(rival: ScoredModel, other: ScoredModel, floor: FloatArra
     """
 
     def more(one: FloatArray, two: FloatArray) -> float:
-        levels = (np.maximum(np.mean(r**2, axis=0), (_QUIETEST * floor) ** 2) for r in (one, two))
+        levels = (
+            np.maximum(np.mean(r**2, axis=0), (SELECTION.least_told * floor) ** 2)
+            for r in (one, two)
+        )
         first, second = levels
         return float(0.5 * np.log(first / second).sum())
 
     each = [more(other.fitted.residual, rival.fitted.residual)]
     if len(rival.held_residual):
         each.append(more(other.held_residual, rival.held_residual))
-    clearly = np.log(_QUIETER)
+    clearly = np.log(SELECTION.clearly_less)
     return int(min(each) >= clearly) - int(max(each) <= -clearly)
 
 

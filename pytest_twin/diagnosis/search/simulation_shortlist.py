@@ -26,18 +26,9 @@ from pytest_twin.diagnosis.search.drive_limits import (
 from pytest_twin.diagnosis.search.linearized_shortlist import LinearizedShortlist
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.settings import SHORTLIST
 from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 from pytest_twin.diagnosis.verdict import STANDS_OUT
-
-# Single terms are scanned by simulation where slopes may lead nowhere and the best along the motion
-# is no single term that leaves so few floors; and how many of them are kept.
-_NEARLY, _SCANNED = 3.0, 3
-# With so many floors (an arm that falls, a command that is never followed) a size that is a tenth
-# off may leave as much as none: laws of one parameter are scanned to their bounds, as limits of
-# drives always are.
-_NEEDLES = 1000.0
-# Laws that limit drives which are honed.
-_LIMITED = 2
 
 
 def simulation_shortlist(
@@ -101,7 +92,7 @@ def _promising(
     order = [starts[i] for i in np.argsort(tryout.costs(starts))]
     single = [h for h in order if h.more_terms(best.hypothesis) == 1]
     several = [h for h in order if h.more_terms(best.hypothesis) > 1]
-    return single[:_SCANNED] + several[:_SCANNED]
+    return single[: SHORTLIST.simulated_alone] + several[: SHORTLIST.simulated_alone]
 
 
 def _bent(look: LinearizedView, left: FloatArray, *, clear: bool) -> bool:
@@ -115,7 +106,7 @@ def _bent(look: LinearizedView, left: FloatArray, *, clear: bool) -> bool:
     if look.linear is None:
         return bool(view.above(left, FAR_OFF).any())
     far = view.above(view.mean_square, FAR_OFF).any()
-    return bool(far and not (clear and not view.above(left, _NEARLY).any()))
+    return bool(far and not (clear and not view.above(left, SHORTLIST.near).any()))
 
 
 def _scanned(
@@ -134,16 +125,16 @@ def _scanned(
     unseen = [t for t in limits if t not in seen]
     rows += [best.hypothesis.with_term(t, start) for t in unseen for start, _ in grid(t)[::2]]
     rows += found.singles
-    needles = bool(look.view.above(whole, _NEEDLES).any())
+    needles = bool(look.view.above(whole, SHORTLIST.narrow).any())
     # A limit far below what is asked for is as likely as one that is hardly met.
     far = dict.fromkeys([*limits, *terms] if needles else limits)
     rows += [best.hypothesis.with_term(t, size) for t in far for size in sizes_up_to_bound(t)]
     ranked = tryout.cheapest(rows)
-    few = ranked[:_SCANNED]
-    honed = [h for h in ranked if h.terms[-1] in limits][:_LIMITED]
+    few = ranked[: SHORTLIST.simulated_alone]
+    honed = [h for h in ranked if h.terms[-1] in limits][: SHORTLIST.limits]
     if needles:
         honed += [h for h in few if h.terms[-1] not in limits]
-    return tryout.cheapest([*few, *refine_limit_sizes(tryout, honed)])[:_SCANNED]
+    return tryout.cheapest([*few, *refine_limit_sizes(tryout, honed)])[: SHORTLIST.simulated_alone]
 
 
 def _gears(problem: Problem, look: LinearizedView, left: FloatArray, floors: float) -> list[Term]:

@@ -37,13 +37,13 @@ from pytest_twin.diagnosis.search.linearized_view import (
 from pytest_twin.diagnosis.search.model_comparison import FAIR, QUICK, ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import (
-    EARNS,
     Place,
     ScoredModel,
     SelectedModel,
     compare_below_floor,
     simplest_good_model,
 )
+from pytest_twin.diagnosis.search.settings import EXCHANGE, SELECTION
 from pytest_twin.diagnosis.search.simplification import (
     equal_sized_forms,
     merge_joints,
@@ -54,7 +54,6 @@ from pytest_twin.diagnosis.search.simplification import (
 )
 from pytest_twin.diagnosis.search.simulation_shortlist import simulation_shortlist
 from pytest_twin.diagnosis.search.term_exchange import (
-    MORE_TO_IT,
     TermExchange,
     better_as_addition,
     better_than_several,
@@ -64,27 +63,6 @@ from pytest_twin.diagnosis.search.term_exchange import (
 )
 from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT_FLOORS
-
-_MAX_TERMS = 20
-_ROUNDS, _ATTEMPTS = 6, 3
-# Evidence to first order beyond which no simulation would change the verdict.
-_CLEAR = 30.0
-# Share of what is lost without a term that rivals along the motion may be behind and be no worse.
-_HARDLY = 0.05
-# Evidence behind the best that the error of the simulator's step may amount to.
-_DISPUTED = 2000.0
-# Evidence within which what two leave under the floor tells them apart.
-_EVEN = 10.0
-# Evidence by which another form of a law with as many parameters has to be ahead.
-_LIKE = 2.0 * EARNS
-# Rivals in one place that are simulated.
-_MOST_CLOSE = 2
-# Greatest confidence of an effect that was compared with its alternatives along the motion alone.
-_ALONG = 0.8
-# Structures that are simulated once where the time is over before they are fitted.
-_MOST_HURRIED = 4
-# Terms that act on one joint and may be a crowd instead of fewer.
-_CROWD = 3
 
 
 class StepwiseSelection:
@@ -112,7 +90,7 @@ class StepwiseSelection:
         self.share_left = share_left
         self.leave = leave
         self.left_off = False
-        self.attempts = _ATTEMPTS if share_left >= 1.0 else 1
+        self.attempts = SELECTION.attempts if share_left >= 1.0 else 1
         self.comparison = ModelComparison(problem, self.diagnosis_run)
         self.regrown: tuple[Term, ...] = ()
         self.nothing_to_add = False
@@ -159,7 +137,7 @@ class StepwiseSelection:
         if not more:
             return best
         self.problem.refine_at(best.hypothesis)
-        rivals = self.comparison.rivals(more[:_MOST_HURRIED], self.comparison.weights(best), 0)
+        rivals = self.comparison.rivals(more[: SELECTION.hurried], self.comparison.weights(best), 0)
         self.comparison.judge(rivals, best)
         earning = [r for r in rivals if self._earns(r, best) and not self._strained(r)]
         if not earning:
@@ -192,7 +170,11 @@ class StepwiseSelection:
             return
         for t in terms:
             along = selected.confidence[t]
-            selected.confidence[t] = kept = float(np.clip(along, 1.0 - _ALONG, _ALONG))
+            selected.confidence[t] = kept = float(
+                np.clip(
+                    along, 1.0 - SELECTION.linearized_confidence, SELECTION.linearized_confidence
+                )
+            )
             if kept > along:
                 rest = (1.0 - kept) / (1.0 - along)
                 selected.alternatives[t] = [(a, rest * c) for a, c in selected.alternatives[t]]
@@ -232,12 +214,12 @@ class StepwiseSelection:
 
     def _grow(self, selected: SelectedModel) -> None:
         """Add, drop and exchange terms until nothing is better."""
-        for _ in range(_ROUNDS):
+        for _ in range(SELECTION.rounds):
             best = selected.best
             better = self._limited_otherwise(best)
             if (
                 better is None
-                and len(best.hypothesis.terms) < _MAX_TERMS
+                and len(best.hypothesis.terms) < SELECTION.most_terms
                 and self.comparison.worth_a_search(best)
                 and not self._spent(best)
                 and not self.nothing_to_add
@@ -268,7 +250,7 @@ class StepwiseSelection:
         if not others:
             return None
         top = max(self.comparison.against(others, best, FAIR), key=lambda r: r.evidence)
-        if top.evidence <= _CLEAR:
+        if top.evidence <= SELECTION.clear:
             return None
         self._step("other limit", "accepted", f"it gains {top.evidence:.1f}", top, best)
         return self.comparison.settled(top)
@@ -282,7 +264,7 @@ class StepwiseSelection:
         best = selected.best
         terms = best.hypothesis.terms
         joints = [sum(t.joint in (j, -1) for t in terms) for j in range(len(self.problem.joints))]
-        crowded = max(joints) >= _CROWD and self.comparison.worth_a_search(best)
+        crowded = max(joints) >= SELECTION.crowd and self.comparison.worth_a_search(best)
         if not crowded or self._spent(best) or self._strained(best):
             return selected
         theta, place = best.hypothesis.theta, best.hypothesis.slice_of
@@ -363,8 +345,8 @@ class StepwiseSelection:
 
     def _why_not(self, rival: ScoredModel, best: ScoredModel, strained: set[Term]) -> str:
         """Why a set of effects is not chosen."""
-        if rival.evidence < EARNS:
-            return f"it gains {rival.evidence:.1f}; at least {EARNS:g} are needed"
+        if rival.evidence < SELECTION.earns:
+            return f"it gains {rival.evidence:.1f}; at least {SELECTION.earns:g} are needed"
         if self.comparison.has_held and rival.held_gain <= 0.0:
             return "it does not improve the prediction of the validation recordings"
         if not self._earns(rival, best):
@@ -435,7 +417,7 @@ class StepwiseSelection:
             rivals += self.comparison.against(doubtful, best, iterations)
             self.lost = {r.hypothesis.terms: r.evidence for r in rivals}
             top = max(rivals, key=lambda r: r.evidence + grace(r.hypothesis))
-            if top.evidence + grace(top.hypothesis) < -EARNS / 2:
+            if top.evidence + grace(top.hypothesis) < -SELECTION.earns / 2:
                 why = f"without what it leaves out the score falls by {-top.evidence:.1f}"
                 self._step("elimination", "rejected", why, top, best)
                 break
@@ -466,13 +448,13 @@ class StepwiseSelection:
 
         def grace(other: Hypothesis) -> float:
             if other.terms == own.terms and other.free == own.free:
-                return -_LIKE
+                return -SELECTION.other_form
             if len(other.terms) > len(own.terms):
-                return self.comparison.name_price + _EVEN
+                return self.comparison.name_price + SELECTION.even
             if len(other.terms) < len(own.terms) or other.free >= own.free:
                 return 0.0
             changed = [lost for t, lost in lost_of.items() if not _as_it_is(t, own, other)]
-            return MORE_TO_IT * max(changed, default=0.0)
+            return EXCHANGE.general_ahead * max(changed, default=0.0)
 
         return grace
 
@@ -495,7 +477,7 @@ class StepwiseSelection:
             linear, view, best, told, self.comparison.name_price
         )
         untold = [h for h in others if not gears <= set(h.terms)]
-        told = [h for h, e in zip(fitted, evidence, strict=True) if e + grace(h) > -_CLEAR]
+        told = [h for h, e in zip(fitted, evidence, strict=True) if e + grace(h) > -SELECTION.clear]
         return untold + told
 
     def _of_the_robot(self, best: ScoredModel) -> list[ScoredModel]:
@@ -535,8 +517,8 @@ class StepwiseSelection:
             # Without several at least as much is lost as without the one that does most of it.
             bare = [x for x in found if x.new is None and set(x.gone) <= set(place)]
             lost = min((x.evidence for x in bare), default=0.0)
-            least = min(-_CLEAR, _HARDLY * lost)
-            for x in sorted(mine, key=lambda x: -x.evidence)[:_MOST_CLOSE]:
+            least = min(-SELECTION.clear, SELECTION.hardly * lost)
+            for x in sorted(mine, key=lambda x: -x.evidence)[: SELECTION.close]:
                 if x.evidence > (0.0 if spent else least):
                     near.append(x)
                 elif x.doubtful and (len(place) > 1 or not spent):
@@ -560,7 +542,7 @@ class StepwiseSelection:
             return top
         both = top.hypothesis.with_term_of(own, gone[0])
         beside = self._judged(both, self.comparison.weights(best), best)
-        return beside if beside.evidence > top.evidence + EARNS else top
+        return beside if beside.evidence > top.evidence + SELECTION.earns else top
 
     def _added(
         self,
@@ -575,9 +557,9 @@ class StepwiseSelection:
         claims = [
             (x.hypothesis.with_term_of(best.hypothesis, x.gone[0]), x.evidence)
             for x, _ in simulated
-            if len(x.gone) == 1 and x.evidence > _CLEAR
+            if len(x.gone) == 1 and x.evidence > SELECTION.clear
         ]
-        claims += [(h, evidence) for h, evidence in beside if evidence > _CLEAR]
+        claims += [(h, evidence) for h, evidence in beside if evidence > SELECTION.clear]
         if not claims:
             return None
         claim, _ = max(claims, key=lambda each: each[1])
@@ -599,7 +581,7 @@ class StepwiseSelection:
         left = comparison.unseen(best)
         whole = comparison.mismatch(best, comparison.unseen(comparison.nominal), left)
         return (
-            rival.evidence >= EARNS
+            rival.evidence >= SELECTION.earns
             and (rival.held_gain > 0.0 or not comparison.has_held)
             and comparison.worth_a_name(left, comparison.unseen(rival), whole)
         )
@@ -609,8 +591,8 @@ class StepwiseSelection:
         for itself: what sets it back may be that error alone. Where it has fewer parameters, all of
         what sets it back.
         """
-        least = 0.0 if rival.hypothesis.free < best.hypothesis.free else -_CLEAR
-        if not -_DISPUTED < rival.evidence < least:
+        least = 0.0 if rival.hypothesis.free < best.hypothesis.free else -SELECTION.clear
+        if not -SELECTION.disputed < rival.evidence < least:
             return rival
         own = self._at_its_own(rival.hypothesis, best)
         self.comparison.judge([own], best)
@@ -629,7 +611,7 @@ class StepwiseSelection:
         look = linearize_around(self.problem, best, self._known_around(best))
         price = self.comparison.name_price
         found = find_exchanges(self.problem, best, look, self.known, price)
-        beside = better_as_addition(best, look, found, _CLEAR, price)
+        beside = better_as_addition(best, look, found, SELECTION.clear, price)
         found = [
             replace(x, evidence=x.evidence - beside[x.new][1]) if x.new in beside else x
             for x in found
@@ -700,11 +682,11 @@ class StepwiseSelection:
                 evidence[x.gone, None] = bare.evidence
         for (x, r), (_, e) in zip(simulated, borne, strict=True):
             alike = len(x.gone) == 1 and not x.has_it and not x.comes_to
-            if not alike or abs(e) >= _EVEN:
+            if not alike or abs(e) >= SELECTION.even:
                 continue
             less = compare_below_floor(r, best, self.problem.signal_floor)
             if less:
-                evidence[x.gone, x.new] = e + _EVEN * less
+                evidence[x.gone, x.new] = e + SELECTION.even * less
         return evidence
 
     def _borne_out(self, rival: ScoredModel, best: ScoredModel) -> float:

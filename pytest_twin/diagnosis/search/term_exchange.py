@@ -32,25 +32,8 @@ from pytest_twin.diagnosis.search.linearized_shortlist import (
     linearized_evidence,
 )
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
-from pytest_twin.diagnosis.search.scored_model import AS_GOOD, Place, ScoredModel
-
-# Rivals in a place that are looked at, and those instead of several terms, of all such places.
-_RIVALS, _OF_SEVERAL = 6, 4
-# Rivals are fitted along the motion that are not further than this evidence behind the fit at hand,
-# or behind the first in their place: laws do not add up where a joint sticks; and the first few
-# that take back this share of what is lost without: a grid knows little of their shapes.
-_NEAR = 100.0
-_HALF, _FEW = 0.5, 2
-# Floors that taking a gear away leaves, beyond which small deviations say nothing of its rivals.
-_FAR_APART = 30.0
-# Evidence that more parameters gain by chance, at most.
-_CHANCE = 15.0
-# Share of what is lost without a law by which one that has it in it has to be ahead, and by which
-# it may be behind such a one and stand in its place: what a simulator does not do quite as reality
-# does, a law with more to it follows a little, and that grows with what the law does.
-MORE_TO_IT, _AS_MUCH = 0.02, 0.01
-# Terms of one joint up to which all their subsets are taken away; of more, pairs and all of them.
-_CROWD = 4
+from pytest_twin.diagnosis.search.scored_model import Place, ScoredModel
+from pytest_twin.diagnosis.search.settings import EXCHANGE, SELECTION
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +85,7 @@ def find_exchanges(
     """
     terms = best.hypothesis.terms
     singles: list[tuple[Term, ...]] = [(t,) for t in terms]
-    found = _places(problem, best, look, look.answers, singles, _RIVALS, name_price)
+    found = _places(problem, best, look, look.answers, singles, EXCHANGE.alternatives, name_price)
     several = _together(terms) if look.linear is not None else []
     if several:
         again = [r for t in terms for r in known.get(t, ())]
@@ -111,7 +94,7 @@ def find_exchanges(
         more = [x for x in more if x.new is not None]
         for doubtful in (False, True):
             alike = [x for x in more if x.doubtful == doubtful]
-            found += sorted(alike, key=lambda x: -x.evidence)[:_OF_SEVERAL]
+            found += sorted(alike, key=lambda x: -x.evidence)[: EXCHANGE.alternatives_to_several]
     if look.linear is None:
         return found
     near = _worth_fitting(found)
@@ -207,10 +190,12 @@ def _worth_fitting(found: Sequence[TermExchange]) -> list[int]:
     for gone in dict.fromkeys(x.gone for x in found):
         mine = [i for i, x in enumerate(found) if x.gone == gone]
         first = max(min(found[i].evidence, 0.0) for i in mine)
-        half = _HALF * min((found[i].evidence for i in mine if found[i].new is None), default=0.0)
-        near = [i for i in mine if found[i].evidence > first - _NEAR]
+        half = EXCHANGE.regained * min(
+            (found[i].evidence for i in mine if found[i].new is None), default=0.0
+        )
+        near = [i for i in mine if found[i].evidence > first - EXCHANGE.near]
         far = [i for i in mine if found[i].new and found[i].evidence > half and i not in near]
-        out += near + sorted(far, key=lambda i: -found[i].evidence)[:_FEW]
+        out += near + sorted(far, key=lambda i: -found[i].evidence)[: EXCHANGE.first]
     return out
 
 
@@ -269,13 +254,13 @@ def _by_chance(
         return 0.0
     # What a simulator does otherwise shows in all recordings; no fit follows what it has not seen.
     if exchange.has_it:
-        return MORE_TO_IT * lost * unseen
+        return EXCHANGE.general_ahead * lost * unseen
     if exchange.comes_to:
-        return -_AS_MUCH * lost * unseen
+        return -EXCHANGE.special_behind * lost * unseen
     more = exchange.hypothesis.free - own.free
     if more < 0 and len(exchange.gone) > 1:
         return 0.0
-    return float(np.sign(more)) * min(AS_GOOD * simulated, _CHANCE)
+    return float(np.sign(more)) * min(SELECTION.as_good * simulated, EXCHANGE.chance)
 
 
 def _places(
@@ -302,7 +287,7 @@ def _places(
         seen = [LinearizedFit(h, s.residual) for h, s in zip(hypotheses, structures, strict=True)]
         values = linearized_evidence(view, [LinearizedFit(own, view.residual), *seen], name_price)
         values = np.nan_to_num(values, nan=-np.inf)
-        far = bool(view.above(np.mean(left**2, axis=0), _FAR_APART).any())
+        far = bool(view.above(np.mean(left**2, axis=0), EXCHANGE.far_apart).any())
         for s, h, value in zip(structures, hypotheses, values[1:] - values[0], strict=True):
             new = next(iter(s.starts), None)
             doubtful = far and new is not None and (gear or look.linear is None)
@@ -356,7 +341,7 @@ def _together(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
             t for t in terms
             if t.joint == joint or (t.joint < 0 and t.law.family == "rigid_body")
         ]  # fmt: skip
-        sizes = range(2, len(crowd) + 1) if len(crowd) <= _CROWD else (2, len(crowd))
+        sizes = range(2, len(crowd) + 1) if len(crowd) <= EXCHANGE.crowd else (2, len(crowd))
         for size in sizes:
             out.update(dict.fromkeys(itertools.combinations(crowd, size)))
     return list(out)
