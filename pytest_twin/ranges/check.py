@@ -26,6 +26,11 @@ TOO_WIDE = 3.0
 the ranges are too wide: a robot that happens to be near the mean needs less than the fleet does."""
 ONE_TOO_WIDE = 2.0 * TOO_WIDE
 """The same of one joint: of several, one is near its mean more often than all of them are."""
+SAYS_LITTLE = 0.5
+"""Width of the envelope over the range of the motion, from which on a joint's prediction says
+hardly more than that it stays where it can move."""
+_MOVES = {"rad": 0.2, "m": 0.05}
+"""Range of a motion from which on it is asked for more than that."""
 LEVEL = 0.05
 """Of the tests; divided by the joints where each is tested."""
 _WIDE_LEVEL = 0.02
@@ -130,6 +135,7 @@ def _joint(found: Sequence[Predicted], joint: str, share: float, level: float) -
     chance = _share_at_least(uneven(robots_shares), unevenness)
     ratio, ratio_chance = _sharpness(found, share, joint)
     motion = float(np.ptp(np.concatenate([o.traces.measured[:, c] for o, c in own])))
+    unit = "m" if joint in _slides(found) else "rad"
     width = 2.0 * float(np.mean(np.concatenate(widths)))
     return {
         **coverage.to_json(),
@@ -137,11 +143,12 @@ def _joint(found: Sequence[Predicted], joint: str, share: float, level: float) -
         "motion": motion,
         "width_over_tightest": ratio,
         "width_chance": ratio_chance,
-        "too_wide": bool(ratio > ONE_TOO_WIDE and ratio_chance < _WIDE_LEVEL),
+        "too_wide": bool(ratio > ONE_TOO_WIDE and ratio_chance < _WIDE_LEVEL)
+        or (motion > _MOVES[unit] and width > SAYS_LITTLE * motion),
         "histogram": shares.tolist(),
         "unevenness": unevenness,
         "uneven_chance": chance,
-        "unit": "m" if joint in _slides(found) else "rad",
+        "unit": unit,
     }
 
 

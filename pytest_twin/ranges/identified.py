@@ -12,11 +12,12 @@ from pytest_twin.budget.identified import columns_of, regressor_of
 from pytest_twin.budget.propagate import root_of
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import Parameter
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.ranges.bodies import AXES, COUNT, Body, bodies_of
-from pytest_twin.ranges.distribution import Coordinate
+from pytest_twin.ranges.distribution import Coordinate, Support
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inverse_dynamics import INERTIAL
 
@@ -156,12 +157,24 @@ def _coordinate(
         record.units.get(name, "1"),
         1.0 + stated if relative else stated,
         0.0,
-        "positive" if relative or own_law.lower >= 0.0 else "any",
+        _support(own_law, stated),
         joint=joint,
         effect=effect,
         parameter=own_law.name,
         relative=relative,
     )
+
+
+def _support(law: Parameter, stated: float) -> Support:
+    """Whether a parameter of an effect has to be positive.
+
+    Factors have to be, and what the law bounds at zero. What is added to the model's own friction
+    or mass may be negative only where the fit itself took some away.
+    """
+    if law.relation == "relative" or law.lower >= 0.0:
+        return "positive"
+    added = law.relation == "added" or law.quantity in ("mass", "inertia", "damping")
+    return "positive" if added and stated >= 0.0 else "any"
 
 
 def _of_joint(

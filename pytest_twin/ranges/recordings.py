@@ -13,7 +13,7 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
-from pytest_twin.trial.roles import FINAL, HELD_OUT
+from pytest_twin.trial.roles import FINAL, FIT, HELD_OUT
 from pytest_twin.twin import Twin
 
 FOLDER = "recordings"
@@ -71,7 +71,7 @@ def checked_recordings(
     for role, paths in named.items():
         for path in paths:
             trials = _trials(path, realization, options, topics, notes)
-            _refuse_other_role(trials, role)
+            _check_role(trials, role, notes)
             found[role] += trials
     for path in _beside(twin):
         if all(named.values()):
@@ -121,10 +121,13 @@ def _dense(trial: Trial) -> Trial:
     return replace(trial, position=position)
 
 
-def _refuse_other_role(trials: Iterable[Trial], role: str) -> None:
+def _check_role(trials: Iterable[Trial], role: str, notes: list[str]) -> None:
+    """Its own metadata may give a recording another role than the user does, within limits."""
     for trial in trials:
         own = trial.metadata.get("role")
-        if own not in (None, role):
+        if own in (None, role):
+            continue
+        if own == FINAL or (role == FINAL and own == FIT):
             raise RecordingError(
                 f"its own metadata give it another role than {role!r}",
                 path=trial.path,
@@ -132,6 +135,10 @@ def _refuse_other_role(trials: Iterable[Trial], role: str) -> None:
                 value=own,
                 expected=f"{role}, or no role",
             )
+        notes.append(
+            f"{trial.path.name} counts as {role}, as it is named; its metadata say {own!r}, and no "
+            "record of this twin may have been made from it"
+        )
 
 
 def _refuse_used(final: Sequence[Trial], held_out: Sequence[Trial], twin: Twin) -> None:

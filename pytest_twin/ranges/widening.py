@@ -3,9 +3,10 @@
 Standard deviations grow by the larger of two ratios. Birge's (Physical Review 40, 1932), as
 metrology uses it for results that scatter more than their uncertainties say, is the root of the
 observed mean square over the predicted one. The other is the quantile of the deviations over the
-predicted half width (normalized split conformal prediction; Lei et al., Journal of the American
-Statistical Association 113, 2018): the envelope then covers the stated share of the held-out
-samples. Either counts only if few simulated robots deviate as much.
+predicted half width, of the recording where it is largest (normalized split conformal prediction;
+Lei et al., Journal of the American Statistical Association 113, 2018; samples of one recording are
+no independent evidence, recordings are). The envelope then covers the stated share of each
+held-out recording. Either counts only if few simulated robots deviate as much.
 """
 
 from __future__ import annotations
@@ -124,18 +125,19 @@ def deviations(
              one.measured[:, one.joints.index(joint)])
             for one in traces if joint in one.joints
         ]  # fmt: skip
-        predicted, off, reach = [], [], []
+        predicted, square, reached = [], 0.0, []
         for robots, measured in own:
             middle = np.nanmean(robots, axis=0)
             predicted.append(np.nansum((robots - middle) ** 2, axis=1))
-            off.append(np.abs(measured - middle))
-            reach.append(np.sqrt(np.nanvar(robots, axis=0) + std**2))
-        deviation, width = np.concatenate(off), np.concatenate(reach)
-        half = np.maximum(float(ndtri(0.5 + 0.5 * share)) * width, 1e-300)
-        conformal = float(np.quantile(deviation / half, share, method="higher"))
-        birge = _birge(
-            float(np.sum(deviation**2)), np.sum(predicted, axis=0), len(deviation) * std**2
-        )
+            off = np.abs(measured - middle)
+            square += float(np.sum(off**2))
+            deviation = np.sqrt(np.nanvar(robots, axis=0) + std**2)
+            half = np.maximum(float(ndtri(0.5 + 0.5 * share)) * deviation, 1e-300)
+            reached.append(float(np.quantile(off / half, share, method="higher")))
+        samples = sum(len(measured) for _, measured in own)
+        birge = _birge(square, np.sum(predicted, axis=0), samples * std**2)
+        # Of fewer than twenty recordings the quantile over recordings is the largest.
+        conformal = float(np.quantile(reached, share, method="higher"))
         found[joint] = Deviation(max(birge.ratio, conformal), birge.chance)
     return found
 

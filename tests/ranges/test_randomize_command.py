@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -33,7 +34,7 @@ def run(twin: Path, status: int, *words: str) -> Path:
     return out
 
 
-def final(twin: Path, values: np.ndarray, name: str = "final.mcap", **changes: float) -> Path:
+def final(twin: Path, values: np.ndarray, name: str = "final.mcap", **changes: Any) -> Path:
     folder = twin.parent / "recordings"
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(3)
@@ -145,7 +146,7 @@ def test_a_recording_of_another_role_is_not_final(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    path = final(twin, MEANS, role="fit")  # type: ignore[arg-type]
+    path = final(twin, MEANS, role="fit")
     said = refused(twin, capsys, "--final", str(path))
     assert "role: its own metadata give it another role than 'final' (got 'fit'" in said
 
@@ -157,3 +158,20 @@ def test_more_robots_than_memory_holds_are_refused(
     final(twin, MEANS)
     said = refused(twin, capsys, "--draws", "100000000")
     assert "draws: the traces of so many robots do not fit in memory" in said
+
+
+def test_a_held_out_recording_may_be_named_as_final(tmp_path: Path) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    path = final(twin, MEANS, role="held_out").rename(tmp_path / "named.mcap")
+    out = run(twin, 0, "--final", str(path), "--draws", "64")
+    notes = json.loads((out / "ranges.json").read_text())["notes"]
+    assert any(note.startswith("named.mcap counts as final, as it is named") for note in notes)
+
+
+def test_a_recording_is_not_final_and_held_out_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    path = str(final(twin, MEANS, role="held_out"))
+    said = refused(twin, capsys, "--final", path, "--held-out", path)
+    assert "it is held out too, and may widen the ranges" in said
