@@ -1,10 +1,12 @@
 """SO-101: what the vendor's model lacks, joint by joint, and what it buys motion by motion.
 
-    python benchmarks/real/so101.py --out DIR [--seconds 8] [--fit NAME ...] [--held-out NAME ...]
+    python benchmarks/real/so101.py --out DIR [--by diagnose | identify] [--seconds 8]
+                                      [--fit NAME ...] [--held-out NAME ...]
 
 Cuts ``--seconds`` out of each recording (into DIR/excerpts: they are not ours to pass on),
-diagnoses (into DIR/why, unless it is there) and replays the held-out excerpts, and the same stretch
-of every other motion that no fit has seen, on the vendor's model and on the patched one.
+diagnoses (into DIR/why, unless it is there) or identifies (into DIR/identified), and replays the
+held-out excerpts, and the same stretch of every other motion that no fit has seen, on the vendor's
+model and on the patched one.
 
 What is known of these recordings: an unknown offset of each joint's zero against the model's, an
 unsigned current for an effort, six servos read one after another within a sample. Six joints are
@@ -34,6 +36,8 @@ from pytest_twin.trial import Trial, make_trial
 FIT = ("prbs_excitation", "reach_and_return", "single_joint_wrist_pitch")
 HELD_OUT = ("multisine", "large_amplitude")
 START = 12.0
+COMMANDS = {"diagnose": ("diagnosis.json", "--seconds", "0"), "identify": ("identification.json",)}
+"""Command -> its result, and options."""
 # Claims that need a motion which these recordings do not have: reversals smaller than the gap
 # under a known load, and commands that ask for more than the drive's limit.
 NOT_SHOWN = ("backlash", "torque_saturation")
@@ -84,6 +88,7 @@ def main() -> None:
     """Cut, diagnose, replay, print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--by", choices=COMMANDS, default="diagnose", help="which command fits")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--fit", nargs="+", default=list(FIT), metavar="NAME")
     parser.add_argument("--held-out", nargs="+", default=list(HELD_OUT), metavar="NAME")
@@ -92,22 +97,24 @@ def main() -> None:
     cuts = args.out / "excerpts"
     names = {"fit": args.fit, "held_out": args.held_out}
     chosen = [excerpt(n, role, args.seconds, cuts) for role, each in names.items() for n in each]
-    why = args.out / "why"
-    if not (why / "diagnosis.json").is_file():
-        command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose"]
-        command += ["--seconds", "0"]
+    why = args.out / ("why" if args.by == "diagnose" else "identified")
+    result, *options = COMMANDS[args.by]
+    if not (why / result).is_file():
+        command = [str(Path(sys.executable).with_name("pytest-twin")), args.by, *options]
         subprocess.run(
             [*command, str(folder / "model.xml"), *map(str, chosen), "--out", str(why)],
             check=False,
         )
-    diagnosis = json.loads((why / "diagnosis.json").read_text("utf-8"))
-    print(f"verdict: {diagnosis['verdict']}")
-    for finding in diagnosis["findings"]:
+    document = json.loads((why / result).read_text("utf-8"))
+    print(f"verdict: {document['verdict']}")
+    for finding in document.get("findings", ()):
         words = ", ".join(
             f"{name} {p['value']:.4g} {p['unit']}" for name, p in finding["parameters"].items()
         )
         doubt = " (these recordings cannot show it)" if finding["effect"] in NOT_SHOWN else ""
         print(f"  {finding['joint']}: {finding['effect']}{doubt}: {words}")
+    for stage in document.get("stages", ()):
+        print(f"  {stage['stage']}: {stage['state']}: {', '.join(stage['parameters'])}")
     everything = sorted(p.stem for p in (folder / "recordings").glob("*.mcap"))
     rest = [n for n in everything if n not in args.fit]
     motions = [excerpt(n, "held_out", args.seconds, cuts) for n in rest]

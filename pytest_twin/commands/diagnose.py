@@ -17,8 +17,8 @@ from typing import Any
 from pytest_twin.commands import fleet, folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
-    RECORDING_HELP,
     add_recording_arguments,
+    add_recordings,
     recording_options,
 )
 from pytest_twin.commands.replay import find_model
@@ -65,18 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         help="MJCF or URDF file, twin.yaml, or the folder of an earlier diagnosis",
     )
-    parser.add_argument(
-        "recordings", metavar="RECORDING", type=Path, nargs="*", help=RECORDING_HELP
-    )
-    parser.add_argument(
-        "--held-out",
-        metavar="RECORDING",
-        type=Path,
-        nargs="+",
-        action="extend",
-        default=[],
-        help="test recordings, opened once effects and parameters are final (default: those whose "
-        "metadata says role held_out, else whole recordings are split and the report says which)",
+    add_recordings(
+        parser,
+        nargs="*",
+        held_out="test recordings, opened once effects and parameters are final (default: those "
+        "whose metadata says role held_out, else whole recordings are split and the report says "
+        "which)",
     )
     parser.add_argument(
         "--out",

@@ -11,8 +11,8 @@ from typing import Any
 from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
-    RECORDING_HELP,
     add_recording_arguments,
+    add_recordings,
     recording_options,
 )
 from pytest_twin.commands.replay import find_model
@@ -46,18 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="MJCF or URDF file, twin.yaml, or the folder of a diagnosis or identification",
     )
-    parser.add_argument(
-        "recordings", metavar="RECORDING", type=Path, nargs="+", help=RECORDING_HELP
-    )
-    parser.add_argument(
-        "--held-out",
-        metavar="RECORDING",
-        type=Path,
+    add_recordings(
+        parser,
         nargs="+",
-        action="extend",
-        default=[],
-        help="recordings that nothing is fitted on and every stage is judged on (default: those "
-        "whose metadata says role held_out, else the last of every four)",
+        held_out="recordings that nothing is fitted on and every stage is judged on (default: "
+        "those whose metadata says role held_out, else the last of every four)",
     )
     parser.add_argument(
         "--out",

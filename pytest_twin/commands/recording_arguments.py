@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.recording_options import (
@@ -17,6 +18,30 @@ from pytest_twin.recording_options import (
 RECORDING_HELP = (
     "MCAP file, rosbag2 folder, .db3 file, CSV file, or the folder of a LeRobot data set"
 )
+
+
+def add_recordings(
+    parser: argparse.ArgumentParser, *, nargs: Literal["*", "+"], held_out: str
+) -> None:
+    """Declare RECORDING and ``--held-out``.
+
+    Args:
+        parser: of the command.
+        nargs: how many recordings are needed.
+        held_out: what the held-out ones are for, and which they are by default.
+    """
+    parser.add_argument(
+        "recordings", metavar="RECORDING", type=Path, nargs=nargs, help=RECORDING_HELP
+    )
+    parser.add_argument(
+        "--held-out",
+        metavar="RECORDING",
+        type=Path,
+        nargs="+",
+        action="extend",
+        default=[],
+        help=held_out,
+    )
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.patched.frequency import responses_beside
 from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.patched.write import write_realization
+from pytest_twin.diagnosis.patched.write import load_written, write_realization
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats import atomic
@@ -66,7 +67,9 @@ def write_diagnosis(
             found.prepared.substeps,
             found.settled.found_between,
         )
-    said = found.to_json(realization=f"{REALIZATION}/")
+        fitted = load_written(folder / REALIZATION)
+        frequency = responses_beside(fitted, found.tested.trials.held_out or trials.fit)
+    said = {**found.to_json(realization=f"{REALIZATION}/"), "frequency_response": frequency}
     atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")
     progress(0.96)
     view = view_of(found, said, patched, model)

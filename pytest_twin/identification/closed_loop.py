@@ -32,27 +32,42 @@ class PositionError:
     unit: str
 
 
-def simulated(
+def trials_of(
     nominal: Realization,
-    fitted: Realization,
     recordings: Sequence[Path],
     topics: Mapping[str, str],
     options: RecordingOptions,
-) -> tuple[dict[str, PositionError], Stage]:
-    """Joint -> error of both models under the commands of recordings, and the stage.
+) -> list[Trial] | TwinError:
+    """The trials of recordings, or why they are none: a motion alone has no command to simulate.
 
     Args:
-        nominal, fitted: the two models.
+        nominal: the model.
         recordings: that nothing was fitted on, or those that were where there are no others.
         topics, options: how they are read.
     """
     try:
-        trials = [
+        return [
             trial
             for path in recordings
             for one in recordings_at(path, topics, options)
             for trial in make_trials(one, nominal.structure, options)
         ]
+    except TwinError as error:
+        return error
+
+
+def simulated(
+    nominal: Realization, fitted: Realization, trials: Sequence[Trial] | TwinError
+) -> tuple[dict[str, PositionError], Stage]:
+    """Joint -> error of both models under the commands of recordings, and the stage.
+
+    Args:
+        nominal, fitted: the two models.
+        trials: as :func:`trials_of` found them.
+    """
+    try:
+        if isinstance(trials, TwinError):
+            raise trials
         before, after = (_errors(model, trials) for model in (nominal, fitted))
     except TwinError as error:
         why = f"no command can be simulated: {error.problem}"

@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.diagnosis.patched.model import MODEL_FILE
-from pytest_twin.errors import PathError
+from pytest_twin.diagnosis.patched.frequency import responses_beside
+from pytest_twin.diagnosis.patched.write import load_written
+from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.identification.closed_loop import simulated
+from pytest_twin.identification.closed_loop import simulated, trials_of
 from pytest_twin.identification.contact.identify import (
     TossOptions,
     are_tosses,
@@ -25,7 +26,7 @@ from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.signals import NO_SIGNALS
-from pytest_twin.twin import DEFAULT_TOPICS, FILE_NAME, Twin, load_twin
+from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
 
 REALIZATION = "realization"
 
@@ -90,12 +91,17 @@ def identify_files(
         progress(0.8)
         fit = patches_of(realization, result)
         write_fitted(folder, realization, fit)
-        positions, loop = simulated(
-            realization, _written(folder),
-            _paths(measured.held_out) or _paths(measured.fit), {**stated, **topics}, chosen,
+        fitted_model = load_written(folder)
+        tried = trials_of(
+            realization, _paths(measured.held_out) or _paths(measured.fit),
+            {**stated, **topics}, chosen,
         )  # fmt: skip
+        positions, loop = simulated(realization, fitted_model, tried)
         document = effort_document(result, (*result.stages, loop))
         document["fit"] = fit
+        document["frequency_response"] = (
+            [] if isinstance(tried, TwinError) else responses_beside(fitted_model, tried)
+        )
         for joint, error in positions.items():
             document["held_out"].setdefault(joint, {}).update(
                 position_rms=error.fitted, position_unit=error.unit,
@@ -146,12 +152,6 @@ def _finished(
     return document
 
 
-def _written(folder: Path) -> Realization:
-    """The fitted model as other commands load it: the fit of the nominal twin is in it already."""
-    beside = folder / FILE_NAME
-    return load(folder / MODEL_FILE, twin=load_twin(beside) if beside.is_file() else None)
-
-
 def _paths(measured: Sequence[Measured]) -> list[Path]:
     return list(dict.fromkeys(one.path for one in measured))
 
@@ -186,6 +186,9 @@ def _from_commands(
         )  # fmt: skip
     document = simulation_document(result)
     document["fit"] = {}
+    document["frequency_response"] = responses_beside(
+        load_written(folder), result.trials.held_out or result.trials.fit
+    )
     document["trials"] = {
         "fit": list(dict.fromkeys(t.path.name for t in result.trials.fit)),
         "held_out": list(dict.fromkeys(t.path.name for t in result.trials.held_out)),

@@ -24,6 +24,7 @@ from pytest_twin.report.finding_words import (
     table_row,
     to_confirm,
 )
+from pytest_twin.report.frequency import figures_of, rows_of
 from pytest_twin.report.law_plot import law_figure
 from pytest_twin.report.page import style_of, svg_uri, template
 from pytest_twin.report.text import number, quantity
@@ -136,6 +137,8 @@ def render(view: DiagnosisView) -> str:
         what_to_do=_WHAT_TO_DO,
         figures=[(v.joint, svg_uri(f)) for v, f in zip(drawn, figures, strict=True)],
         figures_left_out=[v.joint for v in view.joints[MAX_FIGURES:]],
+        frequency_rows=rows_of(said.get("frequency_response", ())),
+        frequency_figures=figures_of(said.get("frequency_response", ())),
         at_floor=view.at_floor,
         share_left=view.share_left,
         left_floors=view.left_floors,

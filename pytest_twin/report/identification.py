@@ -8,6 +8,7 @@ from typing import Any
 
 import jinja2
 
+from pytest_twin.report.frequency import figures_of, rows_of
 from pytest_twin.report.page import style_of, template
 
 _VERDICT = {
@@ -30,6 +31,8 @@ def render(document: Mapping[str, Any]) -> str:
         errors=error_lines(document),
         spread=spread_rows(document),
         stages=[(stage, _held_out(stage)) for stage in document["stages"]],
+        frequency_rows=rows_of(document.get("frequency_response", ())),
+        frequency_figures=figures_of(document.get("frequency_response", ())),
     )
 
 

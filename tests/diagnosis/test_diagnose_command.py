@@ -100,7 +100,9 @@ def test_replay_of_the_folder_is_what_the_diagnosis_predicted(late: Path) -> Non
 def test_the_report_needs_nothing_but_itself(late: Path) -> None:
     page = (late / "out" / "report.html").read_text()
     assert "command delay at joint right" in page
-    assert page.count("data:image/svg+xml;base64,") == 2
+    responses = said(late)["frequency_response"]
+    assert {one["joint"] for one in responses} == set(JOINTS)
+    assert page.count("data:image/svg+xml;base64,") == 2 + len(responses)
     assert not re.search(r"(src|href)=\"(?!data:)", page)
     assert "<script" not in page
     assert page.index("Explained") < page.index("Findings")

@@ -20,9 +20,9 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.effects import catalogue
 from pytest_twin.formats import atomic
-from pytest_twin.realization import Realization
+from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import CommandBetween
-from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin
+from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin, load_twin
 
 
 def write_realization(
@@ -83,6 +83,16 @@ def write_realization(
         data = {"name": "diagnosed", "model": MODEL_FILE, "command_between": between}
         atomic.write_text(folder / FILE_NAME, yaml.safe_dump(data, sort_keys=False))
     return patched
+
+
+def load_written(folder: Path) -> Realization:
+    """The fitted model of a folder, as other commands load it: the nominal twin's fit is in it.
+
+    Raises:
+        TwinError: it cannot be loaded.
+    """
+    beside = folder / FILE_NAME
+    return load(folder / MODEL_FILE, twin=load_twin(beside) if beside.is_file() else None)
 
 
 def twin_text(twin: Twin, between: CommandBetween | None) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.problem import Problem
@@ -25,6 +26,9 @@ _LEAST_SPEED = 0.02
 """Of a joint's RMS speed: below, dry friction has no direction and the row is left out."""
 _UNSATURATED = 0.98
 """Of the drive's limit: above, the effort is what the limit says and no gain shows."""
+_FEWEST_ROWS = 50
+_LARGEST_GAIN = 5.0
+"""Over the model's, as the catalogue's bounds have it: beyond, the motion tells no gain."""
 
 
 def first_values(problem: Problem) -> FloatArray:
@@ -33,23 +37,24 @@ def first_values(problem: Problem) -> FloatArray:
     The last four are added to the model's own, N*m*s/rad, N*m, kg*m^2, N*m or their like for
     slides. NaN where a joint has no position or velocity servo, or too little motion.
     """
-    rows: list[list[FloatArray]] = [[] for _ in problem.joints]
-    efforts: list[list[FloatArray]] = [[] for _ in problem.joints]
+    rows: list[list[_Rows]] = [[] for _ in problem.joints]
     for at in problem.fit:
-        for joint, (columns, effort) in _of_segment(
-            problem, problem.simulator.segments[at]
-        ).items():
-            rows[joint].append(columns)
-            efforts[joint].append(effort)
+        for joint, part in _of_segment(problem, problem.simulator.segments[at]).items():
+            rows[joint].append(part)
     found = np.full((len(problem.joints), 5), np.nan)
     for joint, parts in enumerate(rows):
         if parts:
-            found[joint] = _solved(np.concatenate(parts), np.concatenate(efforts[joint]))
+            found[joint] = _solved(*(np.concatenate(each) for each in zip(*parts, strict=True)))
     return found
 
 
-def _of_segment(problem: Problem, segment: Segment) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Joint -> rows (n, 5) and the effort of the model's own drive law (n,)."""
+_Rows = tuple[FloatArray, FloatArray, FloatArray]
+
+
+def _of_segment(problem: Problem, segment: Segment) -> dict[int, _Rows]:
+    """Joint -> rows (n, 5), the effort of the model's own drive law without its limits (n,), and
+    these limits (n, 2).
+    """
     layout = problem.simulator.layout
     model = segment.model
     if len(segment.time) < 20 or np.any(np.diff(segment.time) <= 0):
@@ -77,11 +82,11 @@ def _of_segment(problem: Problem, segment: Segment) -> dict[int, tuple[FloatArra
         )
         speed = np.sqrt(np.mean(v[:, joint] ** 2))
         use = np.isfinite(force) & (np.abs(v[:, joint]) > _LEAST_SPEED * speed)
-        use &= (force > _UNSATURATED * low) & (force < _UNSATURATED * high)
+        limits = np.sort(gear * _UNSATURATED * np.array([low, high]))
         columns = np.column_stack([
             needed[:, joint], v[:, joint], np.sign(v[:, joint]), a[:, joint], np.ones(len(q)),
         ])  # fmt: skip
-        found[joint] = columns[use], gear * force[use]
+        found[joint] = columns[use], gear * force[use], np.tile(limits, (int(use.sum()), 1))
     return found
 
 
@@ -115,18 +120,36 @@ def _inverse_dynamics(
     return found
 
 
-def _solved(rows: FloatArray, effort: FloatArray) -> FloatArray:
-    """Gain over the model's, and what is added to it; robust by iterated weights (Huber)."""
-    if len(rows) < 50:
-        return np.full(5, np.nan)
+def _solved(rows: FloatArray, effort: FloatArray, limits: FloatArray) -> FloatArray:
+    """Gain over the model's, and what is added to it; robust by iterated weights (Huber).
+
+    Rows at which the drive is at its limit show no gain. Which these are depends on the gain: a
+    stiff model of a soft drive would be at its limit nearly always. So they are chosen again under
+    each gain that is found, from the model's own, or from all rows where that leaves less than
+    half.
+    """
+    none = np.full(5, np.nan)
+    use = _within(effort, limits)
+    if use.mean() < 0.5:
+        use[:] = True
     weight = np.ones(len(rows))
     values: FloatArray = np.zeros(5)
     for _ in range(10):
-        found = np.linalg.lstsq(rows * weight[:, None], effort * weight, rcond=None)[0]
-        values = np.asarray(found, dtype=np.float64)
+        if use.sum() < _FEWEST_ROWS:
+            return none
+        weighted = rows[use] * weight[use, None]
+        sizes = np.linalg.norm(weighted, axis=0)
+        unit = weighted / np.maximum(sizes, 1e-300)
+        found = np.linalg.lstsq(unit, effort[use] * weight[use], rcond=1e-6)[0]
+        values = np.asarray(found / np.maximum(sizes, 1e-300), dtype=np.float64)
+        if not values[0] > 1.0 / _LARGEST_GAIN:
+            return none
         off = np.abs(effort - rows @ values)
-        scale = 1.4826 * float(np.median(off)) + 1e-12
+        scale = 1.4826 * float(np.median(off[use])) + 1e-12
         weight = np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(off, 1e-12)))
-    if values[0] <= 0.0:
-        return np.full(5, np.nan)
+        use = _within(effort / values[0], limits)
     return np.array([1.0 / values[0], *(values[1:] / values[0])])
+
+
+def _within(effort: FloatArray, limits: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray((effort > limits[:, 0]) & (effort < limits[:, 1]))

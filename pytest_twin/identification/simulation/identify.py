@@ -16,7 +16,6 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, parameter_spread
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
-from pytest_twin.diagnosis.physical_totals import at_zero
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded import Settled, settle
@@ -24,8 +23,17 @@ from pytest_twin.diagnosis.search_result import build_problem, joint_errors, res
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.identification.simulation.equation_error import first_values
+from pytest_twin.identification.simulation.fitting import (
+    LEAST_GAIN,
+    extended,
+    fitted,
+    held_out_error,
+    possible,
+    where_better,
+)
 from pytest_twin.identification.simulation.stage_effects import (
     EXCLUDES,
+    FURTHER,
     SIMULATED,
     nuisance_of,
     start,
@@ -34,9 +42,8 @@ from pytest_twin.identification.simulation.stage_effects import (
 from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
 from pytest_twin.realization import Realization
 
-_ITERATIONS, _LAST = 8, 10
-_LEAST_GAIN = 0.002
-"""A stage lowers the held-out error by at least this share, or its effects are not kept."""
+_LAST = 10
+"""Iterations of the fit of all accepted terms together."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +115,9 @@ def identify_simulation(
                 found = found.with_term_of(accepted, term)
                 stage_of[term] = name
             progress((k + 1) / (len(SIMULATED) + 1))
-        found, last, whole = _together(problem, found, stage_of, stages)
+        found, last, whole = _together(problem, found, stage_of, stages, modes)
         stages = [*last, whole]
-        fitted = _with_slopes(problem, found)
-        spread = parameter_spread(problem, fitted)
+        spread = parameter_spread(problem, _with_slopes(problem, found))
         # The errors that are reported count every recording alike.
         problem.trust = {}
         before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
@@ -140,18 +146,21 @@ def _stage(
     problem.floor, problem.trust = whole.problem.floor, whole.problem.trust
     own = terms_of(name, modes)
     others = nuisance_of(name, found.terms, modes)
-    without = _fitted(problem, others, first)
-    with_it = _fitted(problem, [*own, *others], first)
-    kept = with_it.hypothesis.without(*others)
+    without = fitted(problem, others, first)
+    whole_fit = where_better(problem, without, fitted(problem, [*own, *others], first))
+    whole_fit = extended(problem, whole_fit, FURTHER.get(name, ()), modes)
+    free = set(others)
+    kept = whole_fit.without(*(t for t in whole_fit.terms if t in free))
     held = HeldOut(
-        _error(problem, without.hypothesis), _error(problem, with_it.hypothesis), "noise floors"
+        held_out_error(problem, without), held_out_error(problem, whole_fit), "noise floors"
     )
-    words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in own)
+    words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in kept.terms)
     stage = judged(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
-    if held.after > (1.0 - _LEAST_GAIN) * held.before and stage.state == "accepted":
+    if not kept.terms or held.after > (1.0 - LEAST_GAIN) * held.before:
         stage = replace(
-            stage, state="not_observable",
-            why=f"the motion shows none of it: {stage.why}", parameters=(),
+            stage, state="not_observable", parameters=(),
+            why="the motion shows none of it: at no joint does the held-out error fall by more "
+            "than chance explains",
         )  # fmt: skip
     if stage.state != "accepted":
         return stage, EMPTY
@@ -163,41 +172,55 @@ def _together(
     found: Hypothesis,
     stage_of: dict[Term, StageName],
     stages: Sequence[Stage],
+    modes: Sequence[str],
 ) -> tuple[Hypothesis, list[Stage], Stage]:
     """Fit all accepted terms together in the closed loop; a stage that moves is reopened."""
     name: StageName = "closed_loop"
     if not found.terms:
         why = "no stage before was accepted: there is nothing to fit together"
         return found, list(stages), Stage(name, "not_observable", why, (), None, EXCLUDES[name])
-    apart = _with_slopes(problem, found)
-    weights = problem.weights(np.mean(apart.residual**2, axis=0))
-    (moved,) = fit(problem, [found], weights, problem.fit, iterations=_LAST, slopes=False)
-    moved = _with_slopes(problem, _possible(problem, moved.hypothesis))
-    held = HeldOut(_error(problem, found), _error(problem, moved.hypothesis), "noise floors")
-    words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in found.terms)
+    residual = problem.residuals([found], problem.fit)[0]
+    weights = problem.weights(np.mean(residual**2, axis=0))
+    (tried,) = fit(problem, [found], weights, problem.fit, iterations=_LAST, slopes=False)
+    moved = possible(problem, tried.hypothesis)
+    before = held_out_error(problem, found)
+    if held_out_error(problem, moved) > before:
+        moved = found
+    # What a frozen stage has taken up may hide an effect: with all parameters free it shows.
+    whole = extended(problem, moved, [e for each in FURTHER.values() for e in each], modes)
+    added = [t for t in whole.terms if t not in stage_of]
+    for term in added:
+        stage_of[term] = next(k for k, each in FURTHER.items() if term.effect in each)
+    held = HeldOut(before, held_out_error(problem, whole), "noise floors")
+    words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in whole.terms)
     stage = judged(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
     if stage.state != "accepted":
         return found, list(stages), stage
-    off = np.abs(moved.hypothesis.theta - found.theta)
-    beyond = off > np.maximum(parameter_spread(problem, moved).half_width, 1e-9)
-    reopened = {stage_of[t] for t in found.terms if beyond[found.slice_of(t)].any()}
+    half = parameter_spread(problem, _with_slopes(problem, whole)).half_width
+    reopened = {stage_of[t] for t in added}
+    for term in found.terms:
+        if term in whole.terms:
+            own = whole.slice_of(term)
+            off = np.abs(whole.theta[own] - found.theta[found.slice_of(term)])
+            if np.any(off > np.maximum(half[own], 1e-9)):
+                reopened.add(stage_of[term])
     said = [
         replace(
             one,
             state="reopened",
             why=f"{one.why}; all accepted parameters fitted together move it beyond its 95 % "
-            f"interval, and the held-out error falls from {held.before:.3g} to {held.after:.3g} "
-            "noise floors",
+            f"interval or add an effect to it, and the held-out error falls from {held.before:.3g} "
+            f"to {held.after:.3g} noise floors",
         )
         if one.name in reopened
         else one
         for one in stages
     ]
-    return moved.hypothesis, said, stage
+    return whole, said, stage
 
 
 def _drives(modes: Sequence[str]) -> list[Term]:
-    return [*terms_of("drive", modes), *nuisance_of("encoder", (), modes)]
+    return list(dict.fromkeys([*terms_of("drive", modes), *nuisance_of("encoder", (), modes)]))
 
 
 def _balanced(problem: Problem, hypothesis: Hypothesis) -> dict[int, FloatArray]:
@@ -218,35 +241,10 @@ def _balanced(problem: Problem, hypothesis: Hypothesis) -> dict[int, FloatArray]
     return {int(s): problem.trust.get(int(s), ones) * weights[s] for s in problem.everywhere}
 
 
-def _fitted(problem: Problem, terms: Sequence[Term], first: FloatArray) -> Fitted:
-    """A fit from the first values."""
-    begun = start(terms, problem.scales, first) if terms else EMPTY
-    residual = problem.residuals([begun], problem.fit)[0]
-    weights = problem.weights(np.mean(residual**2, axis=0))
-    (found,) = fit(problem, [begun], weights, problem.fit, iterations=_ITERATIONS, slopes=False)
-    possible = _possible(problem, found.hypothesis)
-    return fit(problem, [possible], weights, problem.fit, iterations=0, slopes=False)[0]
-
-
-def _possible(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis with totals of model and corrections of at least zero: no joint pushes
-    itself.
-    """
-    return hypothesis.with_theta(at_zero(problem, hypothesis))
-
-
 def _with_slopes(problem: Problem, hypothesis: Hypothesis) -> Fitted:
     residual = problem.residuals([hypothesis], problem.fit)[0]
     weights = problem.weights(np.mean(residual**2, axis=0))
     return fit(problem, [hypothesis], weights, problem.fit, iterations=0)[0]
-
-
-def _error(problem: Problem, hypothesis: Hypothesis) -> float:
-    """Root mean square of all position errors in noise floors, on what is held out."""
-    residual: FloatArray = problem.residuals([hypothesis], problem.tested)[0]
-    count = len(problem.joints)
-    value = float(np.sqrt(np.mean((residual[:, :count] / problem.floor) ** 2)))
-    return value if np.isfinite(value) else 1e9
 
 
 def place_of(problem: Problem, term: Term) -> str:

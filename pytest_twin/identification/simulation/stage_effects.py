@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -16,10 +17,18 @@ SIMULATED: Mapping[StageName, tuple[str, ...]] = {
     "encoder": ("encoder_bias",),
     "gravity": ("payload",),
     "inertia": ("armature",),
-    "friction": ("viscous_friction", "stribeck_friction", "load_dependent_friction"),
-    "drive": ("controller_gain", "dead_zone"),
+    "friction": ("viscous_friction", "coulomb_friction"),
+    "drive": ("controller_gain",),
 }
 """Stage -> effects that it fits, at every joint or once for the robot."""
+FURTHER: Mapping[StageName, tuple[str, ...]] = {
+    "friction": ("stribeck_friction", "load_dependent_friction", "motor_load_friction"),
+    "drive": (
+        "dead_zone", "torque_rolloff", "torque_speed_limit", "torque_saturation",
+        "watchdog_timeout", "actuator_lag",
+    ),
+}  # fmt: skip
+"""Stage -> effects that it adds where they lower the held-out error."""
 _OF_EFFORT_DRIVES = {"controller_gain": "torque_constant"}
 """An effort drive has no gains: its torque constant stands in their place."""
 _NUISANCE = ("viscous_friction", "coulomb_friction", "controller_gain", "armature")
@@ -56,7 +65,7 @@ def terms_of(stage: StageName, modes: Sequence[str]) -> list[Term]:
         stage: which.
         modes: (joints,) what each joint's drive is sent.
     """
-    return _terms(SIMULATED[stage], modes)
+    return terms_at(SIMULATED[stage], modes)
 
 
 def nuisance_of(stage: StageName, frozen: Sequence[Term], modes: Sequence[str]) -> list[Term]:
@@ -66,10 +75,11 @@ def nuisance_of(stage: StageName, frozen: Sequence[Term], modes: Sequence[str]) 
     own = set(SIMULATED[stage]) | {term.effect for term in frozen}
     dry = {"coulomb_friction", "stribeck_friction"}
     names = [n for n in _NUISANCE if n not in own and not (n in dry and own & dry)]
-    return _terms(names, modes)
+    return terms_at(names, modes)
 
 
-def _terms(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
+def terms_at(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
+    """Effects at every joint whose drive can have them, or once for the robot."""
     found = []
     for name in names:
         if catalogue()[name].scope == "robot":
@@ -77,9 +87,14 @@ def _terms(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
             continue
         for joint, mode in enumerate(modes):
             own = _OF_EFFORT_DRIVES.get(name, name) if mode == "effort" else name
-            if own in catalogue():
+            if own in catalogue() and mode in catalogue()[own].modes:
                 found.append(Term(own, joint))
     return found
+
+
+def starts_of(effect: str) -> list[tuple[float, ...]]:
+    """Parameters at which a fit of an effect starts, in multiples of their scales."""
+    return list(product(*(p.starts for p in catalogue()[effect].parameters)))
 
 
 def start(terms: Sequence[Term], scales: Scales, first: FloatArray) -> Hypothesis:

@@ -1,0 +1,201 @@
+"""Fits of one stage: from several starts, and joint by joint what the held-out error bears out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.fit import Fitted, finite_differences, fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.physical_totals import at_zero
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.identification.paired import paired
+from pytest_twin.identification.simulation.stage_effects import start, starts_of, terms_at
+
+ITERATIONS = 8
+_LOOK = 3
+"""Iterations from each start, after which the best alone goes on."""
+_FITTED = 2
+"""Effects of a round that are fitted: one step does not always tell which of two is the better."""
+LEAST_GAIN = 0.002
+"""An effect lowers an error by at least this share, or it is not kept."""
+
+
+def fitted(problem: Problem, terms: Sequence[Term], first: FloatArray) -> Hypothesis:
+    """The terms at their optimum, from the first values and from the model's own values.
+
+    Simulated errors have many minima; that with the lower error is taken.
+    """
+    if not terms:
+        return EMPTY
+    unknown = np.full_like(first, np.nan)
+    return best_of(problem, [start(terms, problem.scales, each) for each in (first, unknown)])
+
+
+def best_of(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis:
+    """The best of several starts after some iterations, at its optimum."""
+    apart = [h for k, h in enumerate(starts) if all(not _same(h, g) for g in starts[:k])]
+    weights = _weights(problem, apart)
+    if len(apart) > 1:
+        tried = fit(problem, apart, weights, problem.fit, iterations=_LOOK, slopes=False)
+        apart = [min(tried, key=lambda one: one.cost).hypothesis]
+    (found,) = fit(problem, apart, weights, problem.fit, iterations=ITERATIONS, slopes=False)
+    return possible(problem, found.hypothesis)
+
+
+def possible(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with totals of model and corrections of at least zero: no joint pushes
+    itself.
+    """
+    return hypothesis.with_theta(at_zero(problem, hypothesis))
+
+
+def extended(
+    problem: Problem, base: Hypothesis, effects: Sequence[str], modes: Sequence[str]
+) -> Hypothesis:
+    """The fit with those further effects that earn their place, added one after another.
+
+    Each round takes one Gauss-Newton step with every effect that is left, at all joints, beside the
+    others. The two with the lowest error on the recordings to fit are fitted, and the better one is
+    tested on the held-out recordings, joint by joint. So these judge one effect a round, and choose
+    none.
+
+    Args:
+        problem: of the stage.
+        base: fitted terms of the stage, with what is free beside them.
+        effects: ids that may be added.
+        modes: (joints,) what each joint's drive is sent.
+    """
+    present = {term.effect for term in base.terms}
+    left = [name for name in effects if name not in present and terms_at([name], modes)]
+    while left:
+        looked = _looked(problem, base, {n: _added(base, n, modes) for n in left})
+        left = [name for name in left if name in looked]
+        if not left:
+            break
+        foremost = sorted(left, key=lambda each: looked[each].cost)[:_FITTED]
+        weights = _weights(problem, [base])
+        starts = [looked[each].hypothesis for each in foremost]
+        tried = fit(problem, starts, weights, problem.fit, iterations=ITERATIONS, slopes=False)
+        best = min(range(len(tried)), key=lambda k: tried[k].cost)
+        left.remove(foremost[best])
+        merged = where_better(problem, base, possible(problem, tried[best].hypothesis))
+        if set(merged.terms) != set(base.terms):
+            base = merged
+    return base
+
+
+def where_better(problem: Problem, before: Hypothesis, after: Hypothesis) -> Hypothesis:
+    """At each joint the terms of the fit that predicts its held-out motion better beyond chance.
+
+    A joint keeps the terms that it had where the fall of its squared error is not significant.
+    Terms of the whole robot are judged by all joints together.
+    """
+    errors = [_in_floors(problem, h) for h in (before, after)]
+    lengths = problem.lengths(problem.tested)
+    whole = paired(errors[0], errors[1], lengths).significant
+    chosen: dict[Term, FloatArray] = {}
+    for joint in range(-1, len(problem.joints)):
+        columns = slice(None) if joint < 0 else slice(joint, joint + 1)
+        own = paired(errors[0][:, columns], errors[1][:, columns], lengths)
+        source = after if (whole if joint < 0 else own.significant) else before
+        for term in source.terms:
+            if term.joint == joint:
+                chosen[term] = source.theta[source.slice_of(term)]
+    return EMPTY.with_terms(chosen)
+
+
+def held_out_error(problem: Problem, hypothesis: Hypothesis) -> float:
+    """Root mean square of all position errors in noise floors, on what is held out."""
+    value = float(np.sqrt(np.mean(_in_floors(problem, hypothesis) ** 2)))
+    return value if np.isfinite(value) else 1e9
+
+
+def _in_floors(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
+    """(n, joints) position errors on what is held out, in noise floors."""
+    residual = problem.residuals([hypothesis], problem.tested)[0]
+    return np.asarray(residual[:, : len(problem.joints)] / problem.floor)
+
+
+def _looked(
+    problem: Problem, base: Hypothesis, starts: Mapping[str, Sequence[Hypothesis]]
+) -> dict[str, Fitted]:
+    """Effect -> the best fit after one step from its starts, where that lowers the error.
+
+    The slopes of the base's parameters are those of the base; the effect's own are measured.
+    """
+    weights = _weights(problem, [base])
+    (here,) = fit(problem, [base], weights, problem.fit, iterations=0)
+    every = [h for each in starts.values() for h in each]
+    residual = problem.residuals(every, problem.fit)
+    moved, steps, places = [], [], []
+    for row, h in enumerate(every):
+        (which,) = np.nonzero(h.movable)
+        kept = len(h.without(*(t for t in h.terms if t not in base.terms)).theta)
+        for k, nearby, step in zip(which.tolist(), *finite_differences(h), strict=True):
+            if k >= kept:
+                moved.append(nearby)
+                steps.append(step)
+                places.append((row, k))
+    slopes = []
+    for h, left in zip(every, residual, strict=True):
+        columns = np.zeros((*left.shape, h.theta.size))
+        for term in base.terms:
+            if term in h.terms and here.jacobian.size:
+                columns[..., h.slice_of(term)] = here.jacobian[..., base.slice_of(term)]
+        slopes.append(columns)
+    for (row, k), step, left in zip(
+        places, steps, problem.residuals(moved, problem.fit), strict=True
+    ):
+        slopes[row][..., k] = np.nan_to_num((residual[row] - left) / step)
+    tried = iter(
+        fit(problem, every, weights, problem.fit, iterations=1, slopes=False, jacobians=slopes)
+    )
+    best = {
+        name: min((next(tried) for _ in each), key=lambda one: one.cost)
+        for name, each in starts.items()
+    }
+    return {n: one for n, one in best.items() if one.cost < (1.0 - LEAST_GAIN) * here.cost}
+
+
+def _added(base: Hypothesis, name: str, modes: Sequence[str]) -> list[Hypothesis]:
+    """The base with an effect at all its joints, at each of its starts, in place of those of its
+    special cases that the base has.
+    """
+    terms = [term for term in terms_at([name], modes) if term not in base.terms]
+    special = {
+        t: base.theta[base.slice_of(t)]
+        for t in base.terms
+        for term in terms
+        if t.joint == term.joint and t.effect in term.law.generalizes
+    }
+    rest = base.without(*special)
+    found = []
+    for values in starts_of(name):
+        begun = rest
+        for term in terms:
+            theta = np.array(values, dtype=np.float64)
+            for old, known in special.items():
+                if old.joint == term.joint:
+                    shared = {p.name: v for p, v in zip(old.parameters, known, strict=True)}
+                    theta = np.array([
+                        shared.get(p.name, v)
+                        for p, v in zip(term.parameters, theta, strict=True)
+                    ])  # fmt: skip
+            begun = begun.with_term(term, theta)
+        found.append(begun)
+    return found
+
+
+def _weights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> FloatArray:
+    """(signals,) of the hypothesis that leaves least."""
+    left = [np.mean(r**2, axis=0) for r in problem.residuals(hypotheses, problem.fit)]
+    finite = [each for each in left if np.isfinite(each).all()]
+    least = min(finite, key=lambda each: float(each.sum())) if finite else np.ones_like(left[0])
+    return problem.weights(least)
+
+
+def _same(one: Hypothesis, other: Hypothesis) -> bool:
+    return one.terms == other.terms and bool(np.allclose(one.theta, other.theta))

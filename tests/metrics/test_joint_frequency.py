@@ -1,0 +1,58 @@
+"""Frequency responses of a recorded joint, against a filter whose response is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from pytest_twin.metrics.joint_frequency import joint_responses
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.report.frequency import figures_of, rows_of
+from pytest_twin.trial import Trial, make_trials, recordings_at
+from pytest_twin.twin import DEFAULT_TOPICS
+
+RATE = 200.0
+HERTZ, DAMPING = 8.0, 0.2
+
+
+def recorded(path: Path, effort: float) -> Trial:
+    """A joint that follows its command as a second-order system, and an effort of some sign."""
+    w = 2 * np.pi * HERTZ
+    sections = signal.tf2sos(*signal.bilinear([w**2], [1, 2 * DAMPING * w, w**2], RATE))
+    random = np.random.default_rng(0)
+    command = random.standard_normal(8000)
+    motion = signal.sosfilt(sections, command)
+    rows = np.column_stack([
+        np.arange(8000) / RATE, motion, effort * command, command,
+    ])  # fmt: skip
+    options = RecordingOptions(command_mode="position")
+    header = "time,knee.position,knee.effort,knee.command"
+    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=header, comments="")
+    return make_trials(recordings_at(path, DEFAULT_TOPICS)[0], None, options)[0]
+
+
+def test_resonance_is_that_of_the_joint_and_of_the_model(tmp_path: Path) -> None:
+    trial = recorded(tmp_path / "noise.csv", 2.0)
+    stiffer = np.gradient(trial.position[:, 0])
+    command, effort = joint_responses(trial, "knee", stiffer)
+    said = command.to_json()
+    peak = HERTZ * np.sqrt(1.0 - 2.0 * DAMPING**2)
+    assert said["measured"]["resonance"]["frequency"] == pytest.approx(peak, rel=0.05)
+    assert (said["input"], said["unit"], said["recording"]) == ("command", "1", "noise.csv")
+    assert said["predicted"]["magnitude_db"] != said["measured"]["magnitude_db"]
+    # The effort is twice the command: its response is 6 dB lower.
+    shared = np.isin(command.measured.frequency, effort.measured.frequency)
+    ratio = command.measured.magnitude[shared] / effort.measured.magnitude
+    np.testing.assert_allclose(ratio, 2.0, rtol=0.01)
+    row, _ = rows_of([said, effort.to_json()])
+    assert "Hz, +" in row["resonance"]
+    assert "model:" in row["resonance"]
+    assert len(figures_of([said])) == 1
+
+
+def test_an_unsigned_effort_has_no_response(tmp_path: Path) -> None:
+    trial = recorded(tmp_path / "noise.csv", 0.0)
+    assert [one.input for one in joint_responses(trial, "knee")] == ["command"]
