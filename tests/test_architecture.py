@@ -32,6 +32,38 @@ def test_nothing_imports_pytest_internals() -> None:
     assert offenders == []
 
 
+LOADS = re.compile(r"\b(from_xml_\w+|from_file|from_string|buildModelFrom\w+)\(")
+STEPS = re.compile(r"\bmj_step\(|\bBatch\((?:self\.)?model|\bBatch\(models\[")
+STEPPED_IN = {
+    "checks/joint_direction.py",
+    "checks/limits_bench.py",
+    "diagnosis/hidden_state.py",
+    "effects/row_models.py",
+    "properties/dynamics.py",
+    "replay.py",
+    "replay_forced.py",
+}
+
+
+def places_of(pattern: re.Pattern[str]) -> set[str]:
+    package = PROJECT / "pytest_twin"
+    return {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if pattern.search(path.read_text())
+    }
+
+
+def test_models_are_loaded_in_the_room_that_the_docs_name() -> None:
+    named = ("realization/", "asset/loss/", "properties/")
+    assert [place for place in places_of(LOADS) if not place.startswith(named)] == []
+
+
+def test_simulators_are_stepped_in_few_places() -> None:
+    elsewhere = {p for p in places_of(STEPS) if not p.startswith("realization/")}
+    assert elsewhere == STEPPED_IN
+
+
 def test_no_plant_shares_code_with_the_package() -> None:
     concealed = (PROJECT / "benchmarks" / "concealed").glob("*.py")
     plants = [

@@ -17,12 +17,12 @@ from pytest_twin.effects.acting import BETWEEN_STEPS, any_hook
 from pytest_twin.effects.base import Effect, ModelFields, Values, World, moving_apart
 from pytest_twin.effects.constraint import hold
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
+from pytest_twin.effects.engine_options import disable_unused_features
 from pytest_twin.effects.layout import Layout
 from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.point_mass import with_point_mass
 from pytest_twin.effects.sampling import behind
 from pytest_twin.effects.segment import Segment
-from pytest_twin.effects.spared import spare
 
 OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
@@ -93,7 +93,7 @@ class RowModels:
         segments: all of one layout of model.
         layout: of it.
         timestep: s.
-        sparing: whether the engine leaves out what changes nothing.
+        sparing: whether engine features that change nothing are disabled.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class RowModels:
             if not of.creeps:
                 hold(model, self.layout.dof_index, float(of.model.opt.timestep))
             if self.sparing:
-                spare(model)
+                disable_unused_features(model)
             self._bounded[id(of.model)] = model
         return self._bounded[id(of.model)]
 

@@ -8,7 +8,6 @@ steps on arrays of all rows.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from typing import TypeVar
 
 import numpy as np
@@ -43,7 +42,6 @@ from pytest_twin.effects.roll_in import (
 from pytest_twin.effects.row_models import RowModels, Rows
 from pytest_twin.effects.sampling import behind, sampled, taken
 from pytest_twin.effects.segment import Predicted, Segment
-from pytest_twin.effects.spared import unclocked
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
@@ -63,7 +61,7 @@ class RowSimulator:
         threads: of the batch, or forks in their place, 0 for all cores that the process may use.
         refine: substeps per model step, to measure the discretization.
         fixed: effects under every row: parameters as (1, joints) arrays.
-        sparing: whether the engine leaves out what changes nothing.
+        sparing: whether engine features that change nothing are disabled.
     """
 
     def __init__(
@@ -337,7 +335,7 @@ class RowSimulator:
         steps = int(self.steps[rows].max())
         commands = self.commands(rows, effects, steps)
         hooks = hooks_between_steps(effects)
-        with quiet(), unclocked() if self.models.sparing else nullcontext():
+        with quiet():
             written = self.written(rows, effects)
             if any(hooks.values()) or self.layout.bare.any():
                 self._stand(written, rows, effects, hooks)

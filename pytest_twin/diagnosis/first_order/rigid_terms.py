@@ -15,7 +15,6 @@ from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajec
 from pytest_twin.effects.base import Effect, ModelFields, Values
 from pytest_twin.effects.rigid_body import InertialParameters, Payload
 from pytest_twin.effects.rows import RowSimulator
-from pytest_twin.effects.spared import unclocked
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 from pytest_twin.realization.quiet import quiet
@@ -96,7 +95,7 @@ def rigid_terms(
         ]
         nudge = np.zeros((len(part), 2, joints)) if nudges is None else nudges[part]
         shape = (len(part), segments, at_once)
-        with quiet(), unclocked():
+        with quiet():
             mine = np.tile(np.repeat(rows, at_once), len(part))
             batch = simulator.models.written(mine, values, threads=1).batch
             qpos, qvel = batch.bind("qpos"), batch.bind("qvel")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
+from pytest_twin.effects.engine_options import disable_unused_features
 from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
-from pytest_twin.effects.spared import spare, unclocked
 
 ARM = """\
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>{floor}
@@ -61,7 +61,7 @@ def test_motion_is_the_same_to_the_last_bit(
 ) -> None:
     model = arm(**fields)
     spared = copy.copy(model)
-    spare(spared)
+    disable_unused_features(spared)
     off = mujoco.mjtDisableBit
     assert bool(spared.opt.disableflags & int(off.mjDSBL_ISLAND)) is not islands
     assert bool(spared.opt.disableflags & int(off.mjDSBL_CONTACT)) is not contacts
@@ -72,54 +72,17 @@ def test_a_pair_that_is_named_still_meets() -> None:
     model = arm(floor=FLOOR_APART, of=APART)
     met = arm(floor=FLOOR_APART, of=APART, more=PAIR)
     spared = copy.copy(met)
-    spare(spared)
+    disable_unused_features(spared)
     np.testing.assert_array_equal(moved(met), moved(spared))
     assert (moved(met) != moved(model)).any(), "the pair does not meet here"
 
 
-def test_without_a_clock_the_motion_is_the_same_and_the_profiler_is_back_after() -> None:
-    model = arm(floor=FLOOR)
-    timed = moved(model)
-    with unclocked():
-        assert mujoco.get_mjcb_time() is not None
-        np.testing.assert_array_equal(moved(model), timed)
-    assert mujoco.get_mjcb_time() is None
-    data = mujoco.MjData(model)
-    mujoco.mj_step(model, data)
-    assert data.timer[mujoco.mjtTimer.mjTIMER_STEP].duration > 0.0, "the profiler is back"
-
-
-def test_the_engine_has_its_clock_back_after_an_error() -> None:
-    with pytest.raises(ZeroDivisionError), unclocked():
-        _ = 1 / 0
-    assert mujoco.get_mjcb_time() is None
-
-
-def test_a_clock_that_somebody_set_stays() -> None:
-    asked = []
-
-    def clock() -> float:
-        asked.append(None)
-        return 0.0
-
-    mujoco.set_mjcb_time(clock)
-    try:
-        with unclocked():
-            mujoco.mj_step(model := arm(), mujoco.MjData(model))
-        assert mujoco.get_mjcb_time() is clock
-    finally:
-        mujoco.set_mjcb_time(None)
-    assert asked, "its owner profiles on"
-
-
-def test_rows_are_simulated_without_a_clock_and_the_engine_is_measured_with_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    clocked = []
+def test_the_clock_of_the_engine_is_never_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    replaced = []
     rollout = Batch.rollout
 
     def watched(*args: Any, **kwargs: Any) -> Any:
-        clocked.append(mujoco.get_mjcb_time() is None)
+        replaced.append(mujoco.get_mjcb_time() is not None)
         return rollout(*args, **kwargs)
 
     monkeypatch.setattr(Batch, "rollout", watched)
@@ -127,8 +90,5 @@ def test_rows_are_simulated_without_a_clock_and_the_engine_is_measured_with_it(
     segment = Segment(
         0, arm(), "position", 0.0, time, still, None, None, time[:1], still[:1], still[0], still[0]
     )
-    for sparing in (True, False):
-        simulator = RowSimulator([segment], ("a",), threads=1, sparing=sparing)
-        simulator.simulate(np.array([0]), {})
-    assert clocked == [False, True]
-    assert mujoco.get_mjcb_time() is None
+    RowSimulator([segment], ("a",), threads=1).simulate(np.array([0]), {})
+    assert replaced == [False]
