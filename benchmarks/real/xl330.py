@@ -40,7 +40,7 @@ from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial, make_trial
@@ -154,7 +154,7 @@ def coarse(problem: Problem) -> Problem:
         model = copy.copy(s.model)
         model.opt.timestep = 0.002
         segments.append(replace(s, model=model))
-    simulator = RowSimulator(segments, problem.joints, threads=1)
+    simulator = BatchSimulator(segments, problem.joints, threads=1)
     return replace(problem, simulator=simulator)
 
 

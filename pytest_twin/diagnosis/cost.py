@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.diagnosis.budget import Budget
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 
 _ROWS = 32
 # Measured so often, or for so long in s: a core is not equally fast at all times.
@@ -60,7 +60,7 @@ def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
     problems = budget.problems
     problem = problems[0]
     known = problem.simulator
-    simulator = RowSimulator(known.segments, known.joints, threads=known.threads, sparing=False)
+    simulator = BatchSimulator(known.segments, known.joints, threads=known.threads, sparing=False)
     stepped = sum(p.stepped + p.in_starts for p in problems)
     rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
     simulator.trajectories(rows[:1], {})  # models are copied once

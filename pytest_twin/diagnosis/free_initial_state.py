@@ -20,8 +20,8 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 from pytest_twin.diagnosis.windows import start_width
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.active_effects import EffectValues
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 _STEP = 1e-4
@@ -122,7 +122,7 @@ def free_initial_states(
     if not any(map(free_shifts, segments)):
         return FreeInitialStates({}, {})
     scales = scales or Scales({})
-    simulator = RowSimulator(segments, joints, threads=threads, fixed=fixed)
+    simulator = BatchSimulator(segments, joints, threads=threads, fixed=fixed)
     stretch = _stretch(simulator, hypothesis, scales)
     placing = _Placing(simulator, noise, hypothesis, scales, stretch)
     for far in _TRIED if placing.shifts else ():
@@ -167,7 +167,7 @@ class _Placing:
 
     def __init__(
         self,
-        simulator: RowSimulator,
+        simulator: BatchSimulator,
         noise: FloatArray,
         hypothesis: Hypothesis,
         scales: Scales,
@@ -195,7 +195,7 @@ class _Placing:
         shifted = [_shifted(s, self._stretch[i]) for i, s in moved.items()]
         if not shifted:
             return {}
-        simulator = RowSimulator(
+        simulator = BatchSimulator(
             list(chain(*shifted)), known.joints, threads=known.threads, fixed=known.fixed
         )
         rows = np.arange(len(simulator.segments))
@@ -229,7 +229,7 @@ def _shifted(segment: Segment, stretch: FloatArray) -> list[Segment]:
     return out
 
 
-def _stretch(simulator: RowSimulator, hypothesis: Hypothesis, scales: Scales) -> FloatArray:
+def _stretch(simulator: BatchSimulator, hypothesis: Hypothesis, scales: Scales) -> FloatArray:
     """(segments, joints) deviation of where motors start: by as much as usual efforts stretch their
     gears, where these give and the servo is of velocity.
     """

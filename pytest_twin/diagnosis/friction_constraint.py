@@ -30,7 +30,7 @@ from pytest_twin.diagnosis.search_result import (
 )
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import LEFT_FLOORS, STANDS_OUT
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 
 CREEPS = (
     "dry friction creeps under load in these recordings, as in MuJoCo's default friction "
@@ -150,7 +150,7 @@ def with_other_constraint(problem: Problem) -> Problem:
     """The same with dry friction the other way, the error of the step as it was measured."""
     stepped = problem.simulator
     segments = [replace(s, creeps=not s.creeps) for s in stepped.segments]
-    other = RowSimulator(
+    other = BatchSimulator(
         segments, problem.joints, threads=stepped.threads, refine=stepped.refine,
         fixed=stepped.fixed,
     )  # fmt: skip

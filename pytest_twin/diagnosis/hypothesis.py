@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.acting import EffectValues
+from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.base import SMOOTH_STEP, Effect, Parameter
 
 

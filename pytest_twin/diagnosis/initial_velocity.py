@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.active_effects import EffectValues
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 # s of a recording that tell how it began, and the share of the misfit there, at rest, that a start
@@ -32,7 +32,7 @@ def with_initial_velocity(
         moving: of some of them, the same with a velocity that their first samples say.
         joints: their columns.
         noise: (joints,) deviation of a sample, rad or m.
-        threads, fixed: as :class:`RowSimulator` takes them.
+        threads, fixed: as :class:`BatchSimulator` takes them.
     """
     out = list(segments)
     if not moving:
@@ -42,7 +42,7 @@ def with_initial_velocity(
         for i, other in moving.items()
         for s in (segments[i], other)
     ]
-    simulator = RowSimulator(tried, joints, threads=threads, fixed=fixed)
+    simulator = BatchSimulator(tried, joints, threads=threads, fixed=fixed)
     found = simulator.simulate(np.arange(len(tried)), {})
     alive = noise > 0.0  # an encoder that is stuck says nothing
     left = [

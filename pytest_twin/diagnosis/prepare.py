@@ -31,9 +31,9 @@ from pytest_twin.diagnosis.problem import (
 from pytest_twin.diagnosis.stiction_weights import stiction_weights
 from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
 from pytest_twin.diagnosis.windows import WINDOW, segments_of
-from pytest_twin.effects.acting import EffectValues
+from pytest_twin.effects.active_effects import EffectValues
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.contact_geoms import NEAR, ContactGeoms
-from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
@@ -157,9 +157,9 @@ def prepare(
         cut.segments, cut.moving, joints, shown, threads=threads, fixed=fixed
     )
     noise = _known(shown)
-    simulator = RowSimulator(segments, joints, threads=threads, refine=substeps or 1, fixed=fixed)
+    simulator = BatchSimulator(segments, joints, threads=threads, refine=substeps or 1, fixed=fixed)
     finer = (substeps or 1) * REFINE
-    refined = RowSimulator(segments, joints, threads=threads, refine=finer, fixed=fixed)
+    refined = BatchSimulator(segments, joints, threads=threads, refine=finer, fixed=fixed)
     nominal = nominal_replay(simulator)
     effort_floor: FloatArray | None = None
     if _signed_efforts(segments, nominal):

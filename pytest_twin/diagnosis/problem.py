@@ -14,7 +14,7 @@ from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.free_initial_state import FreeInitialState, FreeInitialStates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 
 _REMEMBERED = 16
@@ -80,7 +80,7 @@ class Problem:
         start_noise: (joints,) what their priors rest on, as :func:`free_starts` takes it.
     """
 
-    simulator: RowSimulator
+    simulator: BatchSimulator
     fit: NDArray[np.int64]
     held_out: NDArray[np.int64]
     floor: FloatArray
@@ -88,7 +88,7 @@ class Problem:
     effort_floor: FloatArray | None = None
     trust: dict[int, FloatArray] = field(default_factory=dict)
     effort_trust: dict[int, FloatArray] = field(default_factory=dict)
-    refined: RowSimulator | None = None
+    refined: BatchSimulator | None = None
     defect: dict[int, Predicted] = field(default_factory=dict)
     starts: dict[int, FreeInitialState] = field(default_factory=dict)
     free: Callable[[Hypothesis], FreeInitialStates] | None = None
@@ -121,7 +121,7 @@ class Problem:
         return sum(simulator.repeated for simulator in self._simulators)
 
     @property
-    def _simulators(self) -> list[RowSimulator]:
+    def _simulators(self) -> list[BatchSimulator]:
         return [s for s in (self.simulator, self.refined) if s is not None]
 
     def acted_on(self, terms: Sequence[Term]) -> NDArray[np.bool_]:
@@ -349,14 +349,14 @@ def _key(hypothesis: Hypothesis) -> _Key:
     return hypothesis.terms, hypothesis.theta.tobytes()
 
 
-def nominal_replay(simulator: RowSimulator) -> list[Predicted]:
+def nominal_replay(simulator: BatchSimulator) -> list[Predicted]:
     """Every segment under the nominal model."""
     count = len(simulator.segments)
     values = effect_values([EMPTY] * count, len(simulator.joints), Scales({}))
     return simulator.simulate(np.arange(count), values)
 
 
-def joint_scales(simulator: RowSimulator, nominal: Sequence[Predicted]) -> Scales:
+def joint_scales(simulator: BatchSimulator, nominal: Sequence[Predicted]) -> Scales:
     """Typical sizes of a joint's parameters, from the model and its nominal replay."""
     joints, segments = len(simulator.joints), simulator.segments
     model = segments[0].model

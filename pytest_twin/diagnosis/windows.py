@@ -20,7 +20,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hidden_state import HiddenState
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
 from pytest_twin.effects.contact_geoms import ContactGeoms, in_the_air
-from pytest_twin.effects.roll_in import LEAD
+from pytest_twin.effects.memory_warmup import LEAD
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of

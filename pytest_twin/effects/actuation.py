@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, Parameter, Values, World
-from pytest_twin.effects.within import within
+from pytest_twin.effects.fast_clip import fast_clip
 
 
 class _Follower(Protocol):
@@ -203,7 +203,7 @@ class _Slew:
         if not self.acts:
             return asked
         held = asked if self.held is None else self.held
-        moved = within(asked - held, -self.reach, self.reach)
+        moved = fast_clip(asked - held, -self.reach, self.reach)
         self.held = held + moved
         mean: FloatArray = held + moved * (1.0 - np.abs(moved) / (2.0 * self.reach))
         return mean
@@ -212,7 +212,7 @@ class _Slew:
         """Hold the (rows, joints) input ``asked`` for a number of steps, fractions included."""
         held = asked if self.held is None else self.held
         reach = steps * self.reach
-        self.held = held + within(asked - held, -reach, reach)
+        self.held = held + fast_clip(asked - held, -reach, reach)
 
 
 class TorqueConstant(Effect):
@@ -325,8 +325,8 @@ class TorqueSpeedLimit(Effect):
         if stall is None:
             stall = world.state[self.id] = np.where(inverse > 0.0, values["stall"], np.inf)
         used = inverse * world.motor_velocity
-        world.upper = np.minimum(world.upper, stall * within(1.0 - used, 0.0, 1.0))
-        world.lower = np.maximum(world.lower, -stall * within(1.0 + used, 0.0, 1.0))
+        world.upper = np.minimum(world.upper, stall * fast_clip(1.0 - used, 0.0, 1.0))
+        world.lower = np.maximum(world.lower, -stall * fast_clip(1.0 + used, 0.0, 1.0))
 
 
 class DeadZone(Effect):
@@ -363,12 +363,12 @@ class DeadZone(Effect):
         if width is None:
             return
         error = world.setpoint - np.where(of_position, world.motor_position, 0.0)
-        world.setpoint = world.setpoint - within(error, -width, width)
+        world.setpoint = world.setpoint - fast_clip(error, -width, width)
 
     def drive(self, world: World, values: Values) -> None:
         _, _, none = self._known(world, values)
         if none is not None:
-            world.delivered = world.delivered - within(world.delivered, -none, none)
+            world.delivered = world.delivered - fast_clip(world.delivered, -none, none)
 
     def _known(
         self, world: World, values: Values

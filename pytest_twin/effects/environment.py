@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_twin.effects.base import Effect, Parameter, Values, World
-from pytest_twin.effects.within import within
+from pytest_twin.effects.fast_clip import fast_clip
 
 
 class ExternalForce(Effect):
@@ -45,4 +45,4 @@ class ExternalForce(Effect):
         since = world.time[:, None] - values["start"]
         # Overlap of the step with the interval: smooth in start and duration.
         inside = np.minimum(since + world.timestep, values["duration"]) - np.maximum(since, 0.0)
-        world.applied += values["effort"] * within(inside / world.timestep, 0.0, 1.0)
+        world.applied += values["effort"] * fast_clip(inside / world.timestep, 0.0, 1.0)

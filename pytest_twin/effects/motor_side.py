@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.within import within
+from pytest_twin.effects.fast_clip import fast_clip
 
 _RING = 0.6
 """Damping of the teeth divided by the square root of stiffness times inertia; little ringing."""
@@ -196,7 +196,7 @@ class MotorSide:
         inert, gear = self.inert + self.servo * free + self.drag, self.gear
         half = self.half_gap
         if half is not None:
-            deflection = deflection - within(deflection, -half, half)
+            deflection = deflection - fast_clip(deflection, -half, half)
             # Without backlash the teeth are always in contact, even at zero deflection.
             gear = gear * ((deflection != 0.0) | (half == 0.0))
             inert = inert + gear
@@ -205,7 +205,7 @@ class MotorSide:
         moving = (push - pull + gear * velocity) / inert
         # Dry friction as the impulse that stops the motor, at most its level (Moreau 1988).
         most = friction_level / inert
-        moving = moving - within(moving, -most, most)
+        moving = moving - fast_clip(moving, -most, most)
         transmitted = pull + gear * (moving - velocity)
         if half is not None:
             # A tooth flank can only push.

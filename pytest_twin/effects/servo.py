@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, Parameter, Values, World
-from pytest_twin.effects.within import within
+from pytest_twin.effects.fast_clip import fast_clip
 
 _SERVOS = ("position", "velocity")
 
@@ -219,7 +219,7 @@ class ControlPeriod(Effect):
             )
             / period
         )
-        effort = within(effort, world.lower, world.upper)
+        effort = fast_clip(effort, world.lower, world.upper)
         # The control law at the present state asks for the effort that is held.
         more = effort - world.asked(world.motor_position, world.motor_velocity)
         world.setpoint = np.where(

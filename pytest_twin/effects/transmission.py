@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.fast_clip import fast_clip
 from pytest_twin.effects.motor_side import Gear
-from pytest_twin.effects.within import within
 
 
 class JointSpring(Effect):
@@ -102,7 +102,7 @@ class JointCoupling(Effect):
             # The servo controls its motor, whose angle differs by the neighbour's share.
             pull = world.stiffness * _beside(world.position, way)
             pull = pull + world.damping * _beside(world.velocity, way)
-            held = within(world.delivered + ratio * pull, world.lower, world.upper)
+            held = fast_clip(world.delivered + ratio * pull, world.lower, world.upper)
             turned = np.where(ratio != 0.0, held, world.delivered)
             world.delivered = turned - _beside(ratio * turned, -way)
 

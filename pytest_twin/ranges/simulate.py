@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.patched.replay import fixed_values, whole_segment
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
 from pytest_twin.diagnosis.temperature import coldness_in
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.errors import LimitError
@@ -175,7 +175,7 @@ class Fleet:
             own = draws[rows.start : rows.stop]
             models = self._models(segment.model, own)
             segments = [replace(segment, model=model) for model in models]
-            simulator = RowSimulator(segments, joints, refine=refine)
+            simulator = BatchSimulator(segments, joints, refine=refine)
             predicted = simulator.simulate(np.arange(len(own)), self._values(own, joints))
             self.steps += simulator.stepped
             yield rows, predicted
@@ -186,9 +186,9 @@ class Fleet:
             return np.zeros_like(segment.position)
         values = fixed_values(self._beside, joints, 1)
         coarse, fine = (
-            RowSimulator([segment], joints, refine=refine).simulate(np.zeros(1, dtype=int), values)[
-                0
-            ]
+            BatchSimulator([segment], joints, refine=refine).simulate(
+                np.zeros(1, dtype=int), values
+            )[0]
             for refine in (1, REFINE)
         )
         if not (np.isfinite(fine.position).all() and np.isfinite(coarse.position).all()):

@@ -10,7 +10,7 @@ from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import REFINE, Problem
 from pytest_twin.diagnosis.verdict import JointError
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def soft() -> tuple[Problem, Hypothesis]:
     size = {"compliance": 1 / 60.0, "damping_time": 0.001}
     problem = problem_of("position", {term: size})
     segments, joints = problem.simulator.segments, problem.joints
-    problem.refined = RowSimulator(segments, joints, threads=1, refine=REFINE)
+    problem.refined = BatchSimulator(segments, joints, threads=1, refine=REFINE)
     theta = [size[p.name] / problem.scales.value(p, ELBOW) for p in term.parameters]
     return problem, EMPTY.with_term(term, np.array(theta))
 

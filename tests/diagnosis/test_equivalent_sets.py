@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.shared_confidence import share_confidence
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 NOISE, SAMPLE, SECONDS = 2e-4, 0.01, 3.0
@@ -100,7 +100,7 @@ def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Pro
         )
         for k in range(2)
     ]  # fmt: skip
-    simulator = RowSimulator(segments, joints, threads=1)
+    simulator = BatchSimulator(segments, joints, threads=1)
     scales = joint_scales(simulator, nominal_replay(simulator))
     noise = np.full(len(joints), NOISE)
     problem = Problem(simulator, np.arange(2), np.zeros(0, np.int64), noise, scales)
@@ -110,7 +110,7 @@ def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Pro
         replace(s, position=p.position + NOISE * rng.standard_normal(p.position.shape))
         for s, p in zip(segments, simulator.simulate(np.arange(2), values), strict=True)
     ]
-    simulator = RowSimulator(measured, joints, threads=1)
+    simulator = BatchSimulator(measured, joints, threads=1)
     out = Problem(simulator, np.arange(2), np.zeros(0, np.int64), noise, scales)
     out.refine_at(EMPTY)
     return out

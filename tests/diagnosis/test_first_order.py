@@ -40,7 +40,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, nominal_replay
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 Hidden = Mapping[Term, Mapping[str, float]]
@@ -202,7 +202,7 @@ def moved(segment: Segment, joints: tuple[str, ...], hidden: Hidden) -> FloatArr
         for name, value in own.items():
             column = slice(None) if term.joint < 0 else term.joint
             values[term.effect][name][:, column] = value
-    simulator = RowSimulator([segment], joints, threads=1)
+    simulator = BatchSimulator([segment], joints, threads=1)
     return simulator.simulate(np.array([0]), values)[0].position
 
 
@@ -232,7 +232,7 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
                 replace(segment, start=float(start), time=time[inside], position=position[inside],
                         initial_position=q, initial_velocity=v, history=(time, smooth, speed))
             )  # fmt: skip
-    simulator = RowSimulator(segments, joints, threads=1)
+    simulator = BatchSimulator(segments, joints, threads=1)
     scales = joint_scales(simulator, nominal_replay(simulator))
     noise = np.full(len(joints), NOISE)
     problem = Problem(simulator, np.arange(len(segments)), np.zeros(0, np.int64), noise, scales)
@@ -391,7 +391,7 @@ def slide(limit: float, push: float) -> tuple[MeasuredTrajectory, LinearizedDyna
     force = {"effort": push, "start": -1.0, "duration": 1e3}
     hidden = {Term("external_force", 0): force} if push else {}
     segment = replace(segment, position=moved(segment, ("j",), hidden))
-    simulator = RowSimulator([segment], ("j",), threads=1)
+    simulator = BatchSimulator([segment], ("j",), threads=1)
     scales = joint_scales(simulator, nominal_replay(simulator))
     problem = Problem(simulator, np.array([0]), np.zeros(0, np.int64), np.full(1, 1e-6), scales)
     motion = measured_trajectory(problem, EMPTY, problem.fit)
@@ -516,7 +516,7 @@ def test_every_hidden_effect_is_of_the_catalogue() -> None:
 )
 def test_what_is_followed_is_what_is_predicted(mode: str, term: Term, rough: bool) -> None:
     problem = problem_of(mode, {})
-    problem.refined = RowSimulator(
+    problem.refined = BatchSimulator(
         problem.simulator.segments, problem.joints, threads=1, refine=REFINE
     )
     hypothesis = EMPTY.with_term(term, np.array([p.starts[0] for p in term.parameters]))

@@ -11,7 +11,7 @@ import pytest
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.free_initial_state import FreeInitialStates, free_initial_states
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 JOINTS = ("wheel",)
@@ -52,7 +52,7 @@ def resting(seconds: float = SECONDS) -> Segment:
 
 def position(segment: Segment, hypothesis: Hypothesis) -> FloatArray:
     values = effect_values([hypothesis], 1, SCALES)
-    return RowSimulator([segment], JOINTS, threads=1).simulate(np.array([0]), values)[0].position
+    return BatchSimulator([segment], JOINTS, threads=1).simulate(np.array([0]), values)[0].position
 
 
 def test_a_link_follows_its_motor_to_where_that_starts() -> None:
@@ -135,7 +135,7 @@ def test_a_motor_starts_within_a_few_stretches_of_its_gear() -> None:
 
 def test_play_counts_by_half_of_it_and_position_servos_hold_their_motors() -> None:
     segment = resting(0.5)
-    simulator = RowSimulator([segment], JOINTS, threads=1)
+    simulator = BatchSimulator([segment], JOINTS, threads=1)
     stretch = simulator.gear_stretch(
         np.array([0]), effect_values([PLAY], 1, SCALES), np.full(1, EFFORT)
     )

@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.locate import motions
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.windows import segments_of
-from pytest_twin.effects.roll_in import LEAD
+from pytest_twin.effects.memory_warmup import LEAD
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.realization import Realization, load

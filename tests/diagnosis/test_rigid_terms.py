@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.row_models import RowModels, Rows
+from pytest_twin.effects.batch_models import BatchModels, Rows
 
 UPPER_ARM = 0.3
 """m from the shoulder to the elbow."""
@@ -77,13 +77,13 @@ def test_a_variant_of_the_bodies_is_written_once_for_its_whole_motion(
     values = effect_values(loads, len(problem.joints), problem.scales)
     effects = [(catalogue()[e], v) for e, v in values.items()]
     written: list[int] = []
-    write = RowModels.written
+    write = BatchModels.written
 
-    def counted(self: RowModels, rows: Any, *args: Any, **named: Any) -> Rows:
+    def counted(self: BatchModels, rows: Any, *args: Any, **named: Any) -> Rows:
         written.append(len(rows))
         return write(self, rows, *args, **named)
 
-    monkeypatch.setattr(RowModels, "written", counted)
+    monkeypatch.setattr(BatchModels, "written", counted)
     found = rigid_terms(problem.simulator, motion, effects, len(loads))
     assert len(found[0].at) > 100
     assert written == [len(loads)]

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.contact_geoms import contact_geoms, scaled_solref
-from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 
 ARM = """\
@@ -71,7 +71,7 @@ def gap(
         for e, parameters in effects.items()
     }
     measured = alone(by_hand)
-    simulator = RowSimulator([segment(model, measured)], JOINTS, threads=1)
+    simulator = BatchSimulator([segment(model, measured)], JOINTS, threads=1)
     nominal, changed = simulator.simulate(np.zeros(2, dtype=np.int64), values)
     assert np.abs(nominal.position - alone(model)).max() < 1e-9
     assert np.abs(changed.position - nominal.position).max() > 1e-3, "the effect does nothing here"
@@ -142,7 +142,7 @@ def test_no_friction_is_less_than_none() -> None:
     smooth = build(floor='friction="0"', robot='friction="0"')
     measured = alone(smooth)
     found = [
-        RowSimulator([segment(model, measured)], JOINTS, threads=1)
+        BatchSimulator([segment(model, measured)], JOINTS, threads=1)
         .simulate(np.zeros(1, dtype=np.int64), effects)[0]
         .position
         for model, effects in (

@@ -8,7 +8,7 @@ import pytest
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 STEP, INERTIA, DAMPING = 0.001, 0.01, 0.05
@@ -35,7 +35,7 @@ def moved(effort: FloatArray, effects: dict[str, dict[str, float]], mass: float)
         command_time=time, command=effort[:, None],
         initial_position=np.zeros(1), initial_velocity=np.zeros(1),
     )  # fmt: skip
-    simulator = RowSimulator([segment], ("j",), threads=1)
+    simulator = BatchSimulator([segment], ("j",), threads=1)
     rows = {e: {n: np.full((1, 1), x) for n, x in v.items()} for e, v in effects.items()}
     return simulator.simulate(np.array([0]), rows)[0].velocity[:, 0]
 

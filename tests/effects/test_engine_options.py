@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.engine_options import disable_unused_features
-from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 
 ARM = """\
@@ -90,5 +90,5 @@ def test_the_clock_of_the_engine_is_never_replaced(monkeypatch: pytest.MonkeyPat
     segment = Segment(
         0, arm(), "position", 0.0, time, still, None, None, time[:1], still[:1], still[0], still[0]
     )
-    RowSimulator([segment], ("a",), threads=1).simulate(np.array([0]), {})
+    BatchSimulator([segment], ("a",), threads=1).simulate(np.array([0]), {})
     assert replaced == [False]

@@ -8,7 +8,7 @@ import pytest
 
 from pytest_twin.diagnosis.problem import joint_scales, nominal_replay
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 JOINTS = ("lift", "bend", "turn")
@@ -39,7 +39,7 @@ def arm(last: str, load: str = "", turned: str = "1 0 0 0") -> mujoco.MjModel:
 TOWARDS_X = "0.70710678 0 0.70710678 0"
 
 
-def simulator(model: mujoco.MjModel) -> RowSimulator:
+def simulator(model: mujoco.MjModel) -> BatchSimulator:
     time = np.arange(0.0, 1.0, 0.01)
     command = 0.2 * np.sin(np.outer(time, [5.0, 7.0, 9.0]))
     still = np.zeros((len(time), 3))
@@ -48,7 +48,7 @@ def simulator(model: mujoco.MjModel) -> RowSimulator:
         time=time, position=still, velocity=None, effort=None, initial_position=np.zeros(3),
         initial_velocity=np.zeros(3),
     )  # fmt: skip
-    return RowSimulator([segment], JOINTS, threads=1)
+    return BatchSimulator([segment], JOINTS, threads=1)
 
 
 @pytest.mark.parametrize("flange", [FLANGE, POINT], ids=["behind", "point"])

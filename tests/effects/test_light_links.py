@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.motor_side import Gear
-from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.effects.segment import Segment
 
 JOINTS = ("base", "middle", "tip")
@@ -68,7 +68,7 @@ def moved(effect: str, values: dict[str, float], refine: int) -> FloatArray:
         position=np.zeros((len(time), 3)), velocity=None, effort=None, command_time=time,
         command=command, initial_position=np.array([0.0, 1.2, 0.5]), initial_velocity=np.zeros(3),
     )  # fmt: skip
-    simulator = RowSimulator([segment], JOINTS, threads=1, refine=refine)
+    simulator = BatchSimulator([segment], JOINTS, threads=1, refine=refine)
     there = {effect: {n: np.array([[v, 0.0, 0.0]]) for n, v in values.items()}}
     found: FloatArray = simulator.simulate(np.array([0]), there)[0].position[:, 0]
     return found

@@ -9,7 +9,7 @@ import pytest
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term, effect_values
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 
 KP, MASS, LENGTH, ARMATURE, STEP = 1.5, 0.5, 0.1, 0.001, 0.001
@@ -41,7 +41,7 @@ def swing(
     theta = np.array([values[t.effect][p.name] for t in terms for p in t.parameters])
     scales = Scales({p.reference: np.ones(1) for t in terms for p in t.parameters})
     rows = effect_values([Hypothesis(terms, theta)], 1, scales)
-    return RowSimulator([segment], ("j",), threads=1).simulate(np.array([0]), rows)[0]
+    return BatchSimulator([segment], ("j",), threads=1).simulate(np.array([0]), rows)[0]
 
 
 def reference(

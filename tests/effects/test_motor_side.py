@@ -13,7 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 STEP, SECONDS = 0.00025, 1.5
@@ -91,7 +91,7 @@ def simulated(law: str, mode: str, command: Callable[[float], float]) -> tuple[F
     if law in LAWS:
         hidden[law] = dict(LAWS[law])
     values = {e: {k: np.full((1, 1), v) for k, v in p.items()} for e, p in hidden.items()}
-    found = RowSimulator([segment], ("j",), threads=1).simulate(np.array([0]), values)[0]
+    found = BatchSimulator([segment], ("j",), threads=1).simulate(np.array([0]), values)[0]
     return found.position[:, 0], found.effort[:, 0]
 
 

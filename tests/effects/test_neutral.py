@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pytest_twin.effects import Effect, catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 
 JOINTS = ("swing", "slide", "wrist")
@@ -49,7 +49,7 @@ def segment(coldness: float) -> Segment:
     )  # fmt: skip
 
 
-SIMULATOR = RowSimulator([segment(1.0), segment(0.0)], JOINTS, threads=1)
+SIMULATOR = BatchSimulator([segment(1.0), segment(0.0)], JOINTS, threads=1)
 
 
 def beside(effect: Effect | None, shape: float = 0.0, trial: int = 0) -> list[Predicted]:

@@ -14,7 +14,7 @@ import pytest
 from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.replay import fixed_values
 from pytest_twin.diagnosis.windows import segments_of
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 from pytest_twin.formats.mcap import JointSeries, Recording, read_recording
 from pytest_twin.realization import load
@@ -67,7 +67,7 @@ def gap(model: mujoco.MjModel, trial: Trial) -> tuple[float, float, float]:
         command_time=trial.command_time, command=command,
         initial_position=trial.position[0], initial_velocity=velocity,
     )  # fmt: skip
-    rows = RowSimulator([segment], trial.joints, threads=1).simulate(np.array([0]), {})[0]
+    rows = BatchSimulator([segment], trial.joints, threads=1).simulate(np.array([0]), {})[0]
     moved = replayed.position - trial.position[0]
     return (
         float(np.abs(rows.position - replayed.position).max()),
@@ -147,14 +147,14 @@ def test_what_no_recording_says_anything_of_is_the_same_for_both(tmp_path: Path)
     joints, commanded = GRIPPER_JOINTS, ("lift", "finger")
     trial = gripper_trial(time, commanded, sent)
     (segment,) = segments_of(realization, trial, 0, joints)
-    (rows,) = RowSimulator([segment], joints, threads=1).simulate(np.array([0]), {})
+    (rows,) = BatchSimulator([segment], joints, threads=1).simulate(np.array([0]), {})
     replayed = replay(realization, [trial], threads=1)[0]
     assert np.ptp(replayed.position[:, 0]) > 0.1
     assert np.abs(rows.position - replayed.position).max() < 1e-9
     assert np.abs(replayed.position[:, 1] - 0.3).max() < 0.1, "the wrist is held"
     # Told nothing of the rest of the model, a row moves otherwise.
     bare = replace(segment, unrecorded=None)
-    (other,) = RowSimulator([bare], joints, threads=1).simulate(np.array([0]), {})
+    (other,) = BatchSimulator([bare], joints, threads=1).simulate(np.array([0]), {})
     assert np.abs(other.position - replayed.position)[:, 1].max() > 0.1
     assert np.abs(other.position - replayed.position)[:, 2].max() > 1e-4
 
@@ -196,14 +196,14 @@ def test_actuators_that_remember_start_as_in_a_replay(tmp_path: Path, drives: st
     (segment,) = segments_of(realization, trial, 0, joints)
     model = dry_friction_as_rows(segment.model, joints)
     replayed = replay_rows([Row(trial, model)], threads=1)[0].position
-    (found,) = RowSimulator([segment], joints, threads=1).simulate(np.array([0]), {})
+    (found,) = BatchSimulator([segment], joints, threads=1).simulate(np.array([0]), {})
     assert np.ptp(replayed, axis=0).min() > 0.05
     assert np.abs(found.position - replayed).max() < 1e-9
     # A line of so many steps is too short for finer ones: it is stepped as an effect.
     stepped = segments_of(without_delays(realization), trial, 0, joints)
     fixed = fixed_values(stepped_beside(realization, None), joints, 1)
     coarse, fine = (
-        RowSimulator(stepped, joints, threads=1, refine=refine, fixed=fixed)
+        BatchSimulator(stepped, joints, threads=1, refine=refine, fixed=fixed)
         .simulate(np.array([0]), {})[0]
         .position
         for refine in (1, 4)
@@ -220,7 +220,7 @@ def test_a_joint_that_some_recordings_command_is_held_in_the_others(tmp_path: Pa
     joints = GRIPPER_JOINTS
     trials = [gripper_trial(time, joints, sent), gripper_trial(time, ("lift",), sent[:, :1])]
     segments = [segments_of(realization, t, i, joints)[0] for i, t in enumerate(trials)]
-    rows = RowSimulator(segments, joints, threads=1).simulate(np.arange(2), {})
+    rows = BatchSimulator(segments, joints, threads=1).simulate(np.arange(2), {})
     for found, t in zip(rows, trials, strict=True):
         replayed = replay(realization, [t], threads=1)[0]
         assert np.abs(found.position - replayed.position).max() < 1e-9

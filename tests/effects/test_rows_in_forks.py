@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_twin.effects import catalogue, parts
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects import batch_division, catalogue
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from tests.effects.test_contact_rows import JOINTS, build, segment
 
 LAWS = (
@@ -21,7 +21,7 @@ LAWS = (
 
 def test_rows_of_many_laws_move_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     """But for what the solver of contacts leaves: laws of other rows add zeros to a row."""
-    monkeypatch.setattr(parts, "_FORK", 0.0)
+    monkeypatch.setattr(batch_division, "_FORK", 0.0)
     segments = [segment(build())] * 3
     count = 3 * (len(LAWS) + 1)
     values = {}
@@ -35,7 +35,7 @@ def test_rows_of_many_laws_move_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.tile(np.arange(3), len(LAWS) + 1)
     found = []
     for cores in (1, 2, 3):
-        simulator = RowSimulator(segments, JOINTS, threads=cores)
+        simulator = BatchSimulator(segments, JOINTS, threads=cores)
         found.append(simulator.simulate(rows, values))
         assert simulator.stepped == count * simulator.steps[0]
     for each in zip(*found, strict=True):

@@ -8,7 +8,7 @@ import pytest
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 KP, KV, MASS, LENGTH, STEP = 20.0, 1.0, 0.5, 0.2, 0.001
@@ -41,7 +41,7 @@ def test_a_servo_regulates_its_own_reading(in_loop: float) -> None:
     drive = f'<position joint="j" kp="{KP}" kv="{KV}"/>'
     held = segment("position", drive, STEP * np.arange(5000), np.full(5000, target), 0.0)
     values = {"encoder_bias": {"bias": np.full((1, 1), BIAS), "in_loop": np.full((1, 1), in_loop)}}
-    reading = RowSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
+    reading = BatchSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
     # Statics: kp (target - q - in_loop bias) = weight sin(q), and the encoder reads q + bias.
     q = target
     for _ in range(60):
@@ -56,7 +56,7 @@ def test_an_eccentric_wheel_may_have_been_set_to_zero(zeroed: float) -> None:
     wheel = {"sine": 0.03, "cosine": 0.02, "zeroed": zeroed}
     values = {"encoder_eccentricity": {n: np.full((1, 1), v) for n, v in wheel.items()}}
     # It starts from what was read, 0: where the joint is, is the inverse of the reading.
-    reading = RowSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
+    reading = BatchSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
     assert reading[0].position[0, 0] == pytest.approx(0.0, abs=1e-9)
     assert bool(np.abs(reading[0].position[1:]).max() > 1e-6) is (zeroed == 0.0)
 
@@ -68,7 +68,7 @@ def test_a_window_of_late_readings_starts_before_its_stamp() -> None:
     command = np.where(np.arange(1000) < 450, 0.0, 2.0)
     window = segment("effort", '<motor joint="j"/>', time, command, start)
     late = {"sensor_delay": {"delay": np.full((1, 1), delay)}}
-    found = RowSimulator([window], ("j",), threads=1).simulate(np.array([0]), late)[0].position
+    found = BatchSimulator([window], ("j",), threads=1).simulate(np.array([0]), late)[0].position
     moved = time[np.flatnonzero(np.abs(found[:, 0]) > 1e-7)[0]]
     # At rest at its first reading, it is seen to leave a delay after the command of 0.45 s.
     assert moved == pytest.approx(0.45 + delay, abs=2.5 * STEP)
@@ -118,7 +118,7 @@ def test_a_reading_is_counted_then_scaled_then_has_its_zero_set() -> None:
         "effort_scale": {"scale_error": 0.3},
     }
     values = {e: {n: np.full((1, 1), v) for n, v in vs.items()} for e, vs in told.items()}
-    (read,) = RowSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
+    (read,) = BatchSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
     q = 0.8
     for _ in range(60):
         q = 0.8 - WEIGHT * np.sin(q) / KP

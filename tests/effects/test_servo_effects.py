@@ -8,7 +8,7 @@ import pytest
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 KP, KV, LIMIT, MASS, LENGTH, ARMATURE = 6.0, 0.3, 3.0, 0.5, 0.1, 0.005
@@ -47,7 +47,7 @@ def moved(
         command_time=stamps, command=command[:, None] * (1.0 if servo == "position" else 4.0),
         initial_position=np.full(1, start), initial_velocity=np.zeros(1), moving=moving,
     )  # fmt: skip
-    simulator = RowSimulator([segment], ("j",), threads=1, refine=refine)
+    simulator = BatchSimulator([segment], ("j",), threads=1, refine=refine)
     rows = {effect: {n: np.full((1, 1), v) for n, v in values.items()}} if values else {}
     return simulator.simulate(np.array([0]), rows)[0].position[:, 0]
 

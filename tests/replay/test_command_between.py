@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from replay_trials import ARM, model, recording, series, slider
 
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 from pytest_twin.errors import RecordingError
 from pytest_twin.recording_options import CommandBetween, RecordingOptions
@@ -115,13 +115,13 @@ def test_the_diagnosis_is_commanded_as_the_replay(between: CommandBetween) -> No
         command=asked.value, initial_position=np.zeros(2), initial_velocity=np.zeros(2),
         moving=asked.linear,
     )  # fmt: skip
-    rows = RowSimulator([segment], trial.joints, threads=1)
+    rows = BatchSimulator([segment], trial.joints, threads=1)
     found = rows.simulate(np.array([0]), {})[0]
     (replayed,) = replay_rows([Row(trial, arm)], threads=1)
     assert np.abs(found.position - replayed.position).max() < 1e-9
     # A delay of whole steps shifts what was commanded, and nothing else.
     late = replace(segment, command_time=asked.time + 0.02)
-    (delayed,) = RowSimulator([late], trial.joints, threads=1).simulate(np.array([0]), {})
+    (delayed,) = BatchSimulator([late], trial.joints, threads=1).simulate(np.array([0]), {})
     by_effect = rows.simulate(np.array([0]), {"command_delay": {"delay": np.full((1, 2), 0.02)}})
     assert np.abs(by_effect[0].position - delayed.position).max() < 1e-9
 

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
 from pytest_twin.diagnosis.first_order.rigid_terms import Rigid, upsampled
-from pytest_twin.effects.acting import ActiveEffects, hooks_between_steps, there
+from pytest_twin.effects.active_effects import ActiveEffects, acts_at, hooks_between_steps
 from pytest_twin.effects.base import ModelFields, World, moving_apart
-from pytest_twin.effects.roll_in import act
-from pytest_twin.effects.row_models import OF_ROWS
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_models import OF_ROWS
+from pytest_twin.effects.batch_simulator import BatchSimulator
+from pytest_twin.effects.memory_warmup import run_hooks
 
 _TIP = 1e-4
 """rad or m, that a position is moved to see how a force changes with it."""
@@ -126,7 +126,7 @@ class _Joint:
 class LawForces:
     """Evaluates laws along one motion."""
 
-    def __init__(self, simulator: RowSimulator, along: MeasuredTrajectory, rigid: Rigid) -> None:
+    def __init__(self, simulator: BatchSimulator, along: MeasuredTrajectory, rigid: Rigid) -> None:
         self.simulator = simulator
         self.along = along
         samples = along.position.shape[1]
@@ -187,7 +187,7 @@ class LawForces:
         coupled = np.zeros(len(which), dtype=bool)
         for effect, v in effects:
             if effect.reads_other_joints:
-                coupled |= there(effect, v).any(axis=1)
+                coupled |= acts_at(effect, v).any(axis=1)
         coupled &= which.any(axis=1)
         together = np.where(coupled, pace.max(axis=1), -1)
         alone = np.where(which & ~coupled[:, None], pace, -1)
@@ -203,7 +203,7 @@ class LawForces:
     def _of_lanes(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> Forces:
         along = self.along
         active = [(e, {n: lanes.of_copy(x) for n, x in v.items()}) for e, v in effects]
-        each = [(e, v) for e, v in active if there(e, v).any()]
+        each = [(e, v) for e, v in active if acts_at(e, v).any()]
         world = self._world(lanes)
         joint = self._joint(each, world, lanes)
         for effect, v in each:
@@ -297,7 +297,7 @@ class LawForces:
         world.load = flat(self.load)
         world.setpoint = held.reshape(-1, columns)
         world.applied = wide.constant - wide.spring * (world.position - wide.rest)
-        act(
+        run_hooks(
             world,
             hooks_between_steps([(e, {n: spread(x) for n, x in v.items()}) for e, v in effects]),
         )
@@ -327,7 +327,7 @@ class LawForces:
         start = along.time[lanes.segment, 0]
         hooks = hooks_between_steps(effects)
         world.time, world.load = start, motion[2][0]
-        self.simulator.roll_in(world, along.segments[lanes.segment], effects, lanes.joint)
+        self.simulator.warm_up(world, along.segments[lanes.segment], effects, lanes.joint)
         bounds = world.lower, world.upper, world.friction_level
         # Commands are means over a step, so the motion is taken in its middle; the motor behind a
         # gear starts each step with the link, as it does when it is simulated.
@@ -353,7 +353,7 @@ class LawForces:
                 world.position, world.velocity = position[i], velocity[i]
                 world.load, world.setpoint, world.applied = load[i], held[k], applied[i]
                 world.lower, world.upper, world.friction_level = bounds
-                act(world, hooks)
+                run_hooks(world, hooks)
                 drive[i], level[i] = world.delivered, world.friction_level
             found = self._closed(
                 joint, velocity, acceleration, required, drive[:steps], applied,
@@ -400,7 +400,7 @@ def _slipping(velocity: FloatArray, slip_velocity: FloatArray) -> tuple[FloatArr
 
 
 def force_slopes(
-    simulator: RowSimulator, along: MeasuredTrajectory, rigid: Rigid, effects: ActiveEffects
+    simulator: BatchSimulator, along: MeasuredTrajectory, rigid: Rigid, effects: ActiveEffects
 ) -> tuple[FloatArray, FloatArray]:
     """How fast forces that depend on the state alone (drag, cogging) fall with it.
 
@@ -441,7 +441,7 @@ def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
     for effect, v in effects:
         if effect.remembers:
             mine = _STEPS if effect.overrides("gear") else _SAMPLES
-            out = np.maximum(out, np.where(there(effect, v), mine, _AT_ONCE))
+            out = np.maximum(out, np.where(acts_at(effect, v), mine, _AT_ONCE))
     return out
 
 
@@ -452,14 +452,14 @@ def _unlike(
     out = np.zeros(shape, dtype=bool)
     held = {e.id: v for e, v in own}
     for effect, v in effects:
-        acts = there(effect, v)
+        acts = acts_at(effect, v)
         mine = held.pop(effect.id, None)
         if mine is None:
             out |= acts
         else:
             changed = np.any([x != mine[n] for n, x in v.items()], axis=0)
-            out |= changed & (acts | there(effect, mine))
+            out |= changed & (acts | acts_at(effect, mine))
     for effect, _ in own:
         if effect.id in held:
-            out |= there(effect, held[effect.id])
+            out |= acts_at(effect, held[effect.id])
     return out

@@ -17,8 +17,8 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.law_forces import Forces
 from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
 from pytest_twin.diagnosis.first_order.rigid_terms import slopes, upsampled
-from pytest_twin.effects.acting import ActiveEffects
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.active_effects import ActiveEffects
+from pytest_twin.effects.batch_simulator import BatchSimulator
 
 _HELD = 1e4
 _IN_CACHE = 50_000
@@ -104,7 +104,7 @@ def _held(force: FloatArray) -> FloatArray:
 
 
 def linearized_dynamics(
-    simulator: RowSimulator,
+    simulator: BatchSimulator,
     along: MeasuredTrajectory,
     effects: ActiveEffects,
     measured: Forces,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
 from pytest_twin.effects.base import Effect, ModelFields, Values
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.rigid_body import InertialParameters, Payload
-from pytest_twin.effects.rows import RowSimulator
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 from pytest_twin.realization.quiet import quiet
@@ -59,7 +59,7 @@ def coarse(along: MeasuredTrajectory) -> NDArray[np.int64]:
 
 
 def rigid_terms(
-    simulator: RowSimulator,
+    simulator: BatchSimulator,
     along: MeasuredTrajectory,
     effects: Sequence[tuple[Effect, Values]] = (),
     copies: int = 1,
@@ -122,7 +122,7 @@ def rigid_terms(
 
 
 def slopes(
-    simulator: RowSimulator, along: MeasuredTrajectory, effects: Sequence[tuple[Effect, Values]]
+    simulator: BatchSimulator, along: MeasuredTrajectory, effects: Sequence[tuple[Effect, Values]]
 ) -> tuple[Rigid, FloatArray, FloatArray]:
     """Terms midway between measured and predicted motion, and their effort's derivatives.
 
@@ -215,7 +215,7 @@ class Efforts:
     motors is as the model has it: that is a law of theirs.
     """
 
-    def __init__(self, simulator: RowSimulator, along: MeasuredTrajectory) -> None:
+    def __init__(self, simulator: BatchSimulator, along: MeasuredTrajectory) -> None:
         """Along a motion of the segments of ``simulator``."""
         self._simulator = simulator
         self._along = along
@@ -313,7 +313,7 @@ def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatA
     return out
 
 
-def _full_mass(simulator: RowSimulator, packed: FloatArray) -> FloatArray:
+def _full_mass(simulator: BatchSimulator, packed: FloatArray) -> FloatArray:
     """(..., joints, joints) of MuJoCo's lower triangle in compressed rows."""
     model = simulator.segments[0].model
     of = np.full(model.nv, -1)

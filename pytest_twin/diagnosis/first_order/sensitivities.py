@@ -44,7 +44,12 @@ from pytest_twin.diagnosis.free_initial_state import (
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.acting import BETWEEN_STEPS, ActiveEffects, in_turn, with_fixed
+from pytest_twin.effects.active_effects import (
+    BETWEEN_STEPS,
+    ActiveEffects,
+    in_reading_order,
+    with_fixed,
+)
 from pytest_twin.effects.base import Effect, Values
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
@@ -252,7 +257,7 @@ class Linear:
             effect_values([hypothesis], joints, problem.scales), self.simulator.fixed, 1
         )
         self.along: MeasuredTrajectory = measured_trajectory(problem, hypothesis, segments)
-        active = in_turn(self.own)
+        active = in_reading_order(self.own)
         self.rigid: Rigid = rigid_terms(self.simulator, self.along, active)[0]
         self.efforts = Efforts(self.simulator, self.along)
         (self.own_effort,) = self.efforts.of(active, 1)
@@ -356,11 +361,11 @@ class Linear:
         rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
         values = self._values(effect, rows, terms)
         everything = {**self._wide(len(rows)), effect.id: values}
-        active = in_turn(everything)
+        active = in_reading_order(everything)
         joints = len(self.problem.joints)
         added = None
         if effect.overrides(*_IN_FORCES):
-            added = self.laws.changes(active, len(rows), in_turn(self.own), self.base)
+            added = self.laws.changes(active, len(rows), in_reading_order(self.own), self.base)
         heavy = changes_bodies(effect, values, joints)
         masses: dict[int, list[FloatArray]] = {}
         if heavy:
@@ -416,7 +421,7 @@ class Linear:
         each = [self._values(effect, rows, [term]) for term in terms]
         values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
         copies = len(rows) * len(terms)
-        active = in_turn({**self._wide(copies), effect.id: values})
+        active = in_reading_order({**self._wide(copies), effect.id: values})
         efforts = self.efforts.of(active, copies)
         forces = [-upsampled(e - self.own_effort, self.rigid.at, samples) for e in efforts]
         return {
@@ -472,7 +477,9 @@ class Linear:
         """
         effort, stamps = self.along.effort[i], self.simulator.segments[self.segments[i]].time
         own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
-        own = self.simulator.taken(self.segments[i : i + 1], own, _sensing(in_turn(self.own)))[0]
+        own = self.simulator.taken(
+            self.segments[i : i + 1], own, _sensing(in_reading_order(self.own))
+        )[0]
         return np.stack(
             [np.interp(taken[:, j], own[:, j], effort[:, j]) for j in range(effort.shape[1])],
             axis=1,
@@ -486,7 +493,7 @@ class Linear:
         values = effect_values(hypotheses, joints, self.problem.scales)
         self.efforts.know(
             [
-                (e, v) for e, v in in_turn(values)
+                (e, v) for e, v in in_reading_order(values)
                 if changes_bodies(e, v, joints) and not tilts(e, v, joints)
             ],
             len(hypotheses),
@@ -502,10 +509,10 @@ class Linear:
         values = with_fixed(
             effect_values(hypotheses, joints, self.problem.scales), self.simulator.fixed, copies
         )
-        active = in_turn(values)
-        total, drive = self.laws.changes(active, copies, in_turn(self.own), self.base)
+        active = in_reading_order(values)
+        total, drive = self.laws.changes(active, copies, in_reading_order(self.own), self.base)
         columns = [Column(total[k], drive[k]) for k in range(copies)]
-        if any(changes_bodies(e, v, joints) for e, v in (*active, *in_turn(self.own))):
+        if any(changes_bodies(e, v, joints) for e, v in (*active, *in_reading_order(self.own))):
             samples = self.along.position.shape[1]
             efforts = self.efforts.of(active, copies)
             for column, effort in zip(columns, efforts, strict=True):
@@ -513,7 +520,7 @@ class Linear:
                 column.force = column.force - upsampled(
                     effort - self.own_effort, self.rigid.at, samples
                 )
-        base_reading, base_start = self._read_off(_sensing(in_turn(self.own)), 0)
+        base_reading, base_start = self._read_off(_sensing(in_reading_order(self.own)), 0)
         sensing, known = _sensing(active), dict[bytes, tuple[FloatArray, FloatArray]]()
         for k, column in enumerate(columns):
             # Few hypotheses differ in what they make of a reading.

@@ -16,8 +16,8 @@ from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
 from pytest_twin.diagnosis.temperature import coldness_in
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.active_effects import EffectValues
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError, SimulationError
 from pytest_twin.realization import Realization
@@ -146,7 +146,7 @@ def _predict(segment: Segment, patched: Patched, values: EffectValues, threads: 
     """
 
     def stepped(refine: int) -> Predicted:
-        simulator = RowSimulator([segment], patched.joints, threads=threads, refine=refine)
+        simulator = BatchSimulator([segment], patched.joints, threads=threads, refine=refine)
         return simulator.simulate(np.zeros(1, dtype=np.int64), values)[0]
 
     if patched.substeps:

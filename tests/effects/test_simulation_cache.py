@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_twin.effects.acting import EffectValues
-from pytest_twin.effects.known_rows import KnownRows, row_keys
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.active_effects import EffectValues
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted
+from pytest_twin.effects.simulation_cache import SimulationCache, row_keys
 from tests.effects.test_contact_rows import JOINTS, build, segment
 
 
@@ -21,13 +21,13 @@ def damped(*coefficients: float) -> EffectValues:
 
 
 @pytest.fixture
-def simulator() -> RowSimulator:
+def simulator() -> BatchSimulator:
     """Of two segments that are alike."""
     one = segment(build())
-    return RowSimulator([one, replace(one)], JOINTS, threads=1)
+    return BatchSimulator([one, replace(one)], JOINTS, threads=1)
 
 
-def test_what_was_asked_for_before_is_not_stepped_again(simulator: RowSimulator) -> None:
+def test_what_was_asked_for_before_is_not_stepped_again(simulator: BatchSimulator) -> None:
     rows = np.zeros(3, dtype=np.int64)
     first = simulator.simulate(rows, damped(0.1, 0.2, 0.1))
     once = int(simulator.steps[0])
@@ -36,19 +36,19 @@ def test_what_was_asked_for_before_is_not_stepped_again(simulator: RowSimulator)
     assert (simulator.stepped, simulator.repeated) == (5 * once, 2 * once)
     assert again[0] is first[1]
     assert first[0] is first[2]
-    fresh = RowSimulator(simulator.segments, JOINTS, threads=1).simulate(rows[:1], damped(0.3))
+    fresh = BatchSimulator(simulator.segments, JOINTS, threads=1).simulate(rows[:1], damped(0.3))
     assert np.array_equal(again[1].position, fresh[0].position)
     assert not np.array_equal(again[1].position, again[0].position)
 
 
-def test_an_effect_that_does_nothing_does_not_make_a_row_another(simulator: RowSimulator) -> None:
+def test_an_effect_that_does_nothing_does_not_make_a_row_another(simulator: BatchSimulator) -> None:
     bare = simulator.simulate(np.zeros(1, dtype=np.int64), {})
     damping = simulator.simulate(np.zeros(2, dtype=np.int64), damped(0.0, 0.1))
     assert damping[0] is bare[0]
     assert damping[1] is not bare[0]
 
 
-def test_a_segment_that_starts_elsewhere_is_another(simulator: RowSimulator) -> None:
+def test_a_segment_that_starts_elsewhere_is_another(simulator: BatchSimulator) -> None:
     rows = np.array([0, 1])
     before = simulator.simulate(rows, {})
     shifted = simulator.segments[0].initial_position + 0.01
@@ -77,7 +77,7 @@ def test_effects_and_parameters_cannot_be_mistaken_for_others() -> None:
 def test_room_is_for_what_was_asked_for_last() -> None:
     one = segment(build())
     size = 100
-    known = KnownRows(most_bytes=2 * 3 * 8 * size)
+    known = SimulationCache(most_bytes=2 * 3 * 8 * size)
     for name in (b"a", b"b"):
         known.keep((id(one), name), one, Predicted(*np.ones((3, size, 1))))
     assert known.get((id(one), b"a")) is not None
@@ -86,7 +86,7 @@ def test_room_is_for_what_was_asked_for_last() -> None:
     assert known.get((id(one), b"a")) is not None
 
 
-def test_what_is_known_cannot_be_changed(simulator: RowSimulator) -> None:
+def test_what_is_known_cannot_be_changed(simulator: BatchSimulator) -> None:
     (found,) = simulator.simulate(np.zeros(1, dtype=np.int64), {})
     with pytest.raises(ValueError, match="read-only"):
         found.position += 1.0

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.held_commands import HeldCommands
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
+from pytest_twin.effects.commands_over_steps import CommandsOverSteps
 from pytest_twin.effects.segment import Segment
 
 STEP = 0.01
@@ -29,7 +29,7 @@ def segment(drive: str, sent: list[float], stamps: list[float]) -> Segment:
     )  # fmt: skip
 
 
-def means(held: HeldCommands) -> FloatArray:
+def means(held: CommandsOverSteps) -> FloatArray:
     """Of four steps."""
     none = np.zeros((1, 1))
     return held.means(np.array([0]), none, 4, none.astype(np.int64), STEP)[0, :, 0]
@@ -39,9 +39,9 @@ def test_a_mean_of_what_is_heeded_and_not_what_is_heeded_of_a_mean() -> None:
     """3 and -3, a quarter of a step apart: a drive that heeds 1 gives half of that in the mean."""
     given = segment("", [3.0, -3.0], [0.0, 1.75 * STEP])
     one = np.ones((1, 1))
-    free = HeldCommands([given], STEP, 0.0 * one, -np.inf * one, np.inf * one)
+    free = CommandsOverSteps([given], STEP, 0.0 * one, -np.inf * one, np.inf * one)
     np.testing.assert_allclose(means(free), [3.0, 1.5, -3.0, -3.0])
-    limited = HeldCommands([given], STEP, 0.0 * one, -one, one)
+    limited = CommandsOverSteps([given], STEP, 0.0 * one, -one, one)
     # Whole steps keep their command: a law of the drive may let more of it through.
     np.testing.assert_allclose(means(limited), [3.0, 0.5, -3.0, -3.0])
 
@@ -54,7 +54,7 @@ def test_segments_that_are_commanded_alike_are_told_from_those_that_are_not() ->
     segments = [given, moved, later, other]
     four = np.ones((4, 1))
     least = -four * [[9.0], [9.0], [9.0], [1.0]]
-    held = HeldCommands(segments, STEP, 0.0 * four, least, 9.0 * four)
+    held = CommandsOverSteps(segments, STEP, 0.0 * four, least, 9.0 * four)
     none = np.zeros((4, 1))
     found = held.means(np.arange(4), none, 3, none.astype(np.int64), STEP)[:, :, 0]
     np.testing.assert_allclose(found[0], [3.0, 1.5, -3.0])
@@ -75,7 +75,7 @@ def test_segments_that_are_commanded_alike_are_told_from_those_that_are_not() ->
 )
 def test_what_a_drive_heeds(drive: str, least: float, greatest: float) -> None:
     """Commands are of the joint, N*m; limits in MJCF before the gear."""
-    simulator = RowSimulator([segment(drive, [1.0], [0.0])], ("j",), threads=1)
+    simulator = BatchSimulator([segment(drive, [1.0], [0.0])], ("j",), threads=1)
     found = simulator.models.heeded(np.array([0]))
     np.testing.assert_allclose(np.ravel(found), [least, greatest])
 
@@ -83,7 +83,7 @@ def test_what_a_drive_heeds(drive: str, least: float, greatest: float) -> None:
 def test_a_step_in_which_a_limited_command_turns_moves_as_finer_steps_do() -> None:
     given = segment('ctrlrange="-1 1" ctrllimited="true"', [3.0, -3.0], [0.0, 1.75 * STEP])
     coarse, fine = (
-        RowSimulator([given], ("j",), threads=1, refine=n).simulate(np.array([0]), {})[0]
+        BatchSimulator([given], ("j",), threads=1, refine=n).simulate(np.array([0]), {})[0]
         for n in (1, 100)
     )
     np.testing.assert_allclose(coarse.velocity[2:], fine.velocity[2:], atol=1e-6)

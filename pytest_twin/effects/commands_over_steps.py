@@ -13,7 +13,7 @@ from pytest_twin.effects.segment import Segment
 from pytest_twin.trial.setpoint import Setpoint
 
 
-class HeldCommands:
+class CommandsOverSteps:
     """Means of commands over steps; what was asked for without a delay is kept.
 
     Args:

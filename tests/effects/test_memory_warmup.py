@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.rows import RowSimulator
+from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 STEP, START = 0.001, 0.6
@@ -48,7 +48,7 @@ def whole() -> Segment:
 @pytest.mark.parametrize("law", LAWS)
 def test_a_window_goes_on_where_the_motion_was(law: str) -> None:
     trial = whole()
-    simulator = RowSimulator([trial], ("j",), threads=1)
+    simulator = BatchSimulator([trial], ("j",), threads=1)
     motion = simulator.simulate(np.array([0]), values(law))[0]
     at = round(START / STEP)
     window = replace(
@@ -58,7 +58,7 @@ def test_a_window_goes_on_where_the_motion_was(law: str) -> None:
     )  # fmt: skip
 
     def error(segment: Segment) -> float:
-        found = RowSimulator([segment], ("j",), threads=1).simulate(np.array([0]), values(law))
+        found = BatchSimulator([segment], ("j",), threads=1).simulate(np.array([0]), values(law))
         return float(np.abs(found[0].position - segment.position).max())
 
     moved = float(np.ptp(window.position))
@@ -89,7 +89,7 @@ def test_what_follows_commands_alone_knows_all_that_were_sent(law: str) -> None:
         command_time=np.array([0.0, 0.1, 1.4037]), command=np.array([[0.0], [1.0], [-0.5]]),
         initial_position=np.zeros(1), initial_velocity=np.zeros(1),
     )  # fmt: skip
-    motion = RowSimulator([trial], ("j",), threads=1).simulate(np.array([0]), told)[0]
+    motion = BatchSimulator([trial], ("j",), threads=1).simulate(np.array([0]), told)[0]
     windows = [
         replace(
             trial, start=STEP * at, time=time[at : at + 300], position=motion.position[at:][:300],
@@ -98,7 +98,7 @@ def test_what_follows_commands_alone_knows_all_that_were_sent(law: str) -> None:
         )
         for at in (50, 900, 1500, 2600)
     ]  # fmt: skip
-    cut = RowSimulator(windows, ("j",), threads=1)
+    cut = BatchSimulator(windows, ("j",), threads=1)
     # Rows out of order, and one of another hypothesis among them.
     rows = np.array([3, 0, 1, 2, 3])
     each = {effect: {n: np.repeat(v, 5, axis=0) for n, v in told[effect].items()}}

@@ -13,7 +13,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.acting import BETWEEN_STEPS, any_hook
+from pytest_twin.effects.active_effects import BETWEEN_STEPS, any_hook
 from pytest_twin.effects.base import Effect, ModelFields, Values, World, moving_apart
 from pytest_twin.effects.constraint import hold
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
@@ -86,7 +86,7 @@ class _Batched:
         return [np.array([getattr(m, name) for m in distinct.values()])[index] for name in names]
 
 
-class RowModels:
+class BatchModels:
     """Makes batches of segments under effects.
 
     Args:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.acting import EffectValues, there
+from pytest_twin.effects.active_effects import EffectValues, acts_at
 from pytest_twin.effects.segment import Predicted, Segment
 
 _MOST_BYTES = 256_000_000
@@ -27,7 +27,7 @@ def row_keys(segments: Sequence[Segment], values: EffectValues) -> list[RowKey]:
     count = len(segments)
     parts: list[list[bytes]] = [[] for _ in range(count)]
     for name, given in sorted(values.items()):
-        acts = np.flatnonzero(there(catalogue()[name], given).any(axis=1))
+        acts = np.flatnonzero(acts_at(catalogue()[name], given).any(axis=1))
         if not acts.size:
             continue
         label = name.encode() + b"\0"
@@ -37,7 +37,7 @@ def row_keys(segments: Sequence[Segment], values: EffectValues) -> list[RowKey]:
     return [(id(s), b"".join(own)) for s, own in zip(segments, parts, strict=True)]
 
 
-class KnownRows:
+class SimulationCache:
     """A least-recently-used cache of predictions."""
 
     def __init__(self, most_bytes: int = _MOST_BYTES) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis.extra import numpy as arrays
 
-from pytest_twin.effects.parts import parts, worth_forks
+from pytest_twin.effects.batch_division import divide_rows, worth_forks
 
 _counts = st.integers(1, 60)
 
@@ -18,7 +18,7 @@ def test_every_row_is_in_one_part_with_rows_of_its_length_and_kind(
 ) -> None:
     steps = data.draw(arrays.arrays(np.int64, count, elements=st.integers(1, 9000)))
     acts = data.draw(arrays.arrays(np.bool_, (count, laws)))
-    found = parts(steps, acts, joints, cores)
+    found = divide_rows(steps, acts, joints, cores)
     assert sorted(np.concatenate([p.rows for p in found])) == list(range(count))
     for p in found:
         assert steps[p.rows].max() <= 1.1 * steps[p.rows].min() + 8
@@ -30,28 +30,28 @@ def test_rows_of_the_same_laws_go_to_the_same_core() -> None:
     steps = np.full(80, 6000)
     acts = np.zeros((80, 2), dtype=bool)
     acts[::2, 0] = acts[1::2, 1] = True
-    one, other = parts(steps, acts, 6, 2)
+    one, other = divide_rows(steps, acts, 6, 2)
     assert {len(set((rows % 2).tolist())) for rows in (one.rows, other.rows)} == {1}
     assert worth_forks([one, other])
 
 
 def test_few_rows_that_laws_act_on_are_not_divided() -> None:
     """What is done between steps would be done twice for next to nothing."""
-    assert len(parts(np.full(2, 300), np.ones((2, 1), dtype=bool), 1, 2)) == 1
+    assert len(divide_rows(np.full(2, 300), np.ones((2, 1), dtype=bool), 1, 2)) == 1
 
 
 def test_what_the_engine_does_alone_is_divided_evenly() -> None:
-    found = parts(np.full(100, 5000), np.zeros((100, 0), dtype=bool), 6, 4)
+    found = divide_rows(np.full(100, 5000), np.zeros((100, 0), dtype=bool), 6, 4)
     assert [len(p.rows) for p in found] == [25] * 4
 
 
 def test_no_batch_is_larger_than_memory_bears() -> None:
-    found = parts(np.full(1000, 50), np.zeros((1000, 0), dtype=bool), 6, 1)
+    found = divide_rows(np.full(1000, 50), np.zeros((1000, 0), dtype=bool), 6, 1)
     assert max(len(p.rows) for p in found) == 384
 
 
 def test_of_too_many_rows_those_of_the_same_laws_step_together() -> None:
     acts = np.zeros((1152, 3), dtype=bool)
     acts[np.arange(1152), np.arange(1152) % 3] = True
-    found = parts(np.full(1152, 250), acts, 2, 1)
+    found = divide_rows(np.full(1152, 250), acts, 2, 1)
     assert sorted(np.unique(p.rows % 3).tolist() for p in found) == [[0], [1], [2]]

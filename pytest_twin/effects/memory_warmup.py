@@ -13,8 +13,8 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, Values, World
+from pytest_twin.effects.fast_clip import fast_clip
 from pytest_twin.effects.motor_side import Gear, MotorSide
-from pytest_twin.effects.within import within
 
 LEAD = 0.2
 """Length of the motion before a window in s; transmissions and current loops settle sooner."""
@@ -24,7 +24,7 @@ PATH_STEP = 0.01
 Hooks = Mapping[str, Sequence[tuple[Effect, Values]]]
 
 
-def act(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
+def run_hooks(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
     """Run all hooks of one step.
 
     Args:
@@ -43,13 +43,13 @@ def act(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
         world.motor.meet(world.position, world.velocity)
     for effect, v in hooks["command"]:
         effect.command(world, v)
-    world.setpoint = within(world.setpoint, world.least_setpoint, world.greatest_setpoint)
+    world.setpoint = fast_clip(world.setpoint, world.least_setpoint, world.greatest_setpoint)
     for effect, v in hooks["servo"]:
         effect.servo(world, v)
     native = world.delivered
     if drives or geared:
         law = world.asked(world.motor_position, world.motor_velocity)
-        native = world.delivered = within(law, world.lower, world.upper)
+        native = world.delivered = fast_clip(law, world.lower, world.upper)
     for effect, v in hooks["drive"]:
         effect.drive(world, v)
     for effect, v in hooks["friction"]:
@@ -88,7 +88,9 @@ def _motor_side(world: World, geared: Sequence[tuple[Effect, Values]]) -> MotorS
     )  # fmt: skip
 
 
-def follow(world: World, effects: Sequence[tuple[Effect, Values]], path: FloatArray) -> None:
+def update_fading_memories(
+    world: World, effects: Sequence[tuple[Effect, Values]], path: FloatArray
+) -> None:
     """Bring memories that fade with the distance travelled up to date.
 
     Args:
@@ -106,7 +108,7 @@ def follow(world: World, effects: Sequence[tuple[Effect, Values]], path: FloatAr
         setattr(world, name, value)
 
 
-def roll_in(
+def warm_up(
     world: World, hooks: Hooks, position: FloatArray, velocity: FloatArray, command: FloatArray
 ) -> None:
     """Step effects along the motion before the start of ``world``; only their memory changes.
@@ -125,7 +127,7 @@ def roll_in(
         world.setpoint = command[k].copy()
         world.applied = np.zeros_like(world.applied)
         world.friction_level = kept["friction_level"]
-        act(world, hooks)
+        run_hooks(world, hooks)
         world.lower, world.upper = kept["lower"], kept["upper"]
     for name, value in kept.items():
         setattr(world, name, value)

@@ -29,7 +29,7 @@ def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectVa
             out[effect] = {n: np.repeat(v, rows, axis=0) for n, v in own.items()}
             continue
         parameters = catalogue()[effect].parameters
-        acts = there(catalogue()[effect], own)
+        acts = acts_at(catalogue()[effect], own)
         for p in parameters:
             theirs = out[effect][p.name]
             if p.neutral is not None:
@@ -49,7 +49,7 @@ def hooks_between_steps(
 def between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
     """(rows, effects) whether an effect with a hook between steps acts on a row."""
     laws = [(catalogue()[name], v) for name, v in values.items()]
-    found = [there(e, v).any(axis=1) for e, v in laws if e.overrides(*BETWEEN_STEPS)]
+    found = [acts_at(e, v).any(axis=1) for e, v in laws if e.overrides(*BETWEEN_STEPS)]
     return np.array(found, dtype=bool).reshape(-1, count).T
 
 
@@ -58,18 +58,18 @@ def any_hook(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:
     return any(effect.overrides(*hooks) for effect, _ in effects)
 
 
-def acting(values: EffectValues) -> list[tuple[Effect, Values]]:
+def active_effects(values: EffectValues) -> list[tuple[Effect, Values]]:
     """Effects that act on at least one row, in the order in which they act on a reading."""
-    return [(effect, v) for effect, v in in_turn(values) if there(effect, v).any()]
+    return [(effect, v) for effect, v in in_reading_order(values) if acts_at(effect, v).any()]
 
 
-def in_turn(values: EffectValues) -> list[tuple[Effect, Values]]:
+def in_reading_order(values: EffectValues) -> list[tuple[Effect, Values]]:
     """Effects in the order in which they act on a reading."""
     effects = [(catalogue()[e], v) for e, v in values.items()]
     return sorted(effects, key=lambda each: each[0].hook_order)
 
 
-def there(effect: Effect, values: Values) -> NDArray[np.bool_]:
+def acts_at(effect: Effect, values: Values) -> NDArray[np.bool_]:
     """(rows, joints) where an effect acts: a parameter with a neutral value differs from it."""
     switches = [p for p in effect.parameters if p.neutral is not None]
     found: NDArray[np.bool_] = np.any([values[p.name] != p.neutral for p in switches], axis=0)

@@ -72,7 +72,9 @@ class _Rows:
         return self.divided(few, count // 2) + self.divided(many, count - count // 2)
 
 
-def parts(steps: NDArray[np.int64], laws: NDArray[np.bool_], joints: int, cores: int) -> list[Part]:
+def divide_rows(
+    steps: NDArray[np.int64], laws: NDArray[np.bool_], joints: int, cores: int
+) -> list[Part]:
     """Rows divided into parts, the longest first.
 
     Rows of similar length (10 %) step together, rows without effects between steps apart from the

@@ -15,33 +15,33 @@ from mujoco.batch import SimulationError as BatchError
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.acting import (
+from pytest_twin.effects.active_effects import (
     ActiveEffects,
     EffectValues,
-    acting,
+    active_effects,
+    acts_at,
     between_steps,
     hooks_between_steps,
-    there,
     with_fixed,
 )
 from pytest_twin.effects.base import Effect, Values, World
-from pytest_twin.effects.held_commands import HeldCommands
-from pytest_twin.effects.known_rows import KnownRows, row_keys
+from pytest_twin.effects.batch_division import Part, divide_rows, worth_forks
+from pytest_twin.effects.batch_models import BatchModels, Rows
+from pytest_twin.effects.commands_over_steps import CommandsOverSteps
 from pytest_twin.effects.layout import Layout
-from pytest_twin.effects.parts import Part, parts, worth_forks
-from pytest_twin.effects.roll_in import (
+from pytest_twin.effects.memory_warmup import (
     LEAD,
     PATH_STEP,
     Hooks,
-    act,
-    follow,
     gears,
-    roll_in,
+    run_hooks,
     shift_motors,
+    update_fading_memories,
+    warm_up,
 )
-from pytest_twin.effects.row_models import RowModels, Rows
 from pytest_twin.effects.sampling import behind, sampled, taken
 from pytest_twin.effects.segment import Predicted, Segment
+from pytest_twin.effects.simulation_cache import SimulationCache, row_keys
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
@@ -52,7 +52,7 @@ Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(steps + 1, rows, joints) positions, velocities and efforts."""
 
 
-class RowSimulator:
+class BatchSimulator:
     """Steps segments under effects.
 
     Args:
@@ -81,7 +81,7 @@ class RowSimulator:
         self.layout = Layout(model, self.segments, joints)
         self.refine = refine
         self.timestep = float(model.opt.timestep) / refine
-        self.models = RowModels(self.segments, self.layout, self.timestep, sparing=sparing)
+        self.models = BatchModels(self.segments, self.layout, self.timestep, sparing=sparing)
         self.steps = np.array(
             [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]
         )
@@ -90,10 +90,10 @@ class RowSimulator:
         """Rows times steps that were asked for so far: what the engine alone would have stepped."""
         self.repeated = 0
         """Of these, what had been simulated before."""
-        self._known = KnownRows()
+        self._known = SimulationCache()
         idle = np.array([self._holding(s) for s in self.segments])
         heeded = self.models.heeded(np.arange(len(self.segments)))
-        self._held = HeldCommands(self.segments, self.timestep, idle, *heeded)
+        self._held = CommandsOverSteps(self.segments, self.timestep, idle, *heeded)
 
     def _holding(self, segment: Segment) -> FloatArray:
         """(joints,) commands by which position servos hold what nobody commands; 0 elsewhere."""
@@ -147,11 +147,11 @@ class RowSimulator:
         """
         laws = between_steps(values, len(rows))
         cores = free_cores(self.threads)
-        divided = parts(self.steps[rows], laws, len(self.joints), cores)
+        divided = divide_rows(self.steps[rows], laws, len(self.joints), cores)
 
         def work(part: Part) -> list[Result]:
             mine = rows[part.rows]
-            effects = acting(
+            effects = active_effects(
                 {e: {n: v[part.rows] for n, v in vs.items()} for e, vs in values.items()}
             )
             return read([self.segments[r] for r in mine], effects, self._moved(mine, effects))
@@ -159,7 +159,7 @@ class RowSimulator:
         if not worth_forks(divided):
             cores = 1
         if cores > 1:
-            self.models.warm(rows, acting(values))
+            self.models.warm(rows, active_effects(values))
         each = Forks(cores).map(work, divided)
         found: dict[int, Result] = {}
         for part, results in zip(divided, each, strict=True):
@@ -173,7 +173,7 @@ class RowSimulator:
 
         A row that is shorter than the longest goes on under its last command.
         """
-        effects = acting(with_fixed(values, self.fixed, len(rows)))
+        effects = active_effects(with_fixed(values, self.fixed, len(rows)))
         q, v, _ = self._moved(rows, effects)
         self._count(rows)
         return q, v
@@ -182,7 +182,7 @@ class RowSimulator:
         self, rows: NDArray[np.int64], values: EffectValues
     ) -> tuple[FloatArray, FloatArray, list[Predicted]]:
         """As :meth:`trajectories`, and what is read of them."""
-        effects = acting(with_fixed(values, self.fixed, len(rows)))
+        effects = active_effects(with_fixed(values, self.fixed, len(rows)))
         motion = self._moved(rows, effects)
         self._count(rows)
         segments = [self.segments[r] for r in rows]
@@ -214,7 +214,7 @@ class RowSimulator:
         """(rows, joints) how far (joints,) loads stretch gears that give, with half their play, rad
         or m; 0 where none gives.
         """
-        effects = acting(with_fixed(values, self.fixed, len(rows)))
+        effects = active_effects(with_fixed(values, self.fixed, len(rows)))
         geared = hooks_between_steps(effects)["gear"]
         if not geared:
             return np.zeros((len(rows), len(self.joints)))
@@ -258,7 +258,7 @@ class RowSimulator:
         """When readings with (rows, n, joints) stamps were taken, on the clock of their motion."""
         return taken([self.segments[r] for r in rows], stamps, effects)
 
-    def roll_in(
+    def warm_up(
         self,
         world: World,
         rows: NDArray[np.int64],
@@ -292,15 +292,15 @@ class RowSimulator:
         command = np.moveaxis(self._held.means(rows, late, steps, joints, world.timestep), 1, 0)
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):
-                mine = np.flatnonzero(there(effect, v).any(axis=1))
+                mine = np.flatnonzero(acts_at(effect, v).any(axis=1))
                 values = {n: np.tile(x[mine], (steps, 1)) for n, x in v.items()}
                 read = motion[:, :, mine].reshape(2, -1, joints.shape[1])
                 true = np.array(effect.unsense(read[0], read[1], values))
                 motion[:, :, mine] = true.reshape(2, steps, len(mine), -1)
         far = [(e, v) for e, v in effects if e.remembers_path]
         if far:
-            follow(world, far, self._paths(which)[:, of[:, None], joints])
-        roll_in(world, hooks_between_steps(effects), motion[0], motion[1], command)
+            update_fading_memories(world, far, self._paths(which)[:, of[:, None], joints])
+        warm_up(world, hooks_between_steps(effects), motion[0], motion[1], command)
 
     def _columns(
         self, rows: NDArray[np.int64], joints: NDArray[np.int64] | None
@@ -395,7 +395,7 @@ class RowSimulator:
         batch.forward()
         if _reads_load(hooks):
             world.load = batch.bind("qfrc_bias")[:, at_dof]
-        self.roll_in(world, rows, effects)
+        self.warm_up(world, rows, effects)
         shifts = [self.segments[r].motor_shift for r in rows]
         if hooks["gear"] and any(s is not None for s in shifts):
             none = np.zeros(len(self.joints))
@@ -438,7 +438,7 @@ class RowSimulator:
                 world.friction_level = level
                 world.load = bias[:, at_dof]
             bounds = world.lower, world.upper
-            native = act(world, hooks, drives=asked)
+            native = run_hooks(world, hooks, drives=asked)
             if hooks["servo"]:
                 if written.force_range is not None:
                     self.models.write_bounds(written.force_range, world)
