@@ -38,7 +38,7 @@ STEPPED_IN = {
     "checks/joint_direction.py",
     "checks/limits_bench.py",
     "diagnosis/hidden_state.py",
-    "effects/row_models.py",
+    "effects/batch_models.py",
     "properties/dynamics.py",
     "replay.py",
     "replay_forced.py",
