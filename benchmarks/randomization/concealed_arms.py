@@ -1,6 +1,6 @@
 """Final recordings of arms with concealed parameters, in the envelope that their fits predict.
 
-    python benchmarks/randomization/concealed_arms.py [--arms N] [--draws N]
+    python benchmarks/randomization/concealed_arms.py [--arms N] [--first SEED] [--draws N]
 
 Each arm has random true parameters and a nominal model that is up to 40 % off. It moves under
 random smooth commands with position servos, and logs positions and efforts with noise; the effort's
@@ -129,10 +129,11 @@ def checked(seed: int, folder: Path, draws: int) -> dict | None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arms", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first arm")
     parser.add_argument("--draws", type=int, default=256)
     args = parser.parse_args()
     coverages, verdicts, ratios, factors = [], Counter(), [], []
-    for seed in range(args.arms):
+    for seed in range(args.first, args.first + args.arms):
         with tempfile.TemporaryDirectory() as scratch:
             found = checked(seed, Path(scratch), args.draws)
         if found is None:

@@ -17,7 +17,9 @@ from ranges_files import (
     ARM,
     MEANS,
     NAMES,
+    NOISE,
     STD,
+    TIMESTEP,
     covariance,
     make_twin,
     record,
@@ -26,6 +28,7 @@ from ranges_files import (
 )
 
 from pytest_twin.metrics.envelope import coverage_interval, envelope, inside
+from pytest_twin.ranges.check import assessed, predicted
 from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.ranges.gather import uncertain
 from pytest_twin.ranges.recordings import checked_recordings
@@ -178,3 +181,26 @@ def test_a_tolerance_of_nothing_is_refused(tmp_path: Path, line: str, words: str
     with pytest.raises(Exception, match=words) as error:
         uncertain(twin, load(twin.first_realization.file, twin=twin), None)
     assert "ranges.tolerance.0" in str(error.value)
+
+
+def test_robots_drawn_from_the_record_lie_in_the_envelope_at_the_stated_share(
+    tmp_path: Path,
+) -> None:
+    """Robots of MuJoCo's own, each with two final recordings; 95 % stated."""
+    rng = np.random.default_rng(11)
+    twin = load_twin(make_twin(tmp_path, [record(covariance())]))
+    robot = load(twin.first_realization.file, twin=twin)
+    found = uncertain(twin, robot, None)
+    draws = found.distribution.draws(64, 3)
+    coverages = []
+    for _ in range(6):
+        truth = true_arm(rng.multivariate_normal(MEANS, covariance()))
+        paths = [record_motion(tmp_path / f"{k}.mcap", truth, rng, seconds=1.5) for k in range(2)]
+        final = checked_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
+        fleet = Fleet(robot, None, found.distribution.coordinates, found.bodies, 2**32)
+        noise = dict.fromkeys(("shoulder", "elbow"), NOISE)
+        envelopes = predicted(fleet.simulate(final, draws), noise, 0.95, 0)
+        coverages.append(assessed(envelopes, 0.95)["coverage"])
+        # Every step of every robot counts, and no other.
+        assert fleet.steps == pytest.approx(2 * 64 * 1.5 / TIMESTEP, rel=0.01)
+    assert 0.90 <= np.mean(coverages) <= 0.99, coverages
