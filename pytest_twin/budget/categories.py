@@ -54,12 +54,12 @@ CATEGORIES: tuple[Category, ...] = (
         "delays and offsets between clocks",
         f"{_IDENTIFY} (stage delay), or {_CALIBRATE}, with streams: and estimate: [time_offset]",
         "repeat one path at two speeds: a delay moves the tool in proportion to the speed",
-        ("replay",),
+        ("replay", "sensor_timing"),
     ),
     Category(
         "sensing",
-        "encoder zeros and scales that the motion tells",
-        f"{_IDENTIFY} (stage encoder)",
+        "encoder zeros and scales, biases and couplings of other sensors",
+        f"{_IDENTIFY} (stage encoder; --sensor for force-torque sensors and IMUs)",
         "hold each joint at both ends of its range and compare with an outside measurement",
         ("replay",),
     ),
@@ -167,6 +167,9 @@ def category_of_record(name: str) -> str:
 def category_of_parameter(name: str) -> str:
     """The category of a parameter of an identification: ``JOINT.EFFECT``, or an expression."""
     words = name.split(".")
+    # Of a sensor: wrist.sensor_bias_fx.
+    if any(word.startswith("sensor_") and word not in _OF_EFFECT for word in words[1:]):
+        return "timing" if words[-1] == "sensor_filter_time" else "sensing"
     for word in words[1:]:
         if word in _OF_EFFECT:
             return _OF_EFFECT[word]

@@ -72,6 +72,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--sensor",
+        metavar="NAME=TOPIC@FRAME",
+        type=mounted,
+        action="append",
+        default=[],
+        help="a force-torque sensor (geometry_msgs/WrenchStamped) or an IMU (sensor_msgs/Imu) at a "
+        "site or body of the model: bias, scale, coupling and filter are estimated, nothing else",
+    )
     group = parser.add_argument_group(
         "tosses of a free object",
         "an .npz file with one array of poses and velocities for each toss, or bags with poses; "
@@ -99,6 +108,15 @@ def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
         help="sample rate of an .npz file (default: found from displacements and velocities, and "
         "reported)",
     )
+
+
+def mounted(text: str) -> dict[str, str]:
+    """``NAME=TOPIC@FRAME`` of a command line."""
+    name, _, rest = text.partition("=")
+    topic, _, frame = rest.partition("@")
+    if not (name and topic and frame):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected NAME=TOPIC@FRAME")
+    return {"name": name, "topic": topic, "frame": frame}
 
 
 def positive(text: str) -> float:
@@ -138,6 +156,7 @@ def run(args: argparse.Namespace) -> int:
                     "name": args.id or out.name,
                     "topics": args.topics,
                     "options": recording_options(args),
+                    "sensors": args.sensor,
                     "tosses": {
                         "length": args.length_unit,
                         "rate": args.rate,

@@ -21,6 +21,8 @@ from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
+from pytest_twin.identification.sensing.identify import identify_sensors
+from pytest_twin.identification.sensing.recorded import Mounted
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
@@ -42,6 +44,7 @@ def identify_files(
     packages: Mapping[str, str] | None = None,
     roots: Sequence[str] = (),
     tosses: Mapping[str, Any] | None = None,
+    sensors: Sequence[Mapping[str, str]] = (),
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Load, identify, write the fitted model; runs in the child process.
@@ -55,6 +58,7 @@ def identify_files(
         options: how recordings are read, before what the twin says.
         packages, roots: where the model's files lie.
         tosses: fields of ``TossOptions``, for recordings of a free object.
+        sensors: fields of ``Mounted``; where there are any, they alone are estimated.
         progress: told the fraction done.
 
     Returns:
@@ -73,6 +77,13 @@ def identify_files(
     paths = [Path(one) for one in recordings]
     tested = [Path(one) for one in held_out]
     progress(0.1)
+    if sensors:
+        document = identify_sensors(
+            realization, paths, tested, [Mounted(**one) for one in sensors],
+            {**stated, **topics}["state"], _made(Path(out) / REALIZATION),
+            lambda fraction: progress(0.1 + 0.9 * fraction),
+        )  # fmt: skip
+        return _finished(document, notes, name, realization, [Path(model), *paths, *tested])
     tossed = TossOptions(**(tosses or {}))
     if are_tosses([*paths, *tested], tossed):
         document = identify_contact(

@@ -55,6 +55,12 @@ def error_lines(document: Mapping[str, Any]) -> list[str]:
             if "position_rms_nominal" in error:
                 said += f" (nominal model {scale * error['position_rms_nominal']:.3g} {unit})"
             parts.append(said)
+        if "sensor_rms" in error:
+            parts += [
+                f"{axis} {value:.3g} {error['sensor_units'][axis]} "
+                f"(an ideal sensor {error['sensor_rms_nominal'][axis]:.3g})"
+                for axis, value in error["sensor_rms"].items()
+            ]
         if "toss_position" in error:
             parts.append(_toss_words(error))
         lines.append(f"{joint}: {', '.join(parts)}")

@@ -1,0 +1,209 @@
+"""Sensors that a user named, from recordings to ``identification.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pytest_twin import __version__
+from pytest_twin.errors import RecordingError
+from pytest_twin.identification.records import verdict_of
+from pytest_twin.identification.sensing.estimate import SensorEstimate, estimate
+from pytest_twin.identification.sensing.recorded import Mounted, SensorTrial, read_sensor
+from pytest_twin.identification.stages import HeldOut, Stage, judged
+from pytest_twin.identification.write import write_fitted
+from pytest_twin.realization import Realization
+from pytest_twin.sensors import force_torque, imu
+from pytest_twin.sensors.imu import noise_of
+from pytest_twin.trial.roles import FINAL, HELD_OUT, refuse_final
+
+_ONE_HELD_OUT_OF = 4
+_STILL = 0.005
+"""Speed of the model at the sensor below which a whole recording is one at rest, rad/s."""
+_UNITS = {"f": "N", "t": "N*m", "g": "rad/s", "a": "m/s^2"}
+_MOTION = (
+    "turn the sensor through many orientations, with payloads whose centres of mass differ, and "
+    "move fast enough that inertia adds to the weight"
+)
+
+
+def identify_sensors(
+    realization: Realization,
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    sensors: Sequence[Mounted],
+    state: str,
+    folder: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> dict[str, Any]:
+    """Estimate sensors, and write the model, which they do not change.
+
+    Args:
+        realization: the model.
+        recordings, held_out: bags with joint states and the sensors' topics.
+        sensors: names, topics and frames.
+        state: topic of the joint states.
+        folder: empty; gets the model.
+        progress: told the fraction done.
+
+    Returns:
+        the content of ``identification.json`` but for its inputs.
+
+    Raises:
+        TwinError: input that cannot be used.
+    """
+    stages: list[Stage] = []
+    parameters: dict[str, Any] = {}
+    named: list[str] = []
+    blocks: list[np.ndarray] = []
+    held: dict[str, Any] = {}
+    unobservable: list[dict[str, str]] = []
+    models: dict[str, Any] = {}
+    notes: list[str] = []
+    steps: dict[str, float] = {}
+    better = True
+    names: dict[str, list[str]] = {"fit": [], "held_out": []}
+    for done, sensor in enumerate(sensors, 1):
+        fit, tested = _by_role(recordings, held_out, sensor, realization, state, notes)
+        names = {
+            "fit": [one.path.name for one in fit], "held_out": [one.path.name for one in tested],
+        }  # fmt: skip
+        found = estimate(fit, tested)
+        own = [f"{sensor.name}.{name}" for name in found.names]
+        before, after = _total(found.nominal, found), _total(found.error, found)
+        stage = Stage(
+            "sensor", "accepted", f"{sensor.name}: {sensor.topic} at {sensor.frame}", tuple(own),
+            excludes="payload and frame of the model are given",
+        )  # fmt: skip
+        if tested:
+            stage = judged(stage, HeldOut(before, after, "of an ideal sensor's error"))
+        better = better and after < before
+        stages.append(stage)
+        half = found.quantile * np.sqrt(np.diag(found.covariance).clip(0.0))
+        for name, value, unit, width in zip(own, found.values, found.units, half, strict=True):
+            parameters[name] = {
+                "value": float(value), "unit": unit,
+                "ci95": [float(value - width), float(value + width)],
+                "prior": 1.0 if "sensor_scale" in name else 0.0, "stage": "sensor",
+            }  # fmt: skip
+        named += own
+        blocks.append(found.covariance)
+        axes = imu.AXES if fit[0].inertial else force_torque.AXES
+        held[sensor.name] = {
+            "sensor_rms": {axis: float(v) for axis, v in zip(axes, found.error, strict=True)},
+            "sensor_rms_nominal": {
+                axis: float(v) for axis, v in zip(axes, found.nominal, strict=True)
+            },
+            "sensor_units": {axis: _UNITS[axis[0]] for axis in axes},
+        }
+        unobservable += [
+            {"expression": f"{sensor.name}: {words}", "motion": _MOTION} for words in found.untold
+        ]
+        models[sensor.name] = _model(found, sensor, fit[0].inertial)
+        for one in fit:
+            steps.update(one.steps)
+        noise = _noise(fit) if fit[0].inertial else None
+        if noise is not None:
+            models[sensor.name]["noise"] = dict(zip(axes, noise, strict=True))
+        progress(done / len(sensors))
+    write_fitted(folder, realization, {})
+    return {
+        "schema": 1,
+        "verdict": verdict_of(stages, better, bool(names["held_out"]), True),
+        "way": "readings of sensors beside an ideal sensor along the measured motion",
+        "tested_on": "held-out recordings" if names["held_out"] else "the fitted recordings",
+        "stages": [stage.to_json() for stage in stages],
+        "parameters": parameters,
+        "covariance": {"names": named, "matrix": _diagonal(blocks).tolist()},
+        "base_parameters": [],
+        "held_out": held,
+        "physical": {"consistent": True, "violations": []},
+        "unobservable": unobservable,
+        "sensors": models,
+        "encoder_steps": steps,
+        "fit": {},
+        "correlated": [],
+        "suspected": [],
+        "without_effort": [],
+        "trials": names,
+        "notes": list(dict.fromkeys(notes)),
+        "software": {"pytest-twin": __version__, "mujoco": mujoco.__version__},
+    }
+
+
+def _by_role(
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    sensor: Mounted,
+    realization: Realization,
+    state: str,
+    notes: list[str],
+) -> tuple[list[SensorTrial], list[SensorTrial]]:
+    """Whole recordings by role, as every identification splits them."""
+    aside = {path.resolve() for path in held_out}
+    fit = [
+        read_sensor(path, sensor, realization, state)
+        for path in dict.fromkeys(recordings)
+        if path.resolve() not in aside
+    ]
+    tested = [read_sensor(path, sensor, realization, state) for path in dict.fromkeys(held_out)]
+    for one in (*fit, *tested):
+        if one.role == FINAL:
+            refuse_final({"role": one.role}, one.path, "an identification")
+    if not tested:
+        tested = [one for one in fit if one.role == HELD_OUT]
+        if not tested and len(fit) > 1:
+            tested = fit[-max(1, len(fit) // _ONE_HELD_OUT_OF) :]
+            names = ", ".join(one.path.name for one in tested)
+            notes.append(f"held out (chosen automatically): {names}; choose with --held-out")
+        fit = [one for one in fit if all(one is not other for other in tested)]
+    if not fit:
+        raise RecordingError(
+            "no recording remains to fit", path=next(iter(held_out), None),
+            expected="at least one RECORDING that is not under --held-out",
+        )  # fmt: skip
+    if not tested:
+        notes.append("nothing is held out: no result can be accepted; record once more")
+    return fit, tested
+
+
+def _total(errors: np.ndarray, found: SensorEstimate) -> float:
+    """Error over all channels, each as a share of the ideal sensor's error."""
+    return float(np.sqrt(np.mean((errors / np.maximum(found.nominal, 1e-300)) ** 2)))
+
+
+def _model(found: SensorEstimate, sensor: Mounted, inertial: bool) -> dict[str, Any]:
+    """What a simulation needs to make readings: matrices, biases, filter, limits."""
+    return {
+        "kind": "imu" if inertial else "force_torque",
+        "topic": sensor.topic,
+        "frame": sensor.frame,
+        "matrix": [one.matrix.tolist() for one in found.linear],
+        "bias": [one.bias.tolist() for one in found.linear],
+        "time_constant": found.time_constant,
+        "limit": [float(v) if np.isfinite(v) else None for v in found.limit],
+    }
+
+
+def _noise(fit: Sequence[SensorTrial]) -> list[dict[str, float | None]] | None:
+    """Noise of each channel over the longest recording in which nothing moves, or None."""
+    still = [one for one in fit if np.abs(one.true[:, :3]).max() < _STILL]
+    longest = max(still, key=lambda one: len(one.reading) * one.period, default=None)
+    if longest is None:
+        return None
+    return [asdict(one) for one in noise_of(longest.reading, 1.0 / longest.period)]
+
+
+def _diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    size = sum(len(block) for block in blocks)
+    matrix = np.zeros((size, size))
+    start = 0
+    for block in blocks:
+        matrix[start : start + len(block), start : start + len(block)] = block
+        start += len(block)
+    return matrix

@@ -1,0 +1,50 @@
+"""The quantization of an encoder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+
+_FEWEST = 20
+_SAME = 0.05
+"""Distance of a difference from whole steps, in steps, that rounding of a log explains."""
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """``reading = step round(position / step)``.
+
+    Attributes:
+        step: rad or m.
+    """
+
+    step: float
+
+    def measured(self, position: FloatArray) -> FloatArray:
+        """Readings of positions, rad or m."""
+        return np.asarray(self.step * np.round(position / self.step))
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of a reading: a uniform error of one step, rad or m."""
+        return self.step / float(np.sqrt(12.0))
+
+
+def encoder_of(reading: FloatArray) -> Encoder | None:
+    """The quantization of (n,) readings; None where they show none.
+
+    The step is the least difference between two readings of which all others are whole multiples.
+    """
+    values = np.unique(reading)
+    apart = np.diff(values)
+    apart = apart[apart > 1e-9 * max(float(np.ptp(values)), 1e-12)]
+    if len(apart) < _FEWEST:
+        return None
+    least = float(apart.min())
+    multiples = apart / least
+    step = float(np.sum(apart) / np.sum(np.round(multiples)))
+    off = np.abs(apart / step - np.round(apart / step))
+    return Encoder(step) if off.max() < _SAME else None

@@ -1,0 +1,210 @@
+"""A force-torque sensor and an IMU of an arm whose true signals Pinocchio computed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mcap.writer import Writer
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.budget.categories import category_of_parameter
+from pytest_twin.identification.run import identify_files
+from pytest_twin.report import identification
+from pytest_twin.sensors.encoder import Encoder, encoder_of
+from pytest_twin.sensors.force_torque import ForceTorqueSensor
+from pytest_twin.sensors.imu import noise_of
+
+sys.path.append(str(Path(__file__).parents[1] / "formats"))
+import sensor_bags
+
+START = 1_700_000_000_000_000_000
+PERIOD = 0.004
+COM, MASS = np.array([0.02, -0.03, 0.08]), 1.5
+INERTIA = np.diag([0.006, 0.005, 0.004])
+ARM = f"""<mujoco><compiler angle="radian"/><worldbody>
+  <body name="a" pos="0 0 0.3"><joint name="j1" axis="0 0 1"/><inertial pos="0 0 0" mass="1"
+    diaginertia="0.01 0.01 0.01"/>
+  <body name="b" pos="0.2 0 0"><joint name="j2" axis="0 1 0"/><inertial pos="0 0 0" mass="1"
+    diaginertia="0.01 0.01 0.01"/>
+  <body name="c" pos="0.2 0 0"><joint name="j3" axis="1 0 0"/><inertial pos="0 0 0" mass="1"
+    diaginertia="0.01 0.01 0.01"/>
+  <body name="tool" pos="0.1 0 0"><site name="wrist"/><inertial pos="{COM[0]} {COM[1]} {COM[2]}"
+    mass="{MASS}" diaginertia="{INERTIA[0, 0]} {INERTIA[1, 1]} {INERTIA[2, 2]}"/></body>
+  </body></body></body></worldbody></mujoco>"""
+
+
+def pinocchio_arm() -> pin.Model:
+    model = pin.Model()
+    joints = [pin.JointModelRZ(), pin.JointModelRY(), pin.JointModelRX()]
+    at = [[0, 0, 0.3], [0.2, 0, 0], [0.2, 0, 0]]
+    parent = 0
+    for name, joint, place in zip(("j1", "j2", "j3"), joints, at, strict=True):
+        parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array(place, float)), name)
+        own = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+        model.appendBodyToJoint(parent, own, pin.SE3.Identity())
+    return model
+
+
+def moved(seed: int, seconds: float = 16.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, PERIOD)
+    q, v, a = np.zeros((3, len(time), 3))
+    for joint in range(3):
+        for rate in rng.uniform(0.1, 0.8, 5):
+            size, phase = rng.uniform(0.2, 0.5), rng.uniform(0.0, 2.0 * np.pi)
+            w = 2.0 * np.pi * rate
+            q[:, joint] += size * np.sin(w * time + phase)
+            v[:, joint] += size * w * np.cos(w * time + phase)
+            a[:, joint] -= size * w**2 * np.sin(w * time + phase)
+    return q, v, a
+
+
+def true_signals(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Wrench of the tool on the wrist, and inertial signals there."""
+    model = pinocchio_arm()
+    data = model.createData()
+    offset = pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    tool = pin.Inertia(MASS, COM, INERTIA)
+    wrench, inertial = np.empty((2, len(q), 6))
+    for row in range(len(q)):
+        pin.forwardKinematics(model, data, q[row], v[row], a[row])
+        turn = data.oMi[3].rotation
+        speed = offset.actInv(data.v[3])
+        rate = offset.actInv(data.a[3])
+        gravity = turn.T @ np.array([0.0, 0.0, -9.81])
+        total = pin.Motion(rate.linear - gravity, rate.angular)
+        force = tool * total + speed.cross(tool * speed)
+        wrench[row] = -np.concatenate([force.linear, force.angular])
+        push = rate.linear + np.cross(speed.angular, speed.linear) - gravity
+        inertial[row] = np.concatenate([speed.angular, push])
+    return wrench, inertial
+
+
+def write(
+    path: Path, q: np.ndarray, readings: np.ndarray, kind: str, metadata: dict[str, str]
+) -> None:
+    """Joint states in JSON and readings in CDR, side by side."""
+    stamps = START + np.round(np.arange(len(q)) * PERIOD * 1e9).astype(np.int64)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        states = writer.register_channel("/joint_states", "json", schema)
+        own = writer.register_schema(kind, "ros2msg", b"")
+        channel = writer.register_channel("/sensor", "cdr", own)
+        for stamp, row, reading in zip(stamps.tolist(), q, readings, strict=True):
+            sec, nanosec = divmod(stamp, 1_000_000_000)
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": ""}
+            state = {"header": header, "name": ["j1", "j2", "j3"], "position": row.tolist()}
+            writer.add_message(states, stamp, json.dumps(state).encode(), stamp)
+            made = sensor_bags.message(kind, stamp, reading)
+            data = bytes(sensor_bags.STORE.serialize_cdr(made, kind))
+            writer.add_message(channel, stamp, data, stamp)
+        writer.add_metadata("trial", metadata)
+        writer.finish()
+
+
+def drawn_sensor(seed: int) -> ForceTorqueSensor:
+    rng = np.random.default_rng(100 + seed)
+    scale = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+    mixing = 0.03 * rng.normal(size=(6, 6)) * np.outer(scale, 1.0 / scale)
+    return ForceTorqueSensor(
+        rng.normal(size=6) * scale, np.eye(6) + mixing, 0.012, np.full(6, np.inf)
+    )
+
+
+def identified(folder: Path, kind: str, readings: Any) -> dict[str, Any]:
+    """Two recordings to fit and one held out; ``readings`` makes them of the true signals."""
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "out").mkdir()
+    for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
+        q, v, a = moved(seed)
+        write(folder / f"{seed}.mcap", q, readings(true_signals(q, v, a), seed), kind,
+              {"role": role})  # fmt: skip
+    return identify_files(
+        str(folder / "arm.xml"), [str(folder / f"{n}.mcap") for n in (1, 2, 3)], [],
+        str(folder / "out"), "wrist", {}, {},
+        sensors=[{"name": "wrist", "topic": "/sensor", "frame": "wrist"}],
+    )  # fmt: skip
+
+
+def test_a_force_torque_sensor_is_found_and_its_intervals_hold(tmp_path: Path) -> None:
+    sensor = drawn_sensor(0)
+    noise = np.array([0.05, 0.05, 0.05, 0.003, 0.003, 0.003])
+
+    def readings(true: Any, seed: int) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        clean = sensor.measured(true[0], PERIOD)
+        return np.asarray(clean + noise * rng.normal(size=clean.shape))
+
+    found = identified(tmp_path, sensor_bags.WRENCH, readings)
+    assert found["verdict"] == "accepted"
+    assert found["trials"]["held_out"] == ["3.mcap"]
+    inside = []
+    axes = ("fx", "fy", "fz", "tx", "ty", "tz")
+    for row, axis in enumerate(axes):
+        truth = {f"sensor_bias_{axis}": sensor.bias[row]}
+        for column, source in enumerate(axes):
+            name = f"scale_{axis}" if row == column else f"coupling_{axis}_{source}"
+            truth[f"sensor_{name}"] = sensor.coupling[row, column]
+        for name, value in truth.items():
+            one = found["parameters"].get(f"wrist.{name}")
+            if one is not None:
+                inside.append(one["ci95"][0] <= value <= one["ci95"][1])
+    assert len(inside) == 42
+    assert np.mean(inside) > 0.9
+    slow = found["parameters"]["wrist.sensor_filter_time"]
+    assert slow["value"] == pytest.approx(0.012, abs=0.001)
+    held = found["held_out"]["wrist"]
+    assert all(held["sensor_rms"][a] < 0.2 * held["sensor_rms_nominal"][a] for a in axes)
+    assert "ideal sensor" in identification.render(found)
+
+
+def test_an_imu_is_found(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    turned = Rotation.from_rotvec([0.02, -0.03, 0.01]).as_matrix()
+    matrix = np.block([[1.02 * turned, np.zeros((3, 3))], [np.zeros((3, 3)), 0.97 * turned]])
+    bias = np.array([0.01, -0.02, 0.005, 0.1, -0.2, 0.15])
+
+    def readings(true: Any, seed: int) -> np.ndarray:
+        clean = true[1] @ matrix.T + bias
+        return np.asarray(clean + 0.01 * rng.normal(size=clean.shape))
+
+    found = identified(tmp_path, sensor_bags.IMU, readings)["parameters"]
+    for row, axis in enumerate(("gx", "gy", "gz", "ax", "ay", "az")):
+        assert found[f"wrist.sensor_bias_{axis}"]["value"] == pytest.approx(bias[row], abs=0.02)
+        assert found[f"wrist.sensor_scale_{axis}"]["value"] == pytest.approx(
+            matrix[row, row], abs=0.004
+        )
+
+
+def test_white_noise_has_the_density_that_was_drawn() -> None:
+    pytest.importorskip("allantools", reason="the extra 'sensors' is not installed")
+    rng = np.random.default_rng(0)
+    rate, density = 200.0, 0.003
+    still = density * np.sqrt(rate) * rng.normal(size=(40_000, 2))
+    for one in noise_of(still, rate):
+        assert one.density == pytest.approx(density, abs=4.0 * one.density_std)
+        assert one.density_std < 0.1 * density
+
+
+def test_the_step_of_an_encoder_is_found_and_a_smooth_signal_has_none() -> None:
+    step = 2.0 * np.pi / 4096
+    angle = np.sin(np.linspace(0.0, 9.0, 4000))
+    found = encoder_of(Encoder(step).measured(angle))
+    assert found is not None
+    assert found.step == pytest.approx(step, rel=1e-6)
+    assert encoder_of(angle) is None
+
+
+def test_sensors_stand_under_sensing_and_their_filter_under_timing() -> None:
+    assert category_of_parameter("wrist.sensor_bias_fx") == "sensing"
+    assert category_of_parameter("wrist.sensor_filter_time") == "timing"
+    assert category_of_parameter("elbow.sensor_delay") == "timing"
+    assert category_of_parameter("cube.contact_friction") == "contact_and_material"
