@@ -185,3 +185,28 @@ def test_an_expression_is_found_by_its_joint_or_left_out(tmp_path: Path) -> None
     (line,) = budget_of_file(str(twin))["lines"]
     assert line["effort"] == {}
     assert line["left_out"][0].startswith("mx2 + 0.1*m2: no rule carries it")
+
+
+def test_contacts_and_sensors_stand_in_their_categories_and_move_nothing(tmp_path: Path) -> None:
+    contact = fit_record(["cube.contact_friction", "cube.contact_offset"], [0.01, 1e-4], ["1", "m"])
+    sensor = fit_record(
+        ["wrist.sensor_bias_fx", "wrist.sensor_filter_time"], [0.02, 1e-4], ["N", "s"]
+    )
+    for ident, record in (("table", contact), ("wrist", sensor)):
+        record.update(identification=ident, held_out={}, fit={})
+    found = budget_of_file(str(make_twin(tmp_path, fits=[contact, sensor], budget=declared())))
+    states = {one["category"]: one for one in found["categories"]}
+    for category, name in (
+        ("contact_and_material", "cube.contact_friction"),
+        ("sensing", "wrist.sensor_bias_fx"),
+        ("timing", "wrist.sensor_filter_time"),
+    ):
+        own = states[category]
+        assert name in {one["name"] for one in own["estimates"]}
+        assert {record["id"] for record in own["evidence"]["records"]} & {"table", "wrist"}
+        assert own["moves"] is None
+    # One record is one line: its filter is counted with its bias, and in no other line.
+    assert [line["id"] for line in found["lines"]] == ["table", "wrist"]
+    assert states["timing"]["state"] in ("measured", "counted_elsewhere")
+    assert states["timing"]["lines"] + states["sensing"]["lines"] == ["wrist"]
+    assert found["total"]["linear"] is None

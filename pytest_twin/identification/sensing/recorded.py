@@ -97,7 +97,8 @@ def read_sensor(path: Path, sensor: Mounted, realization: Realization, state: st
     _, rows = np.unique(stamps, return_index=True)
     values = np.array([readings[row].values for row in rows])
     zero = int(min(stamps.min(), joints.stamp.min()))
-    sensed, moved = (stamps[rows] - zero) * 1e-9, (joints.stamp - zero) * 1e-9
+    sensed = np.asarray((stamps[rows] - zero) * 1e-9, dtype=np.float64)
+    moved = np.asarray((joints.stamp - zero) * 1e-9, dtype=np.float64)
     period = float(np.median(np.diff(sensed))) if len(sensed) > 1 else 0.0
     start, end = max(sensed[0], moved.min()), min(sensed[-1], moved.max())
     count = int((end - start) / period) + 1 if period > 0.0 and end > start else 0
